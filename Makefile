@@ -1,0 +1,43 @@
+# Two commands do everything on a fresh machine: `make bench` and `make test`.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export PYTHONSAFEPATH := 1
+
+.PHONY: setup setup-dev bench test test-slow lint types clean
+
+bench: setup
+	$(BIN)/bench run quick
+	$(BIN)/bench report
+
+test: setup-dev
+	$(BIN)/pytest -q
+
+test-slow: setup-dev
+	$(BIN)/pytest -q -m slow
+
+lint: setup-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: setup-dev
+	$(BIN)/pyright
+
+setup: $(VENV)/.installed
+setup-dev: $(VENV)/.installed-dev
+
+SOURCES := pyproject.toml constraints.txt CMakeLists.txt $(wildcard methods/kernels/*.cpp methods/kernels/*.h methods/kernels/CMakeLists.txt)
+
+$(VENV)/bin/pip:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: $(SOURCES) | $(VENV)/bin/pip
+	$(BIN)/pip install -q -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.installed
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev]'
+	touch $@
+
+clean:
+	rm -rf build $(VENV)

@@ -1,0 +1,1 @@
+"""The methods and the optimised layer they are built of."""

@@ -1,0 +1,1 @@
+"""Small, readable, checked implementations: pure functions on tensors and the shared types."""

@@ -1,0 +1,45 @@
+"""The rules that make two numbers comparable. A protocol is data; it is part of a result's key."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """How truth images are made, which views are held out, and how renders are scored."""
+
+    name: str
+    source: str
+    """Where the rules come from: a paper's section, a release, or "ours"."""
+    images: str = "photos"
+    """Folder of source images inside the scene, e.g. "photos", "images", "images_4"."""
+    width: int | None = None
+    """Scale so that images have this width (aspect kept); None: use `factor`."""
+    factor: float = 1.0
+    """Divide both sides by this; 1 leaves the size alone."""
+    filter: Literal["area", "lanczos", "bicubic"] = "area"
+    """Resampling filter of the down-scale."""
+    size_rule: Literal["round", "floor"] = "round"
+    """How a scaled size becomes whole pixels (round: half up); K is scaled per axis accordingly."""
+    undistort: Literal["crop", "keep"] = "crop"
+    """crop: no invalid border pixel is left; keep: all source pixels stay, invalid ones masked."""
+    hold: int = 8
+    """Every hold-th of the name-sorted views is test (indices 0, hold, ...); 0: none."""
+    test_names: tuple[str, ...] = ()
+    """Names of the test views; when given, `hold` is ignored."""
+    drop_test_points: bool = False
+    """Leave out sparse points that only test views see."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sRGB behind everything, in training and in testing."""
+    rounding: Literal["round", "truncate", "float"] = "round"
+    """What is done to renders before scoring, after clamping to [0, 1]."""
+    masked: bool = True
+    """Score valid pixels only; False: all pixels."""
+    region: Literal["full", "right_half"] = "full"
+    """Part of each test image that is scored."""
+    appearance: Literal["none", "nearest", "half", "oracle"] = "none"
+    """What a method may use of a test image to fit its appearance; "oracle" rows are not ranked."""
+    metrics: tuple[str, ...] = ("psnr", "ssim_3dgs", "ssim_valid", "flip")
+    """Per-image metrics by their names in splatbench.metrics.registry; the first one ranks."""
+    colour_fit: tuple[Literal["cc_affine", "cc_quadratic"], ...] = ()
+    """Extra columns after a colour fit to the truth; never the main column."""

@@ -1,0 +1,58 @@
+"""One finished case: the record that everything downstream is derived from."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageScore:
+    """The scores of one test image."""
+
+    name: str
+    """Name of the view."""
+    truth_sha256: str
+    """Hash of the truth's pixels as scored (float32 bytes, row-major)."""
+    valid_share: float
+    """Share of pixels that were scored, in [0, 1]."""
+    metrics: dict[str, float]
+    """Metric name to value; nan where undefined."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """Scene x method x settings x seed x protocol, and what came out. Plain data, JSON-ready."""
+
+    suite: str
+    scene: str
+    method: str
+    seed: int
+    protocol: str
+    """Name of the protocol; its rules stand in protocol_rules."""
+    protocol_rules: dict[str, object]
+    settings: dict[str, object]
+    """Every setting of the method, defaults included."""
+    images: tuple[ImageScore, ...]
+    """Sorted by name."""
+    metrics: dict[str, float]
+    """Means over images of each per-image metric, then scene-level ones (psnr_of_mean_mse)."""
+    stages: dict[str, float]
+    """Wall seconds by stage: load, init, train, score, save."""
+    cpu_seconds: float
+    peak_memory_mb: float
+    """Peak resident memory of the process during the case, in 2^20 bytes."""
+    primitives: int
+    bytes_on_disk: int
+    """Bytes of the saved model."""
+    render_ms: float
+    """Median milliseconds a test frame after warm-up, without I/O."""
+    split_sha256: str
+    """Hash of the train and test name lists."""
+    model_sha256: str
+    """Hash of the saved model's arrays."""
+    curve: tuple[tuple[int, dict[str, float]], ...] = ()
+    """(step, values) logged while training."""
+    environment: dict[str, str] = field(default_factory=dict)
+    """Versions, git commit, machine, threads, SIMD level, backend."""
+    scene_facts: dict[str, str] = field(default_factory=dict)
+    left_out: tuple[tuple[str, str], ...] = ()
+    error: str = ""
+    """One line saying why the case failed; empty for a finished one."""

@@ -1,0 +1,52 @@
+"""Gradients by the 2D means, signed and absolute, that density control is steered by."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScreenProbe:
+    """Two zero tensors whose .grad, after backward, holds statistics in loss per pixel.
+
+    They are not added to anything: they only collect.
+    """
+
+    signed: Float[Tensor, "n 2"]
+    """Its .grad is the sum over pixels of d loss / d (2D mean)."""
+    absolute: Float[Tensor, "n 2"]
+    """Its .grad is the sum over pixels of |d loss / d (2D mean)| through each pixel."""
+
+    @staticmethod
+    def zeros(count: int, like: Tensor) -> "ScreenProbe":
+        """A fresh probe for `count` Gaussians in the dtype of `like`."""
+        signed, absolute = (like.new_zeros(count, 2, requires_grad=True) for _ in range(2))
+        return ScreenProbe(signed=signed, absolute=absolute)
+
+
+class _Collect(torch.autograd.Function):
+    """Identity on the offsets; backward leaves sums and absolute sums over pixels in the probe."""
+
+    @staticmethod
+    def forward(ctx, offsets, signed, absolute):
+        return offsets.clone()
+
+    @staticmethod
+    def backward(ctx, gradient):
+        # offset = pixel - mean, hence the sign
+        return gradient, -gradient.sum(dim=0), gradient.abs().sum(dim=0)
+
+
+def pixel_offsets(
+    pixels: Float[Tensor, "p 2"], means: Float[Tensor, "n 2"], probe: ScreenProbe | None
+) -> Float[Tensor, "p n 2"]:
+    """Offsets pixel - mean; gradients that flow back through them are left in the probe.
+
+    Source: signed, Kerbl et al. 2023, Sec. 5.2; absolute, Ye et al. 2024, "AbsGS", Eq. 4.
+    """
+    offsets = pixels[:, None, :] - means[None, :, :]
+    if probe is None:
+        return offsets
+    return _Collect.apply(offsets, probe.signed, probe.absolute)  # type: ignore[return-value]

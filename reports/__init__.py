@@ -1,0 +1,1 @@
+"""What came out: MLflow, leaderboards, pages. Reads results only."""

@@ -1,0 +1,1 @@
+"""What to run: suites of cases, the runner and the result record."""
