@@ -30,12 +30,13 @@ class _Collect(torch.autograd.Function):
     """Identity on the offsets; backward leaves sums and absolute sums over pixels in the probe."""
 
     @staticmethod
-    def forward(ctx, offsets, signed, absolute):
+    def forward(ctx, offsets, signed, absolute):  # noqa: D102
         return offsets.clone()
 
     @staticmethod
-    def backward(ctx, gradient):
+    def backward(ctx, *grad_outputs):  # noqa: D102
         # offset = pixel - mean, hence the sign
+        (gradient,) = grad_outputs
         return gradient, -gradient.sum(dim=0), gradient.abs().sum(dim=0)
 
 
