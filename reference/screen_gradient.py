@@ -30,11 +30,11 @@ class _Collect(torch.autograd.Function):
     """Identity on the offsets; backward leaves sums and absolute sums over pixels in the probe."""
 
     @staticmethod
-    def forward(ctx, offsets, signed, absolute):  # noqa: D102
+    def forward(ctx, offsets, signed, absolute):
         return offsets.clone()
 
     @staticmethod
-    def backward(ctx, *grad_outputs):  # noqa: D102
+    def backward(ctx, *grad_outputs):
         # offset = pixel - mean, hence the sign
         (gradient,) = grad_outputs
         return gradient, -gradient.sum(dim=0), gradient.abs().sum(dim=0)
