@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.camera import Camera, project_points, transform_points
+from splatbench.reference.camera import Camera, transform_points
 
 BLUR = 0.3
 """Low-pass variance added to both image axes, in squared pixels."""
@@ -18,7 +18,7 @@ ALPHA_MIN = 1 / 255
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Projected:
-    """2D Gaussians in pixels. Rows of Gaussians at or behind the near plane are not drawn."""
+    """2D Gaussians in pixels. Rows that are not in front mean nothing, but they are finite."""
 
     means: Float[Tensor, "n 2"]
     """Pixel positions (x, y)."""
@@ -75,10 +75,8 @@ def project(
     share = determinant(sharp) / determinant(blurred)
     positive = share > 0
     compensation = torch.where(positive, torch.where(positive, share, 1).sqrt(), 0)
-    pixel, _ = project_points(camera, means)
-    pixel = torch.where(in_front[:, None], pixel, 0)
     return Projected(
-        means=pixel, depths=cam[:, 2], covariances=blurred,
+        means=(cam @ camera.K.to(cam).T)[:, :2] / cam[:, 2:], depths=cam[:, 2], covariances=blurred,
         compensation=compensation, in_front=in_front,
     )  # fmt: skip
 
