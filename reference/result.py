@@ -54,5 +54,7 @@ class Result:
     """Versions, git commit, machine, threads, SIMD level, backend."""
     scene_facts: dict[str, str] = field(default_factory=dict)
     left_out: tuple[tuple[str, str], ...] = ()
+    suite_scenes: tuple[str, ...] = ()
+    """Every scene that the suite declares: a mean over scenes is given only where all are there."""
     error: str = ""
     """One line saying why the case failed; empty for a finished one."""

@@ -39,6 +39,7 @@ fields = st.fixed_dictionaries(
         "images": st.lists(image, max_size=3),
         "curve": st.lists(st.tuples(st.integers(), table), max_size=3).map(tuple),
         "left_out": st.lists(st.tuples(names, names), max_size=2).map(tuple),
+        "suite_scenes": st.lists(names, max_size=2).map(tuple),
     }
 )
 
