@@ -1,0 +1,173 @@
+"""The `bench` command: one module a command, joined here by tyro.
+
+A command is a plain typed function in splatbench.cli.<command>; its docstring's Args are the help, what
+it returns (an int, or None for 0) is the exit code, and it prints through splatbench.cli.output. It is
+imported only when it is chosen, and imports what is heavy (torch, mlflow, pycolmap) when it is called.
+"""
+
+import importlib
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, get_type_hints
+
+import tyro
+from tyro.extras import SubcommandApp
+
+from splatbench.cli import output
+from splatbench.reference.errors import SplatbenchError
+
+DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
+
+Results go to stdout, logs and progress to stderr. Exit codes: 0 done, 1 a case failed or regressed,
+2 usage or bad input, 3 this machine lacks something."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One subcommand: where its function lives, and the line that `bench --help` shows."""
+
+    module: str
+    """Module of splatbench.cli."""
+    functions: dict[str, str]
+    """Subcommand name to function name; "" for a command without subcommands."""
+    help: str
+
+
+COMMANDS = {
+    "ingest": Command(
+        module="ingest",
+        functions={"": "ingest"},
+        help="Turn a folder of photos into a scene by structure from motion.",
+    ),
+    "scenes": Command(
+        module="scenes",
+        functions={"list": "list_scenes", "show": "show", "get": "get", "make": "make"},
+        help="List, show, download or make the registered scenes.",
+    ),
+    "fit": Command(
+        module="fit",
+        functions={"": "fit"},
+        help="Train one method on one scene and score the held-out views.",
+    ),
+    "render": Command(
+        module="render", functions={"": "render"}, help="Render a trained model's views as images."
+    ),
+    "score": Command(
+        module="score",
+        functions={"": "score"},
+        help="Score a folder of renders, made by anything, against a folder of truths.",
+    ),
+    "export": Command(
+        module="export", functions={"": "export"}, help="Write a trained model as a .ply file."
+    ),
+    "run": Command(
+        module="run",
+        functions={"": "run"},
+        help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
+    ),
+    "report": Command(
+        module="report",
+        functions={"": "report"},
+        help="Print the leaderboard and write the report page from the tracking store.",
+    ),
+    "doctor": Command(
+        module="doctor",
+        functions={"": "doctor"},
+        help="Say what this machine has, what is missing and how to get it.",
+    ),
+}
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run `bench` with these arguments (default: the process's) and return the exit code."""
+    arguments = list(sys.argv[1:] if args is None else args)
+    try:
+        return _told(lambda: _run(arguments))
+    except BrokenPipeError:
+        # Whoever read our output has left (`bench ... | head`); nobody is there to be told.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _told(action: Callable[[], int]) -> int:
+    """The exit code of `action`; errors that a user can mend become one line on stderr."""
+    try:
+        return action()
+    except SplatbenchError as error:
+        if os.environ.get("SPLATBENCH_DEBUG"):
+            traceback.print_exc()
+        print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("bench: interrupted; the same command continues where it stopped", file=sys.stderr)
+        return 130
+    except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
+        return exit_.code if isinstance(exit_.code, int) else 2
+
+
+def _run(arguments: list[str]) -> int:
+    """Parse with the chosen command loaded and the others as one-line stubs, and run it."""
+    chosen = next((a for a in arguments if not a.startswith("-")), "")
+    app = SubcommandApp()
+    for name, command in COMMANDS.items():
+        if name == chosen:
+            _join(app, name, command)
+        else:
+            app.command(name=name, help=command.help)(_unchosen)
+    code = app.cli(prog="bench", description=DESCRIPTION, args=arguments)
+    return 0 if code is None else int(code)
+
+
+def _unchosen() -> int:
+    raise AssertionError("only the chosen command runs")
+
+
+def _join(app: SubcommandApp, name: str, command: Command) -> None:
+    """Import the command's module and add its function, or a group of them, to the app."""
+    module = importlib.import_module(f"splatbench.cli.{command.module}")
+    functions = {key: _with_style(getattr(module, f)) for key, f in command.functions.items()}
+    if "" in functions:
+        app.command(name=name, help=command.help)(functions[""])
+        return
+    group = SubcommandApp()
+    for key, function in functions.items():
+        group.command(name=key)(function)
+    app.command(group, name=name, help=command.help)
+
+
+JsonFlag = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(help="Print results as JSON, one object a line."),
+]
+QuietFlag = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(help="No logs and no progress on stderr."),
+]
+
+
+def _with_style(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The command with `--json` and `--quiet` added: how splatbench.cli.output speaks."""
+
+    def command(*args: Any, json: bool, quiet: bool, **named: Any) -> Any:
+        with output.speaking(output.Style(json=json, quiet=quiet)):
+            return function(*args, **named)
+
+    flags = {"json": JsonFlag, "quiet": QuietFlag}
+    parameters = [
+        *inspect.signature(function).parameters.values(),
+        *(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+            for name, kind in flags.items()
+        ),
+    ]
+    # tyro reads these; functools.wraps would make it read the inner function's, without the flags.
+    command.__name__, command.__doc__ = function.__name__, function.__doc__
+    command.__annotations__ = get_type_hints(function, include_extras=True) | flags
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command

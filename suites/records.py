@@ -1,0 +1,32 @@
+"""The record of a case on disk: <case folder>/record.json, written whole or not at all."""
+
+from pathlib import Path
+
+from splatbench.reference.errors import DataError
+from splatbench.reference.result import Result
+from splatbench.reference.result_json import result_from_json, result_to_json
+from splatbench.suites.atomic import write_text
+
+RECORD_NAME = "record.json"
+
+
+def write_record(folder: Path, result: Result) -> None:
+    """Write <folder>/record.json as one line of JSON; a kill leaves the old one or the new one."""
+    write_text(folder / RECORD_NAME, result_to_json(result) + "\n")
+
+
+def read_record(folder: Path) -> Result:
+    """The result in <folder>/record.json.
+
+    Raises: DataError naming the file and the fault when it is missing, damaged or of another version.
+    """
+    path = folder / RECORD_NAME
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DataError(
+            f"{path}: no record. Expected the folder of a case that has ended"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: cannot be read: {error}") from None
+    return result_from_json(text, str(path))
