@@ -1,0 +1,80 @@
+"""The rasterizers a method can train with, and what is missing for those that cannot run here."""
+
+import importlib
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from splatbench.reference import rasterizer as reference_rasterizer
+from splatbench.reference.errors import MissingError, UsageError
+from splatbench.reference.render import RenderOutput
+
+CONTRACT = frozenset({"float32", "float64", "distance", "median", "contributors", "probe"})
+"""What the reference rasterizer offers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backend:
+    """One implementation of splatbench.reference.rasterizer.rasterize."""
+
+    name: str
+    rasterize: Callable[..., RenderOutput]
+    """Same signature and meaning as the reference."""
+    capabilities: frozenset[str]
+    """Subset of CONTRACT that this implementation offers."""
+    missing: str = ""
+    """What to install before it can be used; empty when it is ready."""
+
+
+def _reference() -> Backend:
+    return Backend(
+        name="reference", rasterize=reference_rasterizer.rasterize, capabilities=CONTRACT
+    )
+
+
+def _cpu() -> Backend:
+    try:
+        kernel = importlib.import_module("splatbench.methods.kernels.rasterizer")
+    except ImportError as error:
+        return _absent("cpu", f"the compiled kernels do not load ({error}); run `pip install .`")
+    return Backend(
+        name="cpu", rasterize=kernel.rasterize, capabilities=CONTRACT - {"float64"}
+    )  # fmt: skip
+
+
+def _cuda() -> Backend:
+    if importlib.util.find_spec("gsplat") is None:
+        return _absent("cuda", "gsplat is not installed; run `pip install splatbench[cuda]`")
+    return _absent("cuda", "there is no adapter to gsplat in this version; use `cpu`")
+
+
+def _absent(name: str, missing: str) -> Backend:
+    def rasterize(*args: object, **kwargs: object) -> RenderOutput:
+        raise MissingError(f"backend {name!r} cannot run here: {missing}")
+
+    return Backend(name=name, rasterize=rasterize, capabilities=frozenset(), missing=missing)
+
+
+BACKENDS: dict[str, Callable[[], Backend]] = {"reference": _reference, "cpu": _cpu, "cuda": _cuda}
+
+
+def get_backend(name: str) -> Backend:
+    """The backend of that name, ready to use.
+
+    Raises: UsageError for an unknown name; MissingError when something must be installed first.
+    """
+    if name not in BACKENDS:
+        near = get_close_matches(name, BACKENDS, n=1, cutoff=0)[0]
+        raise UsageError(
+            f"backend {name!r}: unknown, did you mean {near!r}? There are {', '.join(BACKENDS)}"
+        )
+    backend = BACKENDS[name]()
+    if backend.missing:
+        raise MissingError(f"backend {name!r} cannot run here: {backend.missing}")
+    return backend
+
+
+def describe_backends() -> tuple[Backend, ...]:
+    """All backends, those that cannot run here included (`missing` says why)."""
+    return tuple(make() for make in BACKENDS.values())

@@ -1,0 +1,85 @@
+"""Gaussians from structure-from-motion points."""
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from splatbench.reference.errors import DataError
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.scene import Scene
+from splatbench.reference.spherical_harmonics import C0
+
+NEIGHBOURS = 3
+LEAST_SQUARED = 1e-7
+"""Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
+
+
+def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tensor, " n"]:
+    """Root of the mean squared distance to the 3 nearest other points, at least sqrt(1e-7).
+
+    With fewer than 4 points all others are taken.
+
+    Args:
+        points: Positions in scene units; computed in float64, so UTM-sized ones are safe.
+        lone: What a single point gets, in scene units.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.1, and its release (mean of the
+        squared distances, not squared mean; the release leaves 1e18 with fewer than 4 points).
+    """
+    others = min(NEIGHBOURS, len(points) - 1)
+    if others < 1:
+        return torch.full((len(points),), lone, dtype=torch.float64)
+    positions = points.double().numpy()
+    distances, _ = KDTree(positions).query(positions, k=others + 1)  # the first is itself
+    squared = np.maximum((distances[:, 1:] ** 2).mean(axis=1), LEAST_SQUARED)
+    return torch.from_numpy(np.sqrt(squared))
+
+
+def extent(scene: Scene) -> float:
+    """Size of the scene: 1.1 times the largest distance of a training camera to their mean.
+
+    Where all training cameras share one centre, 1.1 times the median distance of the points to it.
+    Scene units.
+
+    Source: the 3DGS release; one centre: ours (its value 0 would freeze all positions).
+    """
+    centres = torch.stack([view.camera.centre.double() for view in scene.train_views])
+    middle = centres.mean(dim=0)
+    radius = float((centres - middle).norm(dim=1).max())
+    if radius == 0 and len(scene.points):
+        radius = float((scene.points.positions.double() - middle).norm(dim=1).median())
+    return 1.1 * radius
+
+
+def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
+    """One isotropic Gaussian for each sparse point: its colour as SH DC, identity rotation.
+
+    Args:
+        scene: With sparse points.
+        degree: Degree of the spherical harmonics, 0 to 3; higher bands start at 0.
+        opacity: In (0, 1).
+
+    Raises: DataError if there is no point or no training view.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.1.
+    """
+    if not scene.train:
+        raise DataError(f"scene {scene.name!r}: no training views. Expected at least one")
+    count = len(scene.points)
+    if count == 0:
+        raise DataError(
+            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
+            "reconstruct the scene again with more overlapping photos (`bench ingest`)"
+        )
+    distance = neighbour_distance(scene.points.positions, lone=0.01 * extent(scene))
+    sh = torch.zeros(count, (degree + 1) ** 2, 3)
+    sh[:, 0] = (scene.points.colours.float() / 255 - 0.5) / C0
+    return Gaussians(
+        means=scene.points.positions.float(),
+        quaternions=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        log_scales=distance.log().float()[:, None].repeat(1, 3),
+        opacity_logits=torch.full((count,), opacity).logit(),
+        sh=sh,
+    )

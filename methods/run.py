@@ -1,0 +1,36 @@
+"""Where one training run writes, what it draws from and whom it tells."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+def say_nothing(step: int, total: int, values: dict[str, float]) -> None:
+    """The report that nobody reads."""
+
+
+def time_nothing(stage: str, seconds: float) -> None:
+    """The stage clock that nobody reads."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Everything a fit needs beside the scene and the settings. Nothing global."""
+
+    folder: Path | None = None
+    """Checkpoints go to <folder>/checkpoint; a run found there is continued. None: none are kept."""
+    seed: int = 0
+    """Every random draw of the run comes from one generator with this seed."""
+    backend: str = "cpu"
+    """Name of the rasterizer, see splatbench.methods.backends."""
+    threads: int | None = None
+    """Threads of torch and of the kernels while fitting; None leaves them alone."""
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sRGB behind everything: the protocol's."""
+    report: Callable[[int, int, dict[str, float]], None] = say_nothing
+    """Called as report(step, total, values) every few steps while training."""
+    on_stage: Callable[[str, float], None] = time_nothing
+    """Called as on_stage(stage, wall seconds) for "init" and "train"; a continued run's seconds
+    include those before the interruption."""
+    checkpoint_seconds: float = 30.0
+    """Wall seconds between checkpoints; one more is written at the end."""

@@ -1,0 +1,258 @@
+"""Train explicit Gaussians: 3D Gaussian Splatting on any rasterizer, resumable bit for bit."""
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from splatbench.methods import initialise
+from splatbench.methods.backends import Backend, get_backend
+from splatbench.methods.density import Density, DensityControl, reset_opacity
+from splatbench.methods.files import read_tensors, write_tensors
+from splatbench.methods.optimizer import Adam
+from splatbench.methods.reconstruction import ExplicitModel
+from splatbench.methods.run import Run
+from splatbench.methods.schedules import Rates, active_degree, means_rate, shrink
+from splatbench.reference.errors import SplatbenchError, UsageError
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.losses import photometric
+from splatbench.reference.scene import Scene, View
+from splatbench.reference.screen_gradient import ScreenProbe
+
+REPORT_EVERY = 10
+"""Steps between reports."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """Row 3dgs. Steps are those of a 30,000 iteration run; a shorter run shrinks them in proportion."""
+
+    iterations: int = 30_000
+    """Training steps, one view each."""
+    sh_degree: int = 3
+    """Degree of the spherical harmonics, 0 to 3."""
+    sh_interval: int = 1000
+    """Steps until one more SH band is trained."""
+    initial_opacity: float = 0.1
+    """Opacity of the Gaussians that the sparse points become."""
+    dssim: float = 0.2
+    """Weight of 1 - SSIM; L1 has the rest."""
+    rates: Rates = field(default_factory=Rates)
+    density: Density = field(default_factory=Density)
+
+
+def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
+    """Train on scene.train_views and return the model.
+
+    The optimizer steps on every iteration, also on those that densify (in the release it does not).
+
+    Args:
+        scene: With sparse points and training views.
+        settings: Of the row.
+        run: Where checkpoints go; one that is there already is continued.
+
+    Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
+        another run; SplatbenchError if the loss stops being finite.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5 and Alg. 1.
+    """
+    backend = get_backend(run.backend)
+    with threads(run.threads):
+        started = time.perf_counter()
+        trainer = Trainer(scene, settings, run, backend)
+        trainer.resume()
+        run.on_stage("init", time.perf_counter() - started)
+        trainer.train()
+        run.on_stage("train", trainer.seconds)
+    return ExplicitModel(
+        model=trainer.gaussians(), method="3dgs", settings=asdict(settings), shift=scene.shift,
+        units=scene.units, backend=run.backend,
+    )  # fmt: skip
+
+
+@contextmanager
+def threads(count: int | None) -> Iterator[None]:
+    """Give torch `count` threads inside, and back what it had afterwards."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class Trainer:
+    """The state of one run and the step that changes it."""
+
+    def __init__(self, scene: Scene, settings: Settings, run: Run, backend: Backend) -> None:
+        """Start from the sparse points."""
+        start = initialise.from_points(
+            scene, degree=settings.sh_degree, opacity=settings.initial_opacity
+        )
+        self.settings, self.run, self.backend = settings, run, backend
+        self.views = scene.train_views
+        self.extent = initialise.extent(scene)
+        self.background = torch.tensor(run.background)
+        self.adam = Adam(
+            {"means": start.means, "sh_dc": start.sh[:, :1], "sh_rest": start.sh[:, 1:],
+             "opacity": start.opacity_logits, "scales": start.log_scales,
+             "quaternions": start.quaternions}
+        )  # fmt: skip
+        self.control = DensityControl(
+            settings.density, iterations=settings.iterations, extent=self.extent, count=len(start)
+        )
+        self.generator = torch.Generator().manual_seed(run.seed)
+        self.order: list[int] = []
+        self.step = 0
+        self.seconds = 0.0
+        self.key = json.dumps([scene.name, scene_digest(scene), asdict(settings), run.seed,
+                               run.background, run.backend])  # fmt: skip
+
+    def gaussians(self) -> Gaussians:
+        """The model as it is now, without gradients."""
+        values = {name: value.detach() for name, value in self.adam.parameters.items()}
+        return assemble(values, self.settings.sh_degree)
+
+    def train(self) -> None:
+        """Run all steps that are left, with reports and checkpoints."""
+        clock = saved = time.perf_counter()
+        while self.step < self.settings.iterations:
+            loss = self.advance()
+            now = time.perf_counter()
+            self.seconds, clock = self.seconds + now - clock, now
+            last = self.step == self.settings.iterations
+            if last or self.step % REPORT_EVERY == 0:
+                count = float(len(self.adam.parameters["means"]))
+                values = {"loss": loss, "gaussians": count}
+                self.run.report(self.step, self.settings.iterations, values)
+            if last or now - saved >= self.run.checkpoint_seconds:
+                self.save()
+                clock = saved = time.perf_counter()
+
+    def advance(self) -> float:
+        """One step: render a view, follow the loss's gradient, control the density."""
+        self.step += 1
+        view = self.views[self.next_view()]
+        loss, probe, radii = self.backward(view)
+        self.adam.step(self.learning_rates())
+        control = self.control
+        if control.watches(self.step):
+            assert probe.signed.grad is not None
+            control.observe(probe.signed.grad, radii, view.camera)
+        if control.densifies(self.step):
+            rows = control.step(self.step, self.gaussians(), self.generator)
+            self.adam.gather(rows.parents, rows.fresh)
+            self.adam.overwrite("means", rows.means, forget=False)
+            self.adam.overwrite("scales", rows.log_scales, forget=False)
+        if control.resets(self.step):
+            logits = reset_opacity(self.adam.parameters["opacity"].detach())
+            self.adam.overwrite("opacity", logits, forget=True)
+        return loss
+
+    def backward(self, view: View) -> tuple[float, ScreenProbe, Tensor]:
+        """Render one view and leave its loss's gradients in the parameters."""
+        every = self.settings.sh_interval * shrink(self.settings.iterations)
+        degree = active_degree(self.step, every, self.settings.sh_degree)
+        model = assemble(self.adam.leaves(), degree)
+        probe = ScreenProbe.zeros(len(model), model.means)
+        image = self.backend.rasterize(
+            view.camera, model.means, model.quaternions, model.scales, model.opacities,
+            sh=model.sh, background=self.background, probe=probe,
+        )  # fmt: skip
+        mask = None if view.load_mask is None else view.load_mask()
+        loss = photometric(image.colour, view.load(), dssim=self.settings.dssim, mask=mask)
+        value = float(loss.detach())
+        if not torch.isfinite(loss):
+            raise SplatbenchError(
+                f"step {self.step}, view {view.name}: the loss is {value}; lower the learning rates"
+            )
+        loss.backward()
+        return value, probe, image.radii
+
+    def next_view(self) -> int:
+        """Views come in random order without replacement, epoch after epoch."""
+        if not self.order:
+            self.order = torch.randperm(len(self.views), generator=self.generator).tolist()
+        return self.order.pop()
+
+    def learning_rates(self) -> dict[str, float]:
+        """Adam's rate of each tensor at this step."""
+        rates, total = self.settings.rates, self.settings.iterations
+        return {
+            "means": means_rate(rates, self.step, total) * self.extent,
+            "sh_dc": rates.sh_dc,
+            "sh_rest": rates.sh_rest,
+            "opacity": rates.opacity,
+            "scales": rates.scales,
+            "quaternions": rates.quaternions,
+        }
+
+    @property
+    def checkpoint(self) -> Path | None:
+        """The file that a killed run is continued from."""
+        folder = self.run.folder
+        return None if folder is None else folder / "checkpoint" / "training.safetensors"
+
+    def save(self) -> None:
+        """Write everything that the next step depends on."""
+        if self.checkpoint is None:
+            return
+        tensors = {f"adam.{name}": value for name, value in self.adam.state().items()}
+        tensors |= {f"density.{name}": value for name, value in self.control.state().items()}
+        tensors["generator"] = self.generator.get_state()
+        facts = {"key": self.key, "step": self.step, "order": self.order, "seconds": self.seconds}
+        write_tensors(self.checkpoint, tensors, facts)
+
+    def resume(self) -> None:
+        """Continue from the checkpoint, if there is one.
+
+        Raises: UsageError if it belongs to another scene, settings, seed, background or backend.
+        """
+        if self.checkpoint is None or not self.checkpoint.exists():
+            return
+        tensors, facts = read_tensors(self.checkpoint)
+        if not isinstance(facts, dict) or facts.get("key") != self.key:
+            raise UsageError(
+                f"{self.checkpoint}: belongs to a run with another scene, settings, seed, "
+                "background or backend; remove it or choose another folder"
+            )
+        self.adam.restore(part(tensors, "adam."))
+        self.control.restore(part(tensors, "density."))
+        self.generator.set_state(tensors["generator"])
+        self.step, self.order, self.seconds = facts["step"], facts["order"], facts["seconds"]
+
+
+def assemble(values: dict[str, Tensor], degree: int) -> Gaussians:
+    """Gaussians of the trained tensors, with the SH bands up to `degree`."""
+    rest = values["sh_rest"][:, : (degree + 1) ** 2 - 1]
+    return Gaussians(
+        means=values["means"], quaternions=values["quaternions"], log_scales=values["scales"],
+        opacity_logits=values["opacity"], sh=torch.cat([values["sh_dc"], rest], dim=1),
+    )  # fmt: skip
+
+
+def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose names start with `prefix`, without it."""
+    return {
+        name.removeprefix(prefix): tensor
+        for name, tensor in tensors.items()
+        if name.startswith(prefix)
+    }
+
+
+def scene_digest(scene: Scene) -> str:
+    """Hash of the training views' names and cameras and of the sparse points."""
+    digest = hashlib.sha256()
+    for view in scene.train_views:
+        camera = view.camera
+        digest.update(f"{view.name} {camera.width} {camera.height}".encode())
+        digest.update(camera.K.numpy().tobytes() + camera.world_to_camera.numpy().tobytes())
+    digest.update(scene.points.positions.numpy().tobytes())
+    digest.update(scene.points.colours.numpy().tobytes())
+    return digest.hexdigest()
