@@ -64,8 +64,8 @@ def photometric(
         image: Render; not clamped.
         truth: Photo in [0, 1].
         dssim: Weight l in [0, 1].
-        mask: True where the photo is valid. Invalid pixels of the render are replaced by the photo
-            first, so that they pull on nothing, not even through the SSIM window. None: all.
+        mask: True where the photo is valid; None: all. Invalid pixels are black in both images, as
+            what lies outside them, so they pull on nothing, not even through the SSIM window.
 
     Returns: The loss; 0 where no pixel is valid.
 
@@ -76,7 +76,7 @@ def photometric(
             1 - ssim_map(image, truth).mean()
         )
     valid = mask[..., None]
-    image = torch.where(valid, image, truth)
+    image, truth = torch.where(valid, image, 0), torch.where(valid, truth, 0)
     count = (mask.sum() * image.shape[2]).clamp(min=1)
     difference = (image - truth).abs().sum() / count
     dissimilarity = torch.where(valid, 1 - ssim_map(image, truth), 0).sum() / count
