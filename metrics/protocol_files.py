@@ -1,0 +1,110 @@
+"""Protocols as small TOML files: one rule a key, the name is the file's."""
+
+import dataclasses
+import difflib
+import json
+import tomllib
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from splatbench.metrics.registry import find_metric
+from splatbench.reference.errors import UsageError
+from splatbench.reference.protocol import Protocol
+
+FOLDER = Path(__file__).parent / "protocols"
+"""Where the protocols that come with the package are."""
+KEYS = tuple(field.name for field in dataclasses.fields(Protocol) if field.name != "name")
+
+
+def protocol_names() -> list[str]:
+    """Names of the protocols that come with the package, sorted."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
+def load_protocol(name_or_path: str | Path) -> Protocol:
+    """The protocol of that name, or the one in a file of your own.
+
+    Args:
+        name_or_path: One of `protocol_names()`, or the path of a .toml file whose keys are the
+            fields of Protocol except the name, which is the file's; `source` must be among them.
+    Raises: UsageError naming the file, key, value and what was expected.
+    """
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        path = FOLDER / f"{name_or_path}.toml"
+        if str(name_or_path) not in protocol_names():
+            raise UsageError(
+                f"no protocol {str(name_or_path)!r}, {_nearest(str(name_or_path), protocol_names())}; "
+                f"known: {', '.join(protocol_names())}, or give the path of a .toml file"
+            )
+    try:
+        rules = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"{path}: cannot read the protocol: {error.strerror}") from error
+    except ValueError as error:
+        raise UsageError(f"{path}: not a TOML file: {error}") from error
+    return protocol_from_rules(path.stem, rules, str(path))
+
+
+def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Protocol:
+    """Check the rules one by one and make a protocol of them.
+
+    Args:
+        name: Of the protocol.
+        rules: Key to value, as read from TOML.
+        where: Name of the file, for errors.
+    Raises: UsageError on an unknown key, a wrong type or value, or rules that contradict.
+    """
+    for key in rules:
+        if key not in KEYS:
+            raise UsageError(f"{where}: unknown key {key!r}, {_nearest(key, KEYS)}")
+    try:
+        # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1.
+        text = json.dumps(rules | {"name": name}, default=str)
+        protocol = TypeAdapter(Protocol).validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        found = "" if first["type"] == "missing" else f", found {first['input']!r}"
+        raise UsageError(f"{where}: {key}: {first['msg']}{found}") from error
+    _check(protocol, where)
+    return protocol
+
+
+def _check(protocol: Protocol, where: str) -> None:
+    """Refuse values that no rule can mean."""
+    sizes = protocol.width is not None and protocol.factor != 1
+    problems = [
+        (not protocol.source.strip(), "source is empty; say where the rules come from"),
+        (not protocol.images, "images is empty; name the folder of the source images"),
+        (sizes, "both width and factor are given; choose one"),
+        (protocol.width is not None and protocol.width < 1, f"width is {protocol.width}, not >= 1"),
+        (not 1 <= protocol.factor < float("inf"), f"factor is {protocol.factor}, not >= 1"),
+        (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
+        (not protocol.metrics, "metrics is empty; name at least one"),
+        (
+            not all(0 <= value <= 1 for value in protocol.background),
+            f"background is {protocol.background}, expected three numbers in [0, 1]",
+        ),
+    ]
+    problems += [
+        (len(set(names)) < len(names), f"{key} names one twice: {', '.join(names)}")
+        for key, names in (
+            ("metrics", protocol.metrics),
+            ("test_names", protocol.test_names),
+            ("colour_fit", protocol.colour_fit),
+        )
+    ]
+    for wrong, message in problems:
+        if wrong:
+            raise UsageError(f"{where}: {message}")
+    for metric in protocol.metrics:
+        try:
+            find_metric(metric)
+        except UsageError as error:
+            raise UsageError(f"{where}: metrics: {error}") from error
+
+
+def _nearest(word: str, known: list[str] | tuple[str, ...]) -> str:
+    return f"nearest is {difflib.get_close_matches(word, known, n=1, cutoff=0)[0]!r}"

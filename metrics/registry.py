@@ -1,0 +1,104 @@
+"""Every per-image metric by its name."""
+
+import difflib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatbench.metrics import flip, pixel, ssim
+from splatbench.reference.errors import UsageError
+
+MetricFunction = Callable[
+    [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float
+]
+"""(image, target, mask of pixels that count or None) -> value; nan where it is undefined."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A per-image metric and how to read it."""
+
+    name: str
+    function: MetricFunction
+    unit: str
+    """Empty: none."""
+    higher_is_better: bool
+    range: tuple[float, float]
+    source: str
+
+
+def find_metric(name: str) -> Metric:
+    """The metric of that name.
+
+    Raises: UsageError naming the nearest one where there is none.
+    """
+    if name not in METRICS:
+        near = difflib.get_close_matches(name, METRICS, n=1, cutoff=0)
+        raise UsageError(f"no metric {name!r}, nearest is {near[0]!r}; known: {', '.join(METRICS)}")
+    return METRICS[name]
+
+
+_ALL = (
+    Metric(
+        name="psnr",
+        function=pixel.psnr,
+        unit="dB",
+        higher_is_better=True,
+        range=(0.0, math.inf),
+        source="-10 log10(MSE), peak 1",
+    ),
+    Metric(
+        name="ssim_3dgs",
+        function=ssim.ssim_3dgs,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="Wang et al. 2004, 11x11 Gaussian, zero padding as in the 3DGS release",
+    ),
+    Metric(
+        name="ssim_valid",
+        function=ssim.ssim_valid,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="Wang et al. 2004, 11x11 Gaussian, windows inside the image only",
+    ),
+    Metric(
+        name="ssim_skimage",
+        function=ssim.ssim_skimage,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="skimage.metrics.structural_similarity(data_range=1, channel_axis=-1)",
+    ),
+    Metric(
+        name="ms_ssim_kornia",
+        function=ssim.ms_ssim_kornia,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="Zhao et al. 2017 as in kornia.losses.MS_SSIMLoss: full-size Gaussians, not a pyramid",
+    ),
+    Metric(
+        name="flip",
+        function=flip.flip,
+        unit="",
+        higher_is_better=False,
+        range=(0.0, 1.0),
+        source="Andersson et al. 2020, LDR-FLIP, 67 pixels per degree, mean of the error map",
+    ),
+    Metric(
+        name="l1",
+        function=pixel.l1,
+        unit="",
+        higher_is_better=False,
+        range=(0.0, 1.0),
+        source="mean absolute difference",
+    ),
+)
+
+METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+"""Per-image metrics by name, in the order in which tables show them."""

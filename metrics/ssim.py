@@ -1,0 +1,172 @@
+"""Structural similarity in the variants that papers use, each under its own name.
+
+They differ by up to 0.02 on one and the same pair, so a number without its variant says little.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatbench.metrics.pairs import check_pair, mean_over
+
+WINDOW = 11
+"""Side of the Gaussian window in pixels (Wang et al. 2004)."""
+SIGMA = 1.5
+"""Its standard deviation in pixels."""
+C1 = 0.01**2
+C2 = 0.03**2
+"""Stabilisers (k L)^2 for the data range L = 1."""
+UNIFORM_WINDOW = 7
+"""Side of scikit-image's default window."""
+SCALES = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Standard deviations of the multi-scale Gaussians in pixels, widest last."""
+SCALES_WINDOW = 33
+"""Side of their window in pixels, 2 sigma of the widest to each side."""
+
+
+def ssim_3dgs(
+    image: Float[Tensor, "h w 3"],
+    target: Float[Tensor, "_h _w 3"],
+    mask: Bool[Tensor, "_h _w"] | None = None,
+) -> float:
+    """SSIM as 3DGS and its descendants report it: 11x11 Gaussian, zeros beyond the border.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 11.
+        target: The truth, in [0, 1].
+        mask: True where a pixel counts; the mean is then over pixels whose window, as far as it
+            lies inside the image, is fully valid.
+    Returns: Mean over pixels and channels, in [-1, 1], 1 for equal images; nan without a window.
+    Raises: DataError, see metrics.pairs.check_pair.
+    Source: Wang et al. 2004, Eq. 13, with the padding of the 3DGS release (utils/loss_utils.py).
+    """
+    pair = check_pair(image, target, mask, window=WINDOW, metric="ssim_3dgs")
+    counted = windows_valid(pair.valid, WINDOW, beyond_border=True)
+    return mean_over(ssim_map(pair.image, pair.target), counted)
+
+
+def ssim_valid(
+    image: Float[Tensor, "h w 3"],
+    target: Float[Tensor, "_h _w 3"],
+    mask: Bool[Tensor, "_h _w"] | None = None,
+) -> float:
+    """SSIM over the 11x11 Gaussian windows that lie inside the image, as its authors define it.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 11.
+        target: The truth, in [0, 1].
+        mask: True where a pixel counts; the mean is then over windows that are fully valid.
+    Returns: Mean over windows and channels, in [-1, 1], 1 for equal images; nan without a window.
+    Raises: DataError, see metrics.pairs.check_pair.
+    Source: Wang et al. 2004, "Image quality assessment", Eq. 13.
+    """
+    pair = check_pair(image, target, mask, window=WINDOW, metric="ssim_valid")
+    counted = windows_valid(pair.valid, WINDOW, beyond_border=False)
+    return mean_over(ssim_map(pair.image, pair.target), counted)
+
+
+def ssim_skimage(
+    image: Float[Tensor, "h w 3"],
+    target: Float[Tensor, "_h _w 3"],
+    mask: Bool[Tensor, "_h _w"] | None = None,
+) -> float:
+    """scikit-image's structural_similarity(image, target, data_range=1, channel_axis=-1).
+
+    All else is its default: 7x7 uniform window, sample covariance (n - 1), borders cropped.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 7.
+        target: The truth, in [0, 1].
+        mask: True where a pixel counts; the mean is then over windows that are fully valid.
+    Returns: Mean over windows and channels, in [-1, 1], 1 for equal images; nan without a window.
+    Raises: DataError, see metrics.pairs.check_pair.
+    Source: scikit-image, skimage.metrics.structural_similarity.
+    """
+    from skimage.metrics import structural_similarity  # slow to import, needed here alone
+
+    pair = check_pair(image, target, mask, window=UNIFORM_WINDOW, metric="ssim_skimage")
+    full = structural_similarity(
+        pair.image, pair.target, data_range=1.0, channel_axis=-1, full=True
+    )[1]
+    counted = windows_valid(pair.valid, UNIFORM_WINDOW, beyond_border=False)
+    return mean_over(np.asarray(full), counted)
+
+
+def ms_ssim_kornia(
+    image: Float[Tensor, "h w 3"],
+    target: Float[Tensor, "_h _w 3"],
+    mask: Bool[Tensor, "_h _w"] | None = None,
+) -> float:
+    """Multi-scale SSIM as kornia defines it: five Gaussians at full size, no pyramid of halves.
+
+    l(widest) prod_s cs(s) with sigma s = 0.5, 1, 2, 4, 8 px, all 33 px wide, zeros beyond the
+    border. Other libraries' MS-SSIM is the pyramid of Wang et al. 2003: another metric. Computed
+    here with separable filters, since kornia's dense ones take minutes on a 1000 px image.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 33.
+        target: The truth, in [0, 1].
+        mask: True where a pixel counts; the mean is then over pixels whose 33x33 window, as far
+            as it lies inside the image, is fully valid.
+    Returns: Mean over pixels and channels, in [-1, 1], 1 for equal images; nan without a window.
+    Raises: DataError, see metrics.pairs.check_pair.
+    Source: Zhao et al. 2017, "Loss functions for image restoration", Sec. III-C; the numbers of
+        1 - kornia.losses.MS_SSIMLoss(alpha=1, compensation=1).
+    """
+    pair = check_pair(image, target, mask, window=SCALES_WINDOW, metric="ms_ssim_kornia")
+    similarity = np.ones_like(pair.image)
+    for sigma in SCALES:
+        luminance, structure = similarity_terms(pair.image, pair.target, SCALES_WINDOW, sigma)
+        similarity *= structure * (luminance if sigma == SCALES[-1] else 1)
+    return mean_over(similarity, windows_valid(pair.valid, SCALES_WINDOW, beyond_border=True))
+
+
+def ssim_map(
+    image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
+) -> Float[np.ndarray, "h w 3"]:
+    """SSIM at each pixel and channel under the 11x11 Gaussian: luminance times structure."""
+    luminance, structure = similarity_terms(image, target, WINDOW, SIGMA)
+    return luminance * structure
+
+
+def similarity_terms(
+    x: Float[np.ndarray, "h w 3"], y: Float[np.ndarray, "h w 3"], window: int, sigma: float
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w 3"]]:
+    """l = (2 mx my + C1) / (mx^2 + my^2 + C1) and cs = (2 sxy + C2) / (sx^2 + sy^2 + C2).
+
+    Args:
+        x: Float64, since E[x^2] - E[x]^2 cancels.
+        y: As x.
+        window: Side in pixels of the Gaussian that weighs the moments; zeros beyond the border.
+        sigma: Its standard deviation in pixels.
+    """
+
+    def blur(values: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+        # OpenCV's constant border is zero and its kernel the normalised, truncated Gaussian.
+        return cv2.GaussianBlur(values, (window, window), sigma, borderType=cv2.BORDER_CONSTANT)
+
+    mx, my = blur(x), blur(y)
+    sx, sy, sxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
+    luminance = (2 * mx * my + C1) / (mx * mx + my * my + C1)
+    return luminance, (2 * sxy + C2) / (sx + sy + C2)
+
+
+def windows_valid(
+    valid: Bool[np.ndarray, "h w"], window: int, *, beyond_border: bool
+) -> Bool[np.ndarray, "h w"]:
+    """Where all pixels of the window about a pixel are valid.
+
+    Args:
+        valid: True where a pixel counts.
+        window: Side of the window in pixels, odd.
+        beyond_border: Whether what lies outside the image counts as valid.
+    """
+    kernel = np.ones((window, window), dtype=np.uint8)
+    eroded = cv2.erode(
+        valid.astype(np.uint8),
+        kernel,
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=(int(beyond_border),),
+    )
+    return eroded.astype(bool)
