@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.methods.schedules import shrink
+from splatbench.methods.schedules import require, shrink
 from splatbench.reference.camera import Camera
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.rotation import rotation_matrix
@@ -44,6 +44,17 @@ class Density:
     most: int | None = None
     """Cap on the number of Gaussians: those with the largest gradients are densified first.
     None: no cap."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no run can follow."""
+        for name in ("start", "stop", "reset_interval", "gradient", "split_size", "largest_size"):
+            value = getattr(self, name)
+            require(value >= 0, f"density.{name}", value, ">= 0")
+        for name in ("interval", "least_interval"):
+            value = getattr(self, name)
+            require(value >= 1, f"density.{name}", value, ">= 1")
+        require(0 <= self.least_opacity < 1, "density.least_opacity", self.least_opacity, "[0, 1)")
+        require(self.most is None or self.most >= 1, "density.most", self.most, ">= 1 or None")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

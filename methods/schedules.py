@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from splatbench.reference.errors import UsageError
+
 FULL_LENGTH = 30_000
 """Iterations of a full run; schedules are written down for this length."""
 
@@ -38,6 +40,17 @@ class Rates:
     """Of log scales."""
     quaternions: float = 1e-3
     """Of unnormalised quaternions."""
+
+    def __post_init__(self) -> None:
+        """Refuse rates that are not finite and >= 0."""
+        for name, value in vars(self).items():
+            require(math.isfinite(value) and value >= 0, f"rates.{name}", value, ">= 0")
+
+
+def require(holds: bool, setting: str, value: object, expected: str) -> None:
+    """Raise UsageError, naming the setting, its value and what was expected, unless it holds."""
+    if not holds:
+        raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
 
 
 def means_rate(rates: Rates, step: int, total: int) -> float:

@@ -18,7 +18,7 @@ from splatbench.methods.files import read_tensors, write_tensors
 from splatbench.methods.optimizer import Adam
 from splatbench.methods.reconstruction import ExplicitModel
 from splatbench.methods.run import Run
-from splatbench.methods.schedules import Rates, active_degree, means_rate, shrink
+from splatbench.methods.schedules import Rates, active_degree, means_rate, require, shrink
 from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.losses import photometric
@@ -45,6 +45,15 @@ class Settings:
     """Weight of 1 - SSIM; L1 has the rest."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no run can follow."""
+        require(self.iterations >= 1, "iterations", self.iterations, ">= 1")
+        require(0 <= self.sh_degree <= 3, "sh_degree", self.sh_degree, "0 to 3")
+        require(self.sh_interval >= 0, "sh_interval", self.sh_interval, ">= 0")
+        opacity = self.initial_opacity
+        require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
+        require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
 
 
 def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:

@@ -33,7 +33,8 @@ class Command:
     module: str
     """Module of splatbench.cli."""
     functions: dict[str, str]
-    """Subcommand name to function name; "" for a command without subcommands."""
+    """Subcommand name to function name; "" for a command without subcommands. Empty: the module's
+    function subcommands() returns subcommand name to function (they depend on a registry)."""
     help: str
 
 
@@ -50,7 +51,7 @@ COMMANDS = {
     ),
     "fit": Command(
         module="fit",
-        functions={"": "fit"},
+        functions={},
         help="Train one method on one scene and score the held-out views.",
     ),
     "render": Command(
@@ -129,7 +130,8 @@ def _unchosen() -> int:
 def _join(app: SubcommandApp, name: str, command: Command) -> None:
     """Import the command's module and add its function, or a group of them, to the app."""
     module = importlib.import_module(f"splatbench.cli.{command.module}")
-    functions = {key: _with_style(getattr(module, f)) for key, f in command.functions.items()}
+    named = {key: getattr(module, f) for key, f in command.functions.items()}
+    functions = {key: _with_style(f) for key, f in (named or module.subcommands()).items()}
     if "" in functions:
         app.command(name=name, help=command.help)(functions[""])
         return

@@ -1,0 +1,72 @@
+"""`bench render MODEL CAMERAS OUT`: a trained model's views as images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from splatbench.cli import output
+
+if TYPE_CHECKING:
+    from splatbench.reference.camera import Camera
+
+
+def render(
+    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
+    cameras: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CAMERAS")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    *,
+    protocol: str = "default",
+    views: Literal["test", "train", "all"] = "test",
+    backend: str = "cpu",
+) -> int:
+    """Render a model's views to OUT as 8-bit PNGs (clamped, rounded half up) named after the views.
+
+    Args:
+        model: Model folder, as `bench fit` writes it.
+        cameras: Name of a registered scene, a scene folder, or a .json file: a list of objects
+            with name, width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
+        out: Folder for the images.
+        protocol: Size, split and background: name of a protocol or path of a .toml file.
+        views: Which views of a scene.
+        backend: Rasterizer: cpu, reference or cuda.
+    """
+    import torch
+
+    from splatbench.methods.camera_files import read_cameras
+    from splatbench.methods.reconstruction import load_reconstruction
+    from splatbench.metrics.protocol_files import load_protocol
+    from splatbench.reference.errors import DataError
+    from splatbench.suites.held_out import picture_name, to_8_bit, write_png
+
+    rules = load_protocol(protocol)
+    loaded = load_reconstruction(model, backend=backend)
+    found = (
+        read_cameras(Path(cameras))
+        if cameras.endswith(".json")
+        else _scene_cameras(cameras, protocol, views)
+    )
+    if not found:
+        raise DataError(f"{cameras}: no {views} view under protocol {rules.name}")
+    names = [picture_name(name) for name in found]
+    if len(set(names)) < len(names):
+        raise DataError(f"{cameras}: two views have the same name but for the folder or suffix")
+    out.mkdir(parents=True, exist_ok=True)
+    background = torch.tensor(rules.background)
+    with output.progress() as bar:
+        task = bar.add_task("render", total=len(found), values="")
+        for name, camera in zip(names, found.values(), strict=True):
+            write_png(out / name, to_8_bit(loaded.render(camera, background).colour))
+            bar.advance(task)
+    output.emit({"out": str(out), "images": len(found)}, f"{out}: {len(found)} images")
+    return 0
+
+
+def _scene_cameras(scene: str, protocol: str, views: str) -> "dict[str, Camera]":
+    """Cameras of a scene's views by name."""
+    from splatbench.datasets.opening import open_scene
+    from splatbench.metrics.protocol_files import load_protocol
+
+    opened = open_scene(scene, load_protocol(protocol))
+    chosen = {"test": opened.test_views, "train": opened.train_views, "all": opened.views}[views]
+    return {view.name: view.camera for view in chosen}
