@@ -1,6 +1,5 @@
-"""Files and folders that exist whole or not at all."""
+"""Folders that exist whole or not at all. (Files: splatbench.methods.files.)"""
 
-import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,17 +7,6 @@ from pathlib import Path
 
 SUFFIX = ".partial"
 """Ends the temporary names; what carries it after a kill is rubbish."""
-
-
-@contextmanager
-def new_file(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path` that becomes `path` when the block ends without an error."""
-    temporary = path.with_name(path.name + SUFFIX)
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -37,10 +25,3 @@ def new_folder(path: Path) -> Iterator[Path]:
         temporary.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file atomically, its folder included."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with new_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
+from splatbench.methods.files import write_text
 from splatbench.reference.errors import DataError
 from splatbench.reference.result import Result
 from splatbench.reference.result_json import result_from_json, result_to_json
-from splatbench.suites.atomic import write_text
 
 RECORD_NAME = "record.json"
 

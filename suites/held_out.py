@@ -1,0 +1,112 @@
+"""Render the held-out views, keep the pictures, and score them by the protocol."""
+
+import statistics
+import time
+from pathlib import Path, PurePosixPath
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from splatbench.methods.reconstruction import Reconstruction
+from splatbench.metrics.flip import flip_map
+from splatbench.metrics.pairs import check_pair
+from splatbench.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
+from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.result import ImageScore
+from splatbench.reference.scene import Scene, View
+from splatbench.suites.atomic import new_folder
+
+TIMED_FRAMES = 15
+"""Frames whose render time is measured, spread over the test views."""
+TIMED_SECONDS = 5.0
+"""No further frame is measured after this long, but at least three are."""
+
+
+def score_views(
+    scene: Scene, model: Reconstruction, protocol: Protocol, folder: Path
+) -> tuple[tuple[ImageScore, ...], float]:
+    """Score every test view, one in memory at a time.
+
+    Writes renders/, truth/ and errors/ (FLIP error maps, magma, black where nothing is scored) as
+    PNGs named after the views.
+
+    Args:
+        scene: With test views.
+        model: What is scored.
+        protocol: The rules.
+        folder: Of the case.
+    Returns: Scores sorted by name, and the median milliseconds a frame after warm-up.
+    Raises: DataError for a scene without test views or with two of the same stem.
+    """
+    views = sorted(scene.test_views, key=lambda view: view.name)
+    names = [picture_name(view.name) for view in views]
+    if not views:
+        raise DataError(f"scene {scene.name}: no test view under protocol {protocol.name!r}")
+    if len(set(names)) < len(names):
+        raise DataError(f"scene {scene.name}: two test views have the same name but for the folder")
+    background = torch.tensor(protocol.background)
+    scores = []
+    with (
+        new_folder(folder / "renders") as renders,
+        new_folder(folder / "truth") as truths,
+        new_folder(folder / "errors") as errors,
+    ):
+        for view, name in zip(views, names, strict=True):
+            render, truth = model.render(view.camera, background).colour, view.load()
+            mask = None if view.load_mask is None else view.load_mask()
+            scores.append(score_image(view.name, render, truth, protocol, mask))
+            write_png(renders / name, to_8_bit(render))
+            write_png(truths / name, to_8_bit(truth))
+            write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))
+    return tuple(scores), render_milliseconds(views, model, background)
+
+
+def picture_name(view: str) -> str:
+    """File name of a view's pictures: its stem and .png."""
+    return PurePosixPath(view).stem + ".png"
+
+
+def to_8_bit(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Clamped and rounded half up, as bytes."""
+    rounded = round_to_8_bit(image.detach().float().clamp(0, 1), "round") * 255
+    return rounded.round().to(torch.uint8).numpy()
+
+
+def error_picture(
+    name: str, render: Tensor, truth: Tensor, protocol: Protocol, mask: Tensor | None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """FLIP of what is scored as colours: black (equal) over red to yellow-white (1)."""
+    ready = prepare(render, truth, protocol, mask, name=name)
+    pair = check_pair(ready.render, ready.truth, ready.mask, metric="error map")
+    error = np.where(pair.valid, flip_map(pair), 0.0)
+    whole = np.zeros(render.shape[:2])
+    whole[:, region_columns(render.shape[1], protocol.region)] = error
+    colours = cv2.applyColorMap((whole * 255).round().astype(np.uint8), cv2.COLORMAP_MAGMA)
+    return np.asarray(colours[..., ::-1], dtype=np.uint8)
+
+
+def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
+    """Write RGB bytes as a PNG."""
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    assert done
+    path.write_bytes(data.tobytes())
+
+
+def render_milliseconds(
+    views: list[View], model: Reconstruction, background: Float[Tensor, "3"]
+) -> float:
+    """Median milliseconds a frame over the views; the first frame only warms up."""
+    chosen = [views[int(i * len(views) / TIMED_FRAMES)] for i in range(TIMED_FRAMES)]
+    model.render(chosen[0].camera, background)
+    times: list[float] = []
+    for view in chosen:
+        started = time.perf_counter()
+        model.render(view.camera, background)
+        times.append(time.perf_counter() - started)
+        if len(times) >= 3 and sum(times) > TIMED_SECONDS:
+            break
+    return 1000 * statistics.median(times)

@@ -1,0 +1,67 @@
+"""What a case costs and what it leaves: CPU time, memory, bytes, hashes."""
+
+import hashlib
+import json
+import resource
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from splatbench.methods.files import sha256
+from splatbench.reference.scene import Scene
+
+MEBIBYTE = 2**20
+
+
+def cpu_seconds() -> float:
+    """User and system seconds of all threads of this process."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of this process in 2^20 bytes.
+
+    Linux hands the parent's peak down to a new process in ru_maxrss, so VmHWM is read there.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (MEBIBYTE if sys.platform == "darwin" else 1024)
+
+
+@contextmanager
+def timed(stages: dict[str, float], name: str) -> Iterator[None]:
+    """Add the block's wall seconds to stages[name]."""
+    started = time.perf_counter()
+    yield
+    stages[name] = stages.get(name, 0.0) + time.perf_counter() - started
+
+
+def bytes_on_disk(folder: Path) -> int:
+    """Bytes of all files below `folder`."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+def arrays_sha256(folder: Path) -> str:
+    """Hash of the names and hashes of a saved model's array files: all but its .json ones.
+
+    The .json files say who wrote the model and when releases differ they do; arrays do not.
+    """
+    files = [p for p in sorted(folder.rglob("*")) if p.is_file() and p.suffix != ".json"]
+    listing = [(path.relative_to(folder).as_posix(), sha256(path)) for path in files]
+    return hashlib.sha256(json.dumps(listing).encode()).hexdigest()
+
+
+def split_sha256(scene: Scene) -> str:
+    """Hash of the lists of train and test names."""
+    names = {
+        "train": [view.name for view in scene.train_views],
+        "test": [view.name for view in scene.test_views],
+    }
+    return hashlib.sha256(json.dumps(names).encode()).hexdigest()

@@ -1,0 +1,157 @@
+"""Run a suite: every case once, resumable at any moment, one failing case never stops the others."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Literal
+
+from splatbench.reference.errors import DataError, UsageError
+from splatbench.reference.result import Result
+from splatbench.suites.cases import Job
+from splatbench.suites.records import RECORD_NAME, read_record
+from splatbench.suites.suite_files import Case, Suite, key_of
+from splatbench.suites.workers import Launch, Lock, in_worker
+
+Status = Literal["kept", "finished", "failed"]
+"""kept: it was finished before; finished, failed: it ran now."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a case."""
+
+    case: Case
+    folder: Path
+    status: Status
+    result: Result
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where a running case is."""
+
+    case: Case
+    index: int
+    """Of the case among those of this run, from 0."""
+    count: int
+    """Cases of this run."""
+    stage: str
+    """load, init, train, save, score; "start" before, with a note why an old result does not count."""
+    step: int = 0
+    total: int = 0
+    """Training steps; 0 outside training."""
+    values: dict[str, float] | None = None
+    note: str = ""
+
+
+def select(suite: Suite, *, only: str | None = None, seeds: int | None = None) -> Suite:
+    """The suite with fewer cases or other seeds.
+
+    Args:
+        suite: As loaded.
+        only: Pattern on scene/method/protocol/seed<k>, "*" and "?" as in a shell.
+        seeds: Every scene, method and protocol with the seeds 0 to seeds - 1.
+    Raises: UsageError if nothing is left.
+    """
+    cases = suite.cases
+    if seeds is not None:
+        if seeds < 1:
+            raise UsageError(f"--seeds {seeds}: expected 1 or more")
+        rows = {case.folder.parent: case for case in cases}.values()
+        cases = tuple(replace(case, seed=seed) for case in rows for seed in range(seeds))
+    if only is not None:
+        kept = tuple(case for case in cases if fnmatch(case.label, only))
+        if not kept:
+            raise UsageError(
+                f"--only {only!r} matches none of the {len(cases)} cases, e.g. {cases[0].label!r}"
+            )
+        cases = kept
+    return replace(suite, cases=cases)
+
+
+def run_suite(
+    suite: Suite,
+    folder: Path,
+    *,
+    only: str | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    on_result: Callable[[Outcome], None] = lambda _: None,
+    backend: str = "cpu",
+    threads: int | None = None,
+    resume: bool = True,
+    launch: Launch = in_worker,
+) -> tuple[Outcome, ...]:
+    """Run all cases that are not finished yet, one after the other.
+
+    Args:
+        suite: What to run.
+        folder: Results go to <folder>/<suite>/<scene>/<method>/<protocol>/seed<k>/.
+        only: See `select`.
+        on_progress: Hears where a running case is.
+        on_result: Hears what became of each case, kept ones included.
+        backend: Name of the rasterizer; part of what makes a result count as this case's.
+        threads: Of torch and the kernels; None leaves them alone.
+        resume: False starts every case over.
+        launch: Runs a job to its record.
+    Returns: One outcome a case, in the suite's order.
+    Raises: UsageError if `only` matches nothing; also if the folder is in use.
+    """
+    cases = select(suite, only=only).cases
+    outcomes = []
+    with Lock(folder / suite.name):
+        for index, case in enumerate(cases):
+            job = Job(
+                case=case,
+                suite=suite.name,
+                suite_scenes=suite.scenes,
+                folder=folder / suite.name / case.folder,
+                backend=backend,
+                threads=threads,
+                resume=resume,
+            )
+            found = finished(job) if resume else "starts over"
+            if isinstance(found, str):
+                here = Progress(case=case, index=index, count=len(cases), stage="start", note=found)
+                on_progress(here)
+                outcome = _launch(job, here, on_progress, launch)
+            else:
+                outcome = Outcome(case=case, folder=job.folder, status="kept", result=found)
+            outcomes.append(outcome)
+            on_result(outcome)
+    return tuple(outcomes)
+
+
+def finished(job: Job) -> Result | str:
+    """The job's result if it is there and counts, else why the case has to run ("" if it is new)."""
+    if not (job.folder / RECORD_NAME).exists():
+        return "continues" if (job.folder / "case.json").exists() else ""
+    try:
+        result = read_record(job.folder)
+    except DataError as error:
+        return f"runs again: {error}"
+    if result.error:
+        return f"runs again: it failed before ({result.error})"
+    key = key_of(
+        scene=result.scene,
+        method=result.method,
+        settings=result.settings,
+        seed=result.seed,
+        protocol=result.protocol_rules,
+        backend=result.environment.get("backend"),
+    )
+    if key != job.key:
+        return "runs again: the record in its folder has other settings, protocol or backend"
+    return result
+
+
+def _launch(
+    job: Job, here: Progress, on_progress: Callable[[Progress], None], launch: Launch
+) -> Outcome:
+    def tell(stage: str, step: int, total: int, values: dict[str, float]) -> None:
+        on_progress(replace(here, stage=stage, step=step, total=total, values=values, note=""))
+
+    launch(job, tell)
+    result = read_record(job.folder)
+    status = "failed" if result.error else "finished"
+    return Outcome(case=job.case, folder=job.folder, status=status, result=result)

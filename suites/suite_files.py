@@ -1,0 +1,192 @@
+"""Suite files: which scenes, methods, protocols and seeds are to be run, as TOML."""
+
+import dataclasses
+import hashlib
+import itertools
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from splatbench.methods.registry import METHODS
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.reference.errors import UsageError
+from splatbench.reference.protocol import Protocol
+from splatbench.suites.typed_toml import build, read_toml, unknown
+
+FOLDER = Path(__file__).parent
+"""Where the suites that ship with the package lie."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """Cases that are a full product: every scene with every method, protocol and seed."""
+
+    scenes: tuple[str, ...]
+    """Registered names or folders (relative to the suite file)."""
+    methods: tuple[str, ...]
+    protocols: tuple[str, ...]
+    """Names, or protocol files relative to the suite file."""
+    seeds: tuple[int, ...] = (0,)
+    settings: dict[str, dict[str, object]] = field(default_factory=dict)
+    """Method name to the settings that differ from its defaults."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SuiteFile:
+    """What a suite file holds, word by word."""
+
+    description: str
+    blocks: tuple[Block, ...]
+    optional_scenes: tuple[str, ...] = ()
+    """Scenes that are left out, with a said reason, where they are not on this machine."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One thing to run. Everything that its numbers depend on is here, apart from the data."""
+
+    scene: str
+    """As `open_scene` takes it: a registered name or a folder."""
+    method: str
+    settings: Any
+    """Instance of the method's settings dataclass."""
+    seed: int
+    protocol: Protocol
+
+    @property
+    def scene_name(self) -> str:
+        """What results call the scene: its registered name or its folder's."""
+        return Path(self.scene).name
+
+    @property
+    def folder(self) -> Path:
+        """Relative folder of the case: <scene>/<method>/<protocol>/seed<k>."""
+        return Path(self.scene_name, self.method, self.protocol.name, f"seed{self.seed}")
+
+    @property
+    def label(self) -> str:
+        """What `--only` matches: scene/method/protocol/seed<k>."""
+        return self.folder.as_posix()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suite:
+    """All cases of a suite file."""
+
+    name: str
+    description: str
+    cases: tuple[Case, ...]
+    optional_scenes: tuple[str, ...] = ()
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """The names of all scenes, each once, as the results give them."""
+        return tuple(dict.fromkeys(case.scene_name for case in self.cases))
+
+
+def load_suite(name_or_path: str | Path) -> Suite:
+    """The suite of that name (suites/<name>.toml) or in that file, every setting checked.
+
+    Raises: UsageError naming the file, the key and the nearest name that exists.
+    """
+    path = _find(name_or_path)
+    if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", path.stem):
+        raise UsageError(f"{path}: the file's name becomes a folder; use letters, digits, '-', '_'")
+    file = build(SuiteFile, read_toml(path), str(path))
+    cases = [
+        case
+        for index, block in enumerate(file.blocks)
+        for case in _cases(block, path, f"{path}: blocks[{index}]")
+    ]
+    _check_distinct(cases, path)
+    unused = set(file.optional_scenes) - {scene for block in file.blocks for scene in block.scenes}
+    if unused:
+        raise UsageError(f"{path}: optional_scenes: no block has {', '.join(sorted(unused))}")
+    return Suite(
+        name=path.stem,
+        description=file.description,
+        cases=tuple(cases),
+        optional_scenes=tuple(_scene(name, path) for name in file.optional_scenes),
+    )
+
+
+def case_key(case: Case, backend: str) -> str:
+    """Hash of everything that a case's numbers depend on, apart from data, code and machine."""
+    return key_of(
+        scene=case.scene_name,
+        method=case.method,
+        settings=dataclasses.asdict(case.settings),
+        seed=case.seed,
+        protocol=dataclasses.asdict(case.protocol),
+        backend=backend,
+    )
+
+
+def key_of(**parts: object) -> str:
+    """SHA-256 of the parts as canonical JSON (sorted keys; tuples and lists are the same)."""
+    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _find(name_or_path: str | Path) -> Path:
+    text = str(name_or_path)
+    if text.endswith(".toml"):
+        if Path(text).is_file():
+            return Path(text)
+        raise UsageError(f"{text}: no such suite file")
+    path = FOLDER / f"{text}.toml"
+    if "/" in text or not path.is_file():
+        known = [file.stem for file in FOLDER.glob("*.toml")]
+        raise unknown("suite", text, known)
+    return path
+
+
+def _cases(block: Block, path: Path, where: str) -> list[Case]:
+    """The product of a block, scenes outermost so that a scene's rows fill one after the other."""
+    for name in ("scenes", "methods", "protocols", "seeds"):
+        if not getattr(block, name):
+            raise UsageError(f"{where}.{name}: empty; a block needs at least one")
+    if min(block.seeds) < 0:
+        raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(block.seeds)}")
+    for name in block.methods:
+        if name not in METHODS:
+            raise unknown(f"{where}.methods", name, METHODS)
+    for name in block.settings:
+        if name not in block.methods:
+            raise unknown(f"{where}.settings", name, block.methods)
+    settings = {
+        name: build(
+            METHODS[name].settings, block.settings.get(name, {}), f"{where}.settings.{name}"
+        )
+        for name in block.methods
+    }
+    for name, values in settings.items():
+        if values.iterations < 1:
+            found = values.iterations
+            raise UsageError(f"{where}.settings.{name}.iterations: expected >= 1, found {found}")
+    protocols = [load_protocol(_beside(name, path)) for name in block.protocols]
+    scenes = [_scene(name, path) for name in block.scenes]
+    product = itertools.product(scenes, block.methods, protocols, block.seeds)
+    return [
+        Case(scene=scene, method=method, settings=settings[method], seed=seed, protocol=protocol)
+        for scene, method, protocol, seed in product
+    ]
+
+
+def _scene(name: str, path: Path) -> str:
+    return str(_beside(name, path))
+
+
+def _beside(name: str, path: Path) -> str | Path:
+    """A name as it is; a path (it has a separator or ends in .toml) relative to the suite file."""
+    return path.parent / name if "/" in name or name.endswith(".toml") else name
+
+
+def _check_distinct(cases: list[Case], path: Path) -> None:
+    seen: set[str] = set()
+    for case in cases:
+        if case.label in seen:
+            raise UsageError(f"{path}: the case {case.label} is there twice; its folder is one")
+        seen.add(case.label)
