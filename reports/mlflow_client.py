@@ -1,0 +1,114 @@
+"""Opening an MLflow store: quiet, off the network but for the store itself, with bounded waits."""
+
+import os
+import urllib.parse
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from splatbench.reference.errors import MissingError, UsageError
+
+if TYPE_CHECKING:
+    from mlflow.tracking import MlflowClient
+
+ENVIRONMENT = {
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_ENABLE_ARTIFACTS_PROGRESS_BAR": "false",
+    "MLFLOW_LOGGING_LEVEL": "WARNING",  # "Creating initial MLflow database tables" and the like
+    # MLflow would try 7 times with waits that double, about 4 minutes for one call
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_HTTP_REQUEST_BACKOFF_FACTOR": "1",
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
+}
+"""Set unless the user has set them. Two retries, 1 and 2 s apart, of at most 20 s each."""
+
+
+def default_uri(out: Path) -> str:
+    """The tracking URI: MLFLOW_TRACKING_URI where it is set, else an SQLite file in `out`.
+
+    Args:
+        out: Folder of the runs.
+    Raises: UsageError where MLFLOW_TRACKING_URI names a kind of store that MLflow 3 refuses.
+    """
+    uri = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{out.resolve() / 'mlflow.db'}"
+    check_uri(uri)
+    return uri
+
+
+def check_uri(uri: str) -> None:
+    """Refuse, before anything is run, a tracking URI that cannot work.
+
+    Raises: UsageError for a plain path or a `file:` store, which MLflow 3 no longer writes.
+    """
+    if "://" not in uri or uri.startswith("file:"):
+        raise UsageError(
+            f"tracking URI {uri!r}: MLflow keeps no runs in plain folders any more; "
+            "use sqlite:///PATH/mlflow.db or http://HOST:PORT"
+        )
+
+
+def shown_uri(uri: str) -> str:
+    """The URI without user name and password, for messages and pages."""
+    parts = urllib.parse.urlsplit(uri)
+    return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+
+
+def sqlite_file(uri: str) -> Path | None:
+    """The database file of an SQLite URI; None for every other store."""
+    parts = urllib.parse.urlsplit(uri)
+    return Path(parts.path[1:]) if parts.scheme.split("+")[0] == "sqlite" else None
+
+
+def artifact_root(uri: str) -> str | None:
+    """Where a new experiment's artifacts go: beside an SQLite file; None: the server decides."""
+    file = sqlite_file(uri)
+    return None if file is None else (file.resolve().parent / "mlartifacts").as_uri()
+
+
+def store_errors() -> tuple[type[Exception], ...]:
+    """What a store's calls raise when the store or its artifacts cannot be read or written."""
+    _prepare()
+    from mlflow.exceptions import MlflowException
+
+    return (MlflowException, OSError)
+
+
+def open_client(uri: str) -> "MlflowClient":
+    """A client of a store that has just answered.
+
+    Raises:
+        UsageError: The URI is of a kind that cannot work.
+        MissingError: The store does not answer within the bounded retries, or lacks its driver.
+    """
+    check_uri(uri)
+    errors = (*store_errors(), ImportError)
+    file = sqlite_file(uri)
+    with warnings.catch_warnings():
+        # sqlalchemy 2.1 on MLflow's own models, raised while its module is imported
+        warnings.filterwarnings("ignore", "The ``noload`` loader strategy")
+        from mlflow.tracking import MlflowClient
+
+        try:
+            if file is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+            client = MlflowClient(uri)
+            client.search_experiments(max_results=1)
+        except errors as error:
+            raise MissingError(
+                f"tracking store {shown_uri(uri)} does not answer: {one_line(error)}; "
+                "start it or set MLFLOW_TRACKING_URI, the records on disk are kept"
+            ) from error
+    return client
+
+
+def _prepare() -> None:
+    """Settle what MLflow reads when it is first imported."""
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+
+
+def one_line(error: BaseException) -> str:
+    """The first line of an error's text, at most 200 characters; its type where it has none."""
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__

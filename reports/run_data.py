@@ -1,0 +1,87 @@
+"""A result as MLflow sees it: flat params, metrics, step curves and tags."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+
+from splatbench.reference.result import Result
+
+NOT_IN_A_NAME = re.compile(r"[^\w\-. :/]")
+"""What MLflow refuses in the names of params and metrics."""
+
+
+def case_name(result: Result) -> str:
+    """The case as its folder names it: suite/scene/method/protocol/seed0."""
+    parts = (result.suite, result.scene, result.method, result.protocol, f"seed{result.seed}")
+    return "/".join(parts)
+
+
+def case_key(result: Result) -> str:
+    """Hash of what makes a case: its name, the method's settings and the protocol's rules."""
+    return digest((case_name(result), result.settings, result.protocol_rules))
+
+
+def digest(value: object) -> str:
+    """Short hash of plain data that does not depend on the order of keys."""
+    text = json.dumps(value, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def params(result: Result) -> dict[str, str]:
+    """Scene, method, seed, protocol and every setting and rule by its dotted name."""
+    named = {
+        "suite": result.suite,
+        "scene": result.scene,
+        "method": result.method,
+        "seed": result.seed,
+        "protocol": result.protocol,
+        "settings": result.settings,
+        "protocol_rules": result.protocol_rules,
+        "split_sha256": result.split_sha256,
+        "model_sha256": result.model_sha256,
+    }
+    return {_name(name): str(value) for name, value in flatten(named)}
+
+
+def metrics(result: Result) -> dict[str, float]:
+    """Scores by their names, wall seconds a stage, memory, primitives, bytes and render time."""
+    named = {
+        **result.metrics,
+        "seconds": result.stages,
+        "cpu_seconds": result.cpu_seconds,
+        "peak_memory_mb": result.peak_memory_mb,
+        "primitives": float(result.primitives),
+        "bytes_on_disk": float(result.bytes_on_disk),
+        "render_ms": result.render_ms,
+    }
+    return {_name(name): float(str(value)) for name, value in flatten(named)}
+
+
+def curves(result: Result) -> list[tuple[str, int, float]]:
+    """(name, step, value) of everything that was logged while training."""
+    rows = ((step, flatten({"curve": values})) for step, values in result.curve)
+    return [(_name(name), step, float(str(v))) for step, values in rows for name, v in values]
+
+
+def tags(result: Result) -> dict[str, str]:
+    """Versions, commit and machine, facts of the scene, and the error of a failed case."""
+    named = {
+        "environment": result.environment,
+        "scene_facts": result.scene_facts,
+        "error": result.error,
+    }
+    return {_name(name): str(value) for name, value in flatten(named)}
+
+
+def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Nested mappings as (dotted name, value)."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flatten(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
+def _name(name: str) -> str:
+    return NOT_IN_A_NAME.sub("_", name)
