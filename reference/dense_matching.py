@@ -1,6 +1,6 @@
 """Dense matching of two images: the interface, and the default that needs no download."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -14,6 +14,7 @@ AGREEMENT = 1.0
 """Forward-backward distance in pixels at which certainty falls to exp(-1/2)."""
 
 
+@runtime_checkable
 class DenseMatcher(Protocol):
     """Anything that says for every pixel of image A where it lies in image B, and how surely."""
 

@@ -1,6 +1,6 @@
 """Side-view supervision: which photo guides a side view, where it counts, and its loss."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ OCCLUSION = 0.02
 """Relative depth difference beyond which the reference photo sees something else."""
 
 
+@runtime_checkable
 class ViewRefiner(Protocol):
     """Anything that turns a flawed side view into a plausible one: I_refined = M(I_render, I_ref).
 
