@@ -1,0 +1,131 @@
+"""Walks COLMAP's binary model files to their last byte (layout: COLMAP, "Output Format")."""
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from splatbench.datasets.colmap_index import ModelIndex, parameter_count
+from splatbench.reference.errors import DataError
+
+SUFFIX = ".bin"
+
+
+class _Walk:
+    """A position in a file that refuses to pass its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.data = path.read_bytes()
+        self.at = 0
+        self.what = "its header"
+
+    def skip(self, size: int) -> int:
+        """Move on by a number of bytes; returns where they start."""
+        start = self.at
+        if size < 0 or start + size > len(self.data):
+            raise DataError(
+                f"{self.path}: ends at byte {len(self.data)} inside {self.what}, which needs "
+                f"{start + size}; the file is cut short or damaged, copy it again"
+            )
+        self.at += size
+        return start
+
+    def read(self, layout: struct.Struct) -> tuple[int, ...]:
+        """Unpack the next record."""
+        return layout.unpack_from(self.data, self.skip(layout.size))
+
+    def text(self) -> str:
+        """Read the next zero-terminated name."""
+        end = self.data.find(b"\0", self.at)
+        start = self.skip((end if end >= 0 else len(self.data)) + 1 - self.at)
+        try:
+            return self.data[start : self.at - 1].decode()
+        except UnicodeDecodeError:
+            raise DataError(f"{self.path}: {self.what} has a name that is not UTF-8") from None
+
+
+_COUNT = struct.Struct("<Q")
+_CAMERA = struct.Struct("<IiQQ")
+_IMAGE = struct.Struct("<I56xI")
+_POINT = struct.Struct("<Q35xQ")
+_RIG = struct.Struct("<II")
+_SENSOR = struct.Struct("<iI")
+_FLAG = struct.Struct("<B")
+_FRAME = struct.Struct("<II56xI")
+_POSE_BYTES = 7 * 8
+
+
+def _records(path: Path, kind: str, one: Callable[[_Walk], object]) -> list:
+    """Walk all records of a file, which must end exactly behind the last one."""
+    walk = _Walk(path)
+    (count,) = walk.read(_COUNT)
+    found = []
+    for i in range(count):
+        walk.what = f"{kind} {i + 1} of {count}"
+        found.append(one(walk))
+    if walk.at != len(walk.data):
+        raise DataError(
+            f"{path}: {len(walk.data) - walk.at} bytes are left behind the {count} {kind}s that "
+            "its header announces; the file is damaged"
+        )
+    return found
+
+
+def _camera(walk: _Walk) -> int:
+    number, model, _, _ = walk.read(_CAMERA)
+    walk.skip(8 * parameter_count(walk.path, model))
+    return number
+
+
+def _image(walk: _Walk) -> tuple[int, str, int, int]:
+    number, camera = walk.read(_IMAGE)
+    name = walk.text()
+    (observations,) = walk.read(_COUNT)
+    walk.skip(24 * observations)
+    return number, name, camera, observations
+
+
+def _point(walk: _Walk) -> tuple[int, int, bytes]:
+    number, length = walk.read(_POINT)
+    start = walk.skip(8 * length)
+    return number, length, walk.data[start : walk.at]
+
+
+def _rig(walk: _Walk) -> None:
+    _, sensors = walk.read(_RIG)
+    for i in range(sensors):
+        walk.read(_SENSOR)
+        if i > 0 and walk.read(_FLAG)[0]:  # the first one is the reference and has no pose
+            walk.skip(_POSE_BYTES)
+
+
+def _frame(walk: _Walk) -> None:
+    _, _, sensors = walk.read(_FRAME)
+    walk.skip((_SENSOR.size + _COUNT.size) * sensors)
+
+
+def index_binary(folder: Path) -> ModelIndex:
+    """Walk cameras.bin, images.bin, points3D.bin and, where they are, rigs.bin and frames.bin.
+
+    Raises: DataError if a file ends early or late, or has an unknown camera model.
+    """
+    cameras = _records(folder / "cameras.bin", "camera", _camera)
+    images = _records(folder / "images.bin", "image", _image)
+    points = _records(folder / "points3D.bin", "point", _point)
+    for name, one in (("rig", _rig), ("frame", _frame)):
+        if (folder / f"{name}s.bin").exists():
+            _records(folder / f"{name}s.bin", name, one)
+    tracks = np.frombuffer(b"".join(track for _, _, track in points), dtype="<u4").reshape(-1, 2)
+    return ModelIndex(
+        cameras=cameras,
+        image_ids=[image[0] for image in images],
+        image_names=[image[1] for image in images],
+        image_cameras=[image[2] for image in images],
+        image_observations=[image[3] for image in images],
+        point_ids=np.array([point[0] for point in points], dtype=np.uint64),
+        track_lengths=np.array([point[1] for point in points], dtype=np.int64),
+        track_images=tracks[:, 0].astype(np.int64),
+        track_observations=tracks[:, 1].astype(np.int64),
+    )

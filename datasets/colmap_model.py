@@ -1,0 +1,134 @@
+"""Finds and reads a COLMAP model, checked before and after COLMAP's own reader."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from splatbench.datasets import colmap_binary, colmap_text
+from splatbench.datasets.colmap_index import (
+    MODEL_FILES,
+    RIG_FILES,
+    ModelIndex,
+    check_references,
+)
+from splatbench.reference.errors import DataError
+
+MODEL_FOLDERS = ("sparse/0", "sparse")
+_READERS = (
+    (colmap_binary.SUFFIX, colmap_binary.index_binary),
+    (colmap_text.SUFFIX, colmap_text.index_text),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """A sound COLMAP model: ids answer to each other, every number that is used is finite."""
+
+    folder: Path
+    reconstruction: pycolmap.Reconstruction
+    index: ModelIndex
+    images: tuple[pycolmap.Image, ...]
+    """Registered images, sorted by name."""
+    sha256: str
+    """Over the names and bytes of all model files."""
+
+
+def find_model(scene: Path) -> Path:
+    """Folder of a scene's COLMAP model: sparse/0, else sparse.
+
+    Raises: DataError listing what was looked for.
+    """
+    for name in MODEL_FOLDERS:
+        for suffix, _ in _READERS:
+            if any((scene / name / f"{file}{suffix}").is_file() for file in MODEL_FILES):
+                return scene / name
+    raise DataError(
+        f"{scene}: no COLMAP model; looked for cameras, images and points3D (.bin or .txt) in "
+        f"{' and '.join(MODEL_FOLDERS)}; run `bench ingest` or `colmap mapper` first"
+    )
+
+
+def read_model(folder: Path) -> Model:
+    """Read and check a model.
+
+    Raises: DataError, one line, naming the file and the fault.
+    """
+    suffix, index_files = next(
+        reader
+        for reader in (*_READERS, _READERS[0])
+        if any((folder / f"{file}{reader[0]}").is_file() for file in MODEL_FILES)
+    )
+    missing = [f"{n}{suffix}" for n in MODEL_FILES if not (folder / f"{n}{suffix}").is_file()]
+    if missing:
+        raise DataError(f"{folder / missing[0]}: missing; a model has cameras, images and points3D")
+    alone = [n for n in RIG_FILES if (folder / f"{n}{suffix}").is_file()]
+    if len(alone) == 1:
+        raise DataError(
+            f"{folder}: has {alone[0]}{suffix} without its partner; "
+            "rigs and frames come together or not at all"
+        )
+    index = index_files(folder)
+    check_references(folder, suffix, index)
+    if not len(index.point_ids):
+        raise DataError(
+            f"{folder / f'points3D{suffix}'}: has no points; methods start from them, triangulate"
+        )
+    reconstruction = pycolmap.Reconstruction()
+    try:
+        if suffix == colmap_binary.SUFFIX:
+            reconstruction.read_binary(folder)
+        else:
+            reconstruction.read_text(folder)
+    except (ValueError, IndexError, RuntimeError, MemoryError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise DataError(f"{folder}: COLMAP cannot read this model ({said})") from None
+    images = tuple(
+        sorted(
+            (image for image in reconstruction.images.values() if image.has_pose),
+            key=lambda image: image.name,
+        )
+    )
+    model = Model(
+        folder=folder,
+        reconstruction=reconstruction,
+        index=index,
+        images=images,
+        sha256=_hash(folder, suffix),
+    )
+    _check_numbers(model, suffix)
+    return model
+
+
+def _check_numbers(model: Model, suffix: str) -> None:
+    """Poses, used cameras and points must be finite, focal lengths positive."""
+    if not model.images:
+        raise DataError(
+            f"{model.folder / f'images{suffix}'}: none of {len(model.index.image_ids)} images has "
+            "a pose; run the mapper first"
+        )
+    for image in model.images:
+        if not np.isfinite(image.cam_from_world().matrix()).all():
+            raise DataError(f"{model.folder}: the pose of image {image.name!r} is not finite")
+        camera = model.reconstruction.camera(image.camera_id)
+        focal = () if camera.is_spherical() else (camera.focal_length_x, camera.focal_length_y)
+        if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal):
+            raise DataError(
+                f"{model.folder / f'cameras{suffix}'}: camera {image.camera_id} has parameters "
+                f"{camera.params.tolist()}, expected finite ones and positive focal lengths"
+            )
+    for number, point in model.reconstruction.points3D.items():
+        if not np.isfinite(point.xyz).all():
+            raise DataError(f"{model.folder / f'points3D{suffix}'}: point {number} is not finite")
+
+
+def _hash(folder: Path, suffix: str) -> str:
+    digest = hashlib.sha256()
+    for name in (*MODEL_FILES, *RIG_FILES):
+        path = folder / f"{name}{suffix}"
+        if path.is_file():
+            digest.update(f"{path.name} {path.stat().st_size}\n".encode())
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,113 @@
+"""Walks COLMAP's text model files line by line (layout: COLMAP, "Output Format")."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from splatbench.datasets.colmap_index import ModelIndex, parameter_count
+from splatbench.reference.errors import DataError
+
+SUFFIX = ".txt"
+
+
+def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
+    """(place, fields) of every line that is no comment; empty lines only where they mean something."""
+    try:
+        text = path.read_text()
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not text; a binary model ends in .bin") from None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.startswith("#") and (keep_empty or line.strip()):
+            yield f"{path}: line {number}", line.split()
+
+
+def _numbers(place: str, fields: list[str], kind: type[int] | type[float]) -> list:
+    """Fields as whole or real numbers."""
+    try:
+        return [kind(field) for field in fields]
+    except ValueError:
+        found = next(field for field in fields if not _is(field, kind))
+        expected = "a whole number" if kind is int else "a number"
+        raise DataError(f"{place}: found {found[:40]!r} instead of {expected}") from None
+
+
+def _is(field: str, kind: type[int] | type[float]) -> bool:
+    try:
+        kind(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _expect(place: str, fields: list[str], count: int, layout: str) -> None:
+    if len(fields) < count:
+        raise DataError(f"{place}: has {len(fields)} fields, expected {layout}; it is cut short")
+
+
+def _cameras(path: Path) -> list[int]:
+    ids = []
+    for place, fields in _lines(path):
+        _expect(place, fields, 4, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")
+        ids += _numbers(place, fields[:1], int)
+        _numbers(place, fields[2:4], int)
+        count = parameter_count(path, fields[1])
+        if len(_numbers(place, fields[4:], float)) != count:
+            raise DataError(f"{place}: {fields[1]} has {count} parameters, found {len(fields) - 4}")
+    return ids
+
+
+def _images(path: Path) -> list[tuple[int, str, int, int]]:
+    images = []
+    lines = list(_lines(path, keep_empty=True))
+    if len(lines) % 2 and not lines[-1][1]:
+        lines.pop()  # an empty line at the end of the file is no image's list of points
+    if len(lines) % 2:
+        raise DataError(f"{path}: has {len(lines)} lines, expected two for each image")
+    for (place, fields), (place2, points) in zip(lines[::2], lines[1::2], strict=True):
+        _expect(place, fields, 10, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
+        number, camera = _numbers(place, [fields[0], fields[8]], int)
+        _numbers(place, fields[1:8], float)
+        if len(_numbers(place2, points, float)) % 3:
+            raise DataError(
+                f"{place2}: has {len(points)} fields, expected (X Y POINT3D_ID) triples"
+            )
+        images.append((number, " ".join(fields[9:]), camera, len(points) // 3))
+    return images
+
+
+def _points(path: Path) -> list[tuple[int, list[int]]]:
+    points = []
+    for place, fields in _lines(path):
+        _expect(place, fields, 8, "POINT3D_ID X Y Z R G B ERROR TRACK")
+        _numbers(place, fields[1:4] + fields[7:8], float)
+        number, _, _, _, *track = _numbers(place, fields[:1] + fields[4:7] + fields[8:], int)
+        if len(track) % 2:
+            raise DataError(f"{place}: the track has {len(track)} fields, expected pairs")
+        points.append((number, track))
+    return points
+
+
+def index_text(folder: Path) -> ModelIndex:
+    """Walk cameras.txt, images.txt, points3D.txt and, where they are, rigs.txt and frames.txt.
+
+    Raises: DataError naming file, line and field.
+    """
+    images = _images(folder / "images.txt")
+    points = _points(folder / "points3D.txt")
+    for name, least in (("rigs", 4), ("frames", 10)):
+        if (folder / f"{name}.txt").exists():
+            for place, fields in _lines(folder / f"{name}.txt"):
+                _expect(place, fields, least, f"at least {least} fields of a {name[:-1]}")
+    tracks = np.array([i for _, track in points for i in track], dtype=np.int64).reshape(-1, 2)
+    return ModelIndex(
+        cameras=_cameras(folder / "cameras.txt"),
+        image_ids=[image[0] for image in images],
+        image_names=[image[1] for image in images],
+        image_cameras=[image[2] for image in images],
+        image_observations=[image[3] for image in images],
+        point_ids=np.array([number for number, _ in points], dtype=np.uint64),
+        track_lengths=np.array([len(track) // 2 for _, track in points], dtype=np.int64),
+        track_images=tracks[:, 0],
+        track_observations=tracks[:, 1],
+    )

@@ -1,0 +1,68 @@
+"""Photo files: which there are, how large they are, and their pixels. 8-bit RGB or grey only."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from splatbench.reference.errors import DataError
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+# Aerial cameras reach 150 megapixels, above Pillow's default warning against decompression bombs.
+Image.MAX_IMAGE_PIXELS = 2**30
+
+
+def list_photos(folder: Path) -> list[str]:
+    """Names of all photos below a folder, relative to it with "/", sorted; hidden ones left out."""
+    names = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return sorted(
+        name.as_posix()
+        for name in names
+        if name.suffix.lower() in PHOTO_SUFFIXES
+        and not any(part.startswith(".") for part in name.parts)
+    )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Open an image file; everything Pillow can say against it becomes one DataError."""
+    try:
+        with Image.open(path) as image:
+            yield image
+    except FileNotFoundError:
+        raise DataError(f"{path}: photo is missing; put it back or leave it out") from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
+        raise DataError(f"{path}: not a readable image ({said}); replace the file") from None
+
+
+def photo_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the header alone, as stored: an EXIF orientation is not applied.
+
+    Raises: DataError if the file is missing or is not an image.
+    """
+    with _opened(path) as image:
+        return image.size
+
+
+def read_photo(path: Path) -> Float[Tensor, "h w 3"]:
+    """Pixels of a photo: float32 sRGB in [0, 1] as stored (k / 255), grey repeated to RGB.
+
+    The EXIF orientation is not applied: COLMAP does not apply it either, and the camera's size
+    and pixels must mean the same.
+
+    Raises: DataError if the file is missing, cut short, not 8-bit, or transparent.
+    """
+    with _opened(path) as image:
+        image.load()
+        if image.mode.startswith(("I", "F")):
+            raise DataError(f"{path}: pixel format is {image.mode}, expected 8-bit RGB or grey")
+        if image.has_transparency_data and np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
+            raise DataError(f"{path}: has transparent pixels; flatten it onto a background")
+        pixels = np.array(image.convert("RGB"))
+    return torch.from_numpy(pixels).float() / 255

@@ -1,0 +1,94 @@
+"""The image that a view is scored against, made from its photo each time it is asked for.
+
+Order: decode, undistort at full size, then down-scale. The photo is sampled bilinearly only
+once and at its own resolution, and the protocol's filter sees straight lines.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatbench.datasets.images import TensorCache
+from splatbench.datasets.photos import read_photo
+from splatbench.datasets.resize import FILTER_RADIUS, resample
+from splatbench.datasets.undistort import (
+    Undistortion,
+    photo_positions,
+    undistort_image,
+    valid_pixels,
+)
+from splatbench.reference.errors import DataError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """How one photo becomes one truth image."""
+
+    path: Path
+    photo_size: tuple[int, int]
+    """(width, height) that the camera was calibrated for."""
+    undistortion: Undistortion | None
+    """None: the photo is a pinhole image already."""
+    size: tuple[int, int]
+    """(width, height) of the truth image."""
+    filter: str
+    positions: TensorCache
+    """Shared by the views of a scene: where a camera's pinhole pixels lie in its photos."""
+
+    def image(self) -> Float[Tensor, "h w 3"]:
+        """Float32 sRGB in [0, 1]; zeros where the mask is False."""
+        pixels = read_photo(self.path)
+        height, width, _ = pixels.shape
+        if (width, height) != self.photo_size:
+            raise DataError(
+                f"{self.path}: photo is {width} x {height}, its camera says "
+                f"{self.photo_size[0]} x {self.photo_size[1]}; use the photos of this model"
+            )
+        if self.undistortion is not None:
+            pixels = undistort_image(pixels, self._positions(self.undistortion))
+        pixels = resample(pixels, self.size, self.filter)
+        return pixels * self.mask()[..., None] if self.has_mask else pixels
+
+    @property
+    def has_mask(self) -> bool:
+        """Whether pixels may be invalid."""
+        return self.undistortion is not None and self.undistortion.masked
+
+    def mask(self) -> Bool[Tensor, "h w"]:
+        """Pixels to which the filter brings nothing from outside the photo."""
+        if self.undistortion is None:
+            return torch.ones(self.size[1], self.size[0], dtype=torch.bool)
+        return shrink_mask(valid_pixels(self._positions(self.undistortion)), self.size, self.filter)
+
+    def _positions(self, plan: Undistortion) -> Float[Tensor, "h w 2"]:
+        return self.positions.get(plan, lambda: photo_positions(plan))
+
+
+def shrink_mask(
+    valid: Bool[Tensor, "h w"], size: tuple[int, int], filter: str
+) -> Bool[Tensor, "h2 w2"]:
+    """Mask of a down-scaled image: valid where every pixel under the filter was valid.
+
+    Args:
+        valid: Mask at full size.
+        size: (width, height) after.
+        filter: The filter that the image is down-scaled with.
+    """
+    height, width = valid.shape
+    if size == (width, height):
+        return valid
+    # beyond the new pixel's own rectangle, the filter reaches this many old pixels further
+    reach = [
+        math.ceil((FILTER_RADIUS[filter] - FILTER_RADIUS["area"]) * old / new)
+        for old, new in ((width, size[0]), (height, size[1]))
+    ]
+    kernel = np.ones((2 * reach[1] + 1, 2 * reach[0] + 1), dtype=np.uint8)
+    eroded = cv2.erode(valid.numpy().astype(np.uint8), kernel)  # outside the array counts as valid
+    invalid = cv2.resize(1.0 - eroded.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return torch.from_numpy(invalid == 0)
