@@ -70,7 +70,9 @@ def usable_cores() -> int:
 
 
 def simd_level() -> str:
-    """Instruction set that the native kernels chose on this machine."""
-    from splatbench import _ext
-
-    return _ext.simd_level()
+    """Instruction set that the native kernels chose on this machine; "" where they are not built."""
+    try:
+        from splatbench import _ext
+    except ImportError:
+        return ""
+    return getattr(_ext, "simd_level", str)()

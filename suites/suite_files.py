@@ -162,10 +162,6 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
         )
         for name in block.methods
     }
-    for name, values in settings.items():
-        if values.iterations < 1:
-            found = values.iterations
-            raise UsageError(f"{where}.settings.{name}.iterations: expected >= 1, found {found}")
     protocols = [load_protocol(_beside(name, path)) for name in block.protocols]
     scenes = [_scene(name, path) for name in block.scenes]
     product = itertools.product(scenes, block.methods, protocols, block.seeds)

@@ -1,0 +1,110 @@
+"""A method that trains nothing but checkpoints, can be killed, and fails on request."""
+
+import json
+import os
+import time
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from helpers.tiny_scene import random_gaussians, tiny_scene
+from splatbench.methods.files import write_text
+from splatbench.methods.reconstruction import ExplicitModel
+from splatbench.methods.registry import METHODS, Method
+from splatbench.methods.run import Run
+from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.scene import Scene
+from splatbench.suites import cases
+from splatbench.suites.cases import Job, Tell, run_case
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner:
+    """Nested settings."""
+
+    rate: float = 0.5
+    cap: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FakeSettings:
+    """Settings of the fake method."""
+
+    iterations: int = 40
+    seconds_a_step: float = 0.0
+    checkpoint_steps: int = 5
+    fail_with: str = ""
+    """Message of the error that fit raises at the middle step; empty: none."""
+    crash: bool = False
+    """End the process without a word at the middle step."""
+    inner: Inner = field(default_factory=Inner)
+
+
+def fit(scene: Scene, settings: FakeSettings, run: Run) -> ExplicitModel:
+    """A random walk of one number, continued from its checkpoint bit by bit."""
+    assert run.folder is not None
+    path = run.folder / "checkpoint" / "state.json"
+    rng = np.random.default_rng(run.seed)
+    step, value, seconds = 0, 0.0, 0.0
+    if path.exists():
+        state = json.loads(path.read_text())
+        step, value, seconds = state["step"], state["value"], state["seconds"]
+        rng.bit_generator.state = state["rng"]
+    run.on_stage("init", 0.001)
+    while step < settings.iterations:
+        step += 1
+        value += rng.normal() * settings.inner.rate
+        seconds += settings.seconds_a_step
+        time.sleep(settings.seconds_a_step)
+        if settings.fail_with and step == settings.iterations // 2:
+            raise DataError(settings.fail_with)
+        if settings.crash and step == settings.iterations // 2:
+            os._exit(7)
+        run.report(step, settings.iterations, {"loss": value})
+        if step % settings.checkpoint_steps == 0 or step == settings.iterations:
+            state = {"step": step, "value": value, "seconds": seconds}
+            write_text(path, json.dumps(state | {"rng": rng.bit_generator.state}))
+    run.on_stage("train", seconds)
+    return model_of(value, run.backend)
+
+
+def model_of(value: float, backend: str) -> ExplicitModel:
+    """A few Gaussians whose brightness depends on `value`."""
+    model = random_gaussians(12, degree=0)
+    sh = model.sh + float(np.tanh(value))
+    return ExplicitModel(model=replace(model, sh=sh), method="fake", backend=backend)
+
+
+def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
+    """Six tiny views, two of them held out; the name "broken" cannot be opened."""
+    if str(spec) == "broken":
+        raise DataError("broken: no scene found here")
+    return replace(
+        tiny_scene(points=12),
+        name=Path(spec).name,
+        train=(1, 2, 4, 5),
+        test=(0, 3),
+        facts={"made": "in memory"},
+        left_out=(("blurred.jpg", "did not register"),),
+    )
+
+
+def register() -> None:
+    """Make the fake method and its scenes known in this process."""
+    METHODS["fake"] = Method(
+        name="fake", settings=FakeSettings, fit=fit, description="Trains nothing"
+    )
+    cases.open_scene = fake_scene
+
+
+def run_fake_case(job: Job, tell: Tell) -> None:
+    """Target for a worker process, which starts without the fake method."""
+    register()
+    run_case(job, tell)
+
+
+def settings_table(**values: object) -> dict[str, object]:
+    """All settings as a result records them."""
+    return asdict(FakeSettings(**values))  # pyright: ignore[reportArgumentType]

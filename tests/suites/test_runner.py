@@ -1,0 +1,250 @@
+"""Cases are run once, resumed, re-run when their settings change, and fail alone."""
+
+import json
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers import fake_methods
+from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
+from splatbench.methods.registry import METHODS
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.metrics.scoring import truth_sha256
+from splatbench.reference.errors import UsageError
+from splatbench.suites import cases
+from splatbench.suites.records import read_record
+from splatbench.suites.runner import run_suite, select
+from splatbench.suites.suite_files import Case, Suite
+from splatbench.suites.workers import Lock, in_process, in_worker
+
+PROTOCOL = load_protocol("default")
+
+
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch):
+    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    fake_methods.register()
+
+
+def case(scene: str = "town", seed: int = 0, **settings: object) -> Case:
+    fake = FakeSettings(**settings)  # pyright: ignore[reportArgumentType]
+    return Case(scene=scene, method="fake", settings=fake, seed=seed, protocol=PROTOCOL)
+
+
+def suite(*those: Case) -> Suite:
+    return Suite(name="tiny", description="For tests", cases=those)
+
+
+run = partial(run_suite, backend="reference", launch=in_process)
+
+
+def test_a_case_leaves_a_whole_record_and_pictures(tmp_path):
+    (outcome,) = run(suite(case()), tmp_path)
+    assert outcome.status == "finished"
+    assert outcome.folder == tmp_path / "tiny" / "town" / "fake" / "default" / "seed0"
+    result = read_record(outcome.folder)
+    assert result == outcome.result
+    assert not result.error
+    assert (result.suite, result.suite_scenes) == ("tiny", ("town",))
+    assert [image.name for image in result.images] == ["0.png", "3.png"]
+    assert set(PROTOCOL.metrics) <= set(result.metrics)
+    assert set(result.stages) == {"load", "init", "train", "save", "score"}
+    assert result.settings["inner"] == {"rate": 0.5, "cap": None}
+    assert result.curve[-1][0] == 40
+    assert len(result.curve) == 40
+    assert result.primitives == 12
+    assert result.bytes_on_disk == sum(
+        f.stat().st_size for f in (outcome.folder / "model").iterdir()
+    )
+    assert 50 < result.peak_memory_mb < 100_000
+    assert result.cpu_seconds > 0
+    assert result.render_ms > 0
+    assert result.environment["backend"] == "reference"
+    assert result.left_out == (("blurred.jpg", "did not register"),)
+    for kind in ("renders", "truth", "errors"):
+        assert sorted(p.name for p in (outcome.folder / kind).iterdir()) == ["0.png", "3.png"]
+    assert not (outcome.folder / "checkpoint").exists()
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_the_saved_pictures_are_what_was_scored(tmp_path):
+    (outcome,) = run(suite(case()), tmp_path)
+    view = fake_scene("town", PROTOCOL).test_views[0]
+    image = outcome.result.images[0]
+    assert image.truth_sha256 == truth_sha256(view.load())
+    read = cv2.imread(str(outcome.folder / "renders" / "0.png"))
+    assert read is not None
+    render = read[..., ::-1] / 255
+    mse = np.mean((render - view.load().double().numpy()) ** 2)
+    assert image.metrics["psnr"] == pytest.approx(-10 * math.log10(mse), abs=1e-4)
+
+
+def test_a_finished_case_is_kept_and_another_seed_runs(tmp_path):
+    run(suite(case()), tmp_path)
+    before = (tmp_path / "tiny/town/fake/default/seed0/record.json").stat().st_mtime_ns
+    outcomes = run(suite(case(), case(seed=1)), tmp_path)
+    assert [outcome.status for outcome in outcomes] == ["kept", "finished"]
+    assert (tmp_path / "tiny/town/fake/default/seed0/record.json").stat().st_mtime_ns == before
+    first, second = (outcome.result for outcome in outcomes)
+    assert first.model_sha256 != second.model_sha256
+
+
+def test_the_same_seed_gives_the_same_numbers(tmp_path):
+    (first,) = run(suite(case()), tmp_path / "a")
+    (second,) = run(suite(case()), tmp_path / "b")
+    assert first.result.metrics == second.result.metrics
+    assert first.result.images == second.result.images
+    assert first.result.model_sha256 == second.result.model_sha256
+    assert first.result.curve == second.result.curve
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        case(iterations=41),
+        replace(case(), protocol=replace(PROTOCOL, rounding="truncate")),
+    ],
+    ids=["settings", "rules of the same name"],
+)
+def test_what_a_number_depends_on_makes_the_case_run_again_and_says_so(tmp_path, changed):
+    run(suite(case()), tmp_path)
+    notes = []
+    (outcome,) = run(suite(changed), tmp_path, on_progress=lambda p: notes.append(p.note))
+    assert outcome.status == "finished"
+    assert any("other settings, protocol or backend" in note for note in notes)
+    (kept,) = run(suite(changed), tmp_path)
+    assert kept.status == "kept"
+
+
+def test_a_checkpoint_of_other_settings_is_not_continued(tmp_path):
+    failing = case(fail_with="no", iterations=40)
+    run(suite(failing), tmp_path)
+    folder = tmp_path / "tiny/town/fake/default/seed0"
+    assert (folder / "checkpoint").exists()
+    (outcome,) = run(suite(case()), tmp_path)
+    (undisturbed,) = run(suite(case()), tmp_path / "other")
+    assert outcome.result.model_sha256 == undisturbed.result.model_sha256
+    assert not (folder / "failure.txt").exists()
+
+
+def test_starting_over_runs_a_finished_case_again(tmp_path):
+    (first,) = run(suite(case()), tmp_path)
+    (again,) = run(suite(case()), tmp_path, resume=False)
+    assert again.status == "finished"
+    assert again.result.images == first.result.images
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "version", "not JSON"])
+def test_a_damaged_record_is_made_again(tmp_path, damage):
+    (first,) = run(suite(case()), tmp_path)
+    path = first.folder / "record.json"
+    text = path.read_text()
+    path.write_text(
+        {
+            "cut": text[:100],
+            "empty": "",
+            "version": text.replace('"version": 1', '"version": 99'),
+            "not JSON": "hello",
+        }[damage]
+    )
+    notes = []
+    (again,) = run(suite(case()), tmp_path, on_progress=lambda p: notes.append(p.note))
+    assert again.status == "finished"
+    assert again.result.images == first.result.images
+    assert notes[0].startswith("runs again: ")
+    assert str(path) in notes[0]
+
+
+def test_a_failing_case_is_recorded_and_the_others_go_on(tmp_path):
+    bad = case(fail_with="the sky fell", seed=1)
+    outcomes = run(suite(case("broken"), bad, case(seed=2)), tmp_path)
+    assert [outcome.status for outcome in outcomes] == ["failed", "failed", "finished"]
+    assert outcomes[0].result.error == "broken: no scene found here"
+    assert outcomes[1].result.error == "the sky fell"
+    assert "DataError" in (outcomes[1].folder / "failure.txt").read_text()
+    assert read_record(outcomes[1].folder).images == ()
+    again = run(suite(bad), tmp_path)
+    assert again[0].status == "failed"
+
+
+def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypatch):
+    def fit(*_: object) -> None:
+        raise RuntimeError("first line\nsecond line")
+
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
+    (outcome,) = run(suite(case()), tmp_path)
+    assert outcome.result.error == "RuntimeError: first line second line"
+
+
+def test_progress_tells_every_stage_in_order(tmp_path):
+    seen = []
+    run(suite(case()), tmp_path, on_progress=seen.append)
+    stages = list(dict.fromkeys(progress.stage for progress in seen))
+    assert stages == ["start", "load", "init", "train", "save", "score"]
+    steps = [progress.step for progress in seen if progress.stage == "train"]
+    assert steps == list(range(1, 41))
+    assert {(progress.index, progress.count) for progress in seen} == {(0, 1)}
+
+
+def test_training_that_had_ended_is_not_repeated(tmp_path, monkeypatch):
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cases, "score_views", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run(suite(case()), tmp_path)
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=stop))
+    (outcome,) = run(suite(case()), tmp_path)
+    assert outcome.status == "finished"
+    assert outcome.result.curve[-1][0] == 40
+
+
+def test_select_by_pattern_and_seeds():
+    whole = suite(case(), case("village"))
+    assert [c.label for c in select(whole, only="town/*").cases] == ["town/fake/default/seed0"]
+    assert [c.seed for c in select(whole, seeds=3).cases] == [0, 1, 2, 0, 1, 2]
+    assert select(select(whole, seeds=2), only="*/seed1").scenes == ("town", "village")
+    with pytest.raises(UsageError, match=r"--only 'x\*' matches none of the 2 cases"):
+        select(whole, only="x*")
+    with pytest.raises(UsageError, match="--seeds 0: expected 1 or more"):
+        select(whole, seeds=0)
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path):
+    with Lock(tmp_path / "tiny"), pytest.raises(UsageError, match="another `bench run`"):
+        run(suite(case()), tmp_path)
+    run(suite(case()), tmp_path)
+
+
+def test_a_worker_gives_the_numbers_of_this_process(tmp_path):
+    launch = partial(in_worker, target=run_fake_case)
+    seen = []
+    (apart,) = run_suite(
+        suite(case()), tmp_path / "a", backend="reference", launch=launch, on_progress=seen.append
+    )
+    (here,) = run(suite(case()), tmp_path / "b")
+    assert apart.status == "finished"
+    assert apart.result.images == here.result.images
+    assert [p.step for p in seen if p.stage == "train"] == list(range(1, 41))
+
+
+def test_a_worker_that_dies_without_a_word_fails_its_case_only(tmp_path):
+    launch = partial(in_worker, target=run_fake_case)
+    those = suite(case(crash=True), case(seed=1))
+    outcomes = run_suite(those, tmp_path, backend="reference", launch=launch)
+    assert [outcome.status for outcome in outcomes] == ["failed", "finished"]
+    assert "exit code 7 and left no record" in outcomes[0].result.error
+
+
+def test_records_are_strict_json_lines(tmp_path):
+    (outcome,) = run(suite(case()), tmp_path)
+    lines = Path(outcome.folder / "record.json").read_text().splitlines()
+    assert len(lines) == 1
+    assert json.loads(lines[0])["scene"] == "town"
