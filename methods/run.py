@@ -34,3 +34,5 @@ class Run:
     include those before the interruption."""
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
+    image_bytes: int = 2**30
+    """Most bytes of training images kept in memory; the others are read again each time."""

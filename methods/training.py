@@ -11,6 +11,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from splatbench.datasets.images import TensorCache
 from splatbench.methods import initialise
 from splatbench.methods.backends import Backend, get_backend
 from splatbench.methods.density import Density, DensityControl, reset_opacity
@@ -106,6 +107,7 @@ class Trainer:
         )
         self.settings, self.run, self.backend = settings, run, backend
         self.views = scene.train_views
+        self.images = TensorCache(run.image_bytes)
         self.extent = initialise.extent(scene)
         self.background = torch.tensor(run.background)
         self.adam = Adam(
@@ -174,8 +176,9 @@ class Trainer:
             view.camera, model.means, model.quaternions, model.scales, model.opacities,
             sh=model.sh, background=self.background, probe=probe,
         )  # fmt: skip
-        mask = None if view.load_mask is None else view.load_mask()
-        loss = photometric(image.colour, view.load(), dssim=self.settings.dssim, mask=mask)
+        truth = self.images.get((view.name, "image"), view.load)
+        mask = view.load_mask and self.images.get((view.name, "mask"), view.load_mask)
+        loss = photometric(image.colour, truth, dssim=self.settings.dssim, mask=mask)
         value = float(loss.detach())
         if not torch.isfinite(loss):
             raise SplatbenchError(

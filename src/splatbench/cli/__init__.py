@@ -160,6 +160,8 @@ def _with_style(function: Callable[..., Any]) -> Callable[..., Any]:
         with output.speaking(output.Style(json=json, quiet=quiet)):
             return function(*args, **named)
 
+    # Tests wrap every function to check its types; tyro would read the wrapper's signature.
+    command = inspect.unwrap(command)
     flags = {"json": JsonFlag, "quiet": QuietFlag}
     parameters = [
         *inspect.signature(function).parameters.values(),

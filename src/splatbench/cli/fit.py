@@ -115,7 +115,8 @@ def _command(method: str) -> Callable[..., int]:
     def command(**options: Any) -> int:
         return fit(method, **options)
 
-    # tyro reads these: the signature of `fit` without the method
+    # tyro reads the signature of `fit` without the method, not that of a test's type-checking wrapper
+    command = inspect.unwrap(command)
     command.__doc__ = fit.__doc__
     command.__annotations__ = hints
     command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]

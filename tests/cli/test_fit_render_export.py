@@ -1,0 +1,101 @@
+"""`bench fit`, `bench render` and `bench export`, from arguments to files."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from plyfile import PlyData
+
+from helpers.tiny_scene import camera, tiny_scene
+from splatbench.cli import main
+from splatbench.datasets import opening
+from splatbench.methods.reconstruction import load_reconstruction
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A model folder made by `bench fit` on a tiny scene."""
+    out = tmp_path_factory.mktemp("fit")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
+        options = ["--backend", "reference", "--out", str(out), "--protocol", "3dgs", "--seed", "4"]
+        assert (
+            main(["fit", "3dgs", "tiny", "--iterations", "4", "--density.most", "50", *options])
+            == 0
+        )
+    return out
+
+
+def test_fit_leaves_a_model_with_its_settings(fitted):
+    facts = json.loads((fitted / "model" / "model.json").read_text())
+    assert facts["method"] == "3dgs"
+    assert (facts["settings"]["iterations"], facts["settings"]["density"]["most"]) == (4, 50)
+    assert (fitted / "renders" / "0.png").exists()
+
+
+def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, monkeypatch, capsys):
+    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
+    options = ["--backend", "reference", "--out", str(fitted), "--protocol", "3dgs", "--seed", "4"]
+    options += ["--iterations", "4", "--density.most", "50", "--json"]
+    assert main(["fit", "3dgs", "tiny", *options]) == 0
+    image, mean = map(json.loads, capsys.readouterr().out.splitlines())
+    assert image["image"] == "0.png"
+    assert {
+        "scene": "tiny",
+        "method": "3dgs",
+        "seed": 4,
+        "protocol": "3dgs",
+    }.items() <= mean.items()
+    assert mean["psnr"] == image["psnr"] > 5
+
+
+def test_render_from_a_camera_file(fitted, tmp_path):
+    where = camera(0)
+    cameras = [
+        {"name": "sub/left.jpg", "width": where.width, "height": where.height,
+         "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()}
+    ]  # fmt: skip
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+    arguments = [str(fitted / "model"), str(tmp_path / "cameras.json"), str(tmp_path / "out")]
+    assert main(["render", *arguments, "--backend", "reference"]) == 0
+    got = cv2.imread(str(tmp_path / "out" / "left.png"))
+    want = load_reconstruction(fitted / "model", backend="reference").render(where).colour
+    want = np.floor(want.clamp(0, 1).numpy() * 255 + 0.5)[..., ::-1]
+    assert got is not None
+    assert np.array_equal(got, want)
+
+
+def test_render_the_held_out_view_as_fit_did(fitted, tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
+    arguments = [str(fitted / "model"), "tiny", str(tmp_path), "--protocol", "3dgs"]
+    assert main(["render", *arguments, "--backend", "reference"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["0.png"]
+    assert (tmp_path / "0.png").read_bytes() == (fitted / "renders" / "0.png").read_bytes()
+
+
+def test_export(fitted, tmp_path, capsys):
+    assert main(["export", str(fitted / "model"), "--ply", str(tmp_path / "a.ply"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["gaussians"] == PlyData.read(tmp_path / "a.ply")["vertex"].count
+    assert said["frame"] == "as trained"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["export", "nowhere", "--ply", "a.ply"], 2, "model.json: no such file"),
+        (["render", "nowhere", "a.json", "out"], 2, "model.json: no such file"),
+        (["fit", "3dgs", "x", "--out", "o", "--iterations", "0"], 2, "iterations is 0, expected"),
+        (["fit", "3dgs", "x", "--out", "o", "--backend", "gpu"], 2, "did you mean"),
+        (["fit", "3dgs", "x", "--out", "o", "--density.strat", "1"], 2, "--density.start"),
+        (["fit", "3gds", "x", "--out", "o"], 2, "3dgs"),
+    ],
+)
+def test_bad_arguments_are_told_and_leave_nothing(
+    arguments, code, said, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == code
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
