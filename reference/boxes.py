@@ -8,6 +8,9 @@ from torch import Tensor
 
 from splatbench.reference.errors import DataError
 
+THINNEST = 1e-9
+"""Share of the longest half-extent below which another one counts as zero."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box:
@@ -21,7 +24,8 @@ class Box:
 class OrientedBox:
     """A rotated box { p : |diag(e)^-1 R (p - c)|_inf <= 1 }.
 
-    Raises: DataError for a half-extent that is not positive and finite.
+    Raises: DataError for half-extents that are not positive and finite, or of which one is below
+        1e-9 of the largest: rounding leaves that much of a zero.
 
     Source: StitchGS, Sec. 3.2.1 and 3.2.3.
     """
@@ -34,7 +38,8 @@ class OrientedBox:
 
     def __post_init__(self) -> None:
         """Refuse a box without volume: distances to it are undefined."""
-        if not bool(((self.half > 0) & self.half.isfinite()).all()):
+        thick = self.half > THINNEST * self.half.max()
+        if not bool((thick & self.half.isfinite()).all()):
             raise DataError(
                 f"oriented box with half-extents {self.half.tolist()}: expected three positive "
                 "lengths; give the block some thickness or leave it out"

@@ -164,13 +164,13 @@ def _projects_into(camera: Camera, points: Float[Tensor, "n 3"]) -> Bool[Tensor,
     return (depth > camera.near) & ((pixel >= 0) & (pixel <= size)).all(dim=1)
 
 
-def _equal_parts(sorted_rows: Float[Tensor, "v 2"], count: int) -> list[Float[Tensor, "p 2"]]:
+def _equal_parts(sorted_rows: Float[Tensor, "v 2"], count: int) -> list[Float[Tensor, "_ 2"]]:
     """Runs of floor(v / count) rows; the last one takes the remainder."""
     each = len(sorted_rows) // count
     ends = [i * each for i in range(count)] + [len(sorted_rows)]
     return [sorted_rows[a:b] for a, b in pairwise(ends)]
 
 
-def _walls(parts: list[Float[Tensor, "p 2"]], axis: int) -> Float[Tensor, " parts_plus_1"]:
+def _walls(parts: list[Float[Tensor, "_ 2"]], axis: int) -> Float[Tensor, " parts_plus_1"]:
     """First camera's coordinate, then the last one's of each part."""
     return torch.stack([parts[0][0, axis]] + [part[-1, axis] for part in parts])
