@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+import torch
+
 from splatbench.reference import rasterizer as reference_rasterizer
 from splatbench.reference.errors import MissingError, UsageError
 from splatbench.reference.render import RenderOutput
@@ -46,7 +48,12 @@ def _cpu() -> Backend:
 def _cuda() -> Backend:
     if importlib.util.find_spec("gsplat") is None:
         return _absent("cuda", "gsplat is not installed; run `pip install splatbench[cuda]`")
-    return _absent("cuda", "there is no adapter to gsplat in this version; use `cpu`")
+    adapter = importlib.import_module("splatbench.methods.cuda_gsplat")
+    if not torch.cuda.is_available():
+        return _absent("cuda", "torch finds no CUDA device; use `cpu`")
+    return Backend(
+        name="cuda", rasterize=adapter.rasterize, capabilities=adapter.CAPABILITIES
+    )  # fmt: skip
 
 
 def _absent(name: str, missing: str) -> Backend:

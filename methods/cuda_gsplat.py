@@ -1,0 +1,90 @@
+"""Adapter to gsplat's CUDA rasterizer: our signature outside, its `rasterization` inside.
+
+Differences to the contract that gsplat keeps: a stop at T <= 1e-4 instead of T < 1e-4, no gradient
+through the alpha cap, opacity compensation of mode "antialiased" with a floor of 0.005.
+"""
+
+import importlib
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatbench.reference import rotation
+from splatbench.reference.camera import Camera
+from splatbench.reference.errors import UsageError
+from splatbench.reference.rasterizer import Mode
+from splatbench.reference.render import RenderOutput
+from splatbench.reference.screen_gradient import ScreenProbe
+
+CAPABILITIES = frozenset({"float32", "probe"})
+"""What of the contract this backend offers."""
+
+
+def rasterize(
+    camera: Camera,
+    means: Float[Tensor, "n 3"],
+    quaternions: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    *,
+    colours: Float[Tensor, "n c"] | None = None,
+    sh: Float[Tensor, "n k 3"] | None = None,
+    background: Float[Tensor, " c"] | None = None,
+    mode: Mode = "classic",
+    distance: bool = False,
+    median: bool = False,
+    contributors: int = 0,
+    probe: ScreenProbe | None = None,
+) -> RenderOutput:
+    """Twin of reference.rasterizer.rasterize on a GPU; results come back to the inputs' device.
+
+    Raises: UsageError for `distance`, `median` and `contributors`, which gsplat does not give;
+        ValueError if not exactly one of `colours` and `sh` is given.
+
+    Source: gsplat's documented `rasterization`.
+    """
+    if (colours is None) == (sh is None):
+        raise ValueError("give exactly one of colours and sh")
+    if distance or median or contributors:
+        raise UsageError("backend 'cuda' has no distance, median depth or contributors; use 'cpu'")
+    features, degree = (sh, round((sh.shape[1]) ** 0.5) - 1) if sh is not None else (colours, None)
+    assert features is not None
+    home, device = means.device, gpu()
+
+    def there(tensor: Tensor) -> Tensor:
+        return tensor.to(device, torch.float32)
+
+    image, alpha, meta = importlib.import_module("gsplat").rasterization(
+        there(means), there(rotation.normalise(quaternions)), there(scales), there(opacities), there(features),
+        there(camera.world_to_camera)[None], there(camera.K)[None], camera.width, camera.height,
+        near_plane=camera.near, sh_degree=degree, packed=False, render_mode="RGB+ED",
+        backgrounds=None if background is None else there(background)[None],
+        rasterize_mode=mode, absgrad=probe is not None,
+    )  # fmt: skip
+    if probe is not None and meta["means2d"].requires_grad:
+        _collect(meta["means2d"], probe)
+    radii = meta["radii"][0].float()
+    return RenderOutput(
+        colour=image[0, :, :, :-1].to(home),
+        alpha=alpha[0, :, :, 0].to(home),
+        depth=image[0, :, :, -1].to(home),
+        radii=(radii.amax(dim=-1) if radii.ndim == 2 else radii).detach().to(home),
+    )
+
+
+def gpu() -> torch.device:
+    """The device that gsplat runs on."""
+    return torch.device("cuda")
+
+
+def _collect(means: Any, probe: ScreenProbe) -> None:
+    """Leave the gradients by the 2D means in the probe when backward has passed them."""
+
+    def leave(gradient: Tensor) -> None:
+        # gsplat sets .absgrad in its own backward, before this hook
+        probe.signed.grad = gradient[0].to(probe.signed)
+        probe.absolute.grad = means.absgrad[0].to(probe.absolute)
+
+    means.register_hook(leave)
