@@ -1,0 +1,1 @@
+"""Scenes made by the package itself: ray-cast meshes whose images, depth and objects are exact."""

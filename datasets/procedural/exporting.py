@@ -1,0 +1,201 @@
+"""Makes a planned scene on disk: view by view, resumable, whole or not at all."""
+
+import hashlib
+import io
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import torch
+
+from splatbench.datasets.cache import write_bytes
+from splatbench.datasets.depth_maps import depth_path
+from splatbench.datasets.procedural import sfm
+from splatbench.datasets.procedural.frames import Frame, take
+from splatbench.datasets.procedural.plan import Plan, Shot, content_hash
+from splatbench.datasets.scene_file import SceneFile, write_scene_file
+from splatbench.reference.camera import Camera
+from splatbench.reference.errors import DataError, UsageError
+
+WORKERS = 2
+"""Views made at a time; each is single-threaded, so that nothing waits for busy cores."""
+Report = Callable[[int, int], None]
+"""Told (views done, views in all)."""
+
+
+def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: None) -> Path:
+    """Make a plan's scene as a COLMAP scene folder with depth.
+
+    Views go to a hidden folder beside `folder`, which a later call with the same plan continues;
+    it takes its name when all is there.
+
+    Args:
+        plan: What to make.
+        folder: Must not exist, or be this very scene already.
+        report: Told the progress.
+
+    Raises: UsageError if something else is in `folder`.
+    """
+    name = content_hash(plan.world, plan.settings, plan.seed)
+    if folder.exists():
+        if _content(folder) == name:
+            return folder
+        raise UsageError(f"{folder}: exists and is not this scene; choose another folder")
+    work = folder.with_name(f".{folder.name}.{name}.part")
+    work.mkdir(parents=True, exist_ok=True)
+    threads = torch.get_num_threads()
+    try:
+        _make_views(plan, work, report)
+    finally:
+        torch.set_num_threads(threads)
+    for group in sorted({shot.group for shot in plan.shots}):
+        shots = [shot for shot in plan.shots if shot.group == group]
+        _write_model(plan, work / group, shots)
+        _write_facts(plan, work / group, shots, name)
+    os.replace(work, folder)
+    return folder
+
+
+def _content(folder: Path) -> str:
+    """Content hash of a made scene, "" for any other folder."""
+    from splatbench.datasets.scene_file import read_scene_file
+
+    return read_scene_file(folder).facts.get("content", "") if folder.is_dir() else ""
+
+
+def _make_views(plan: Plan, work: Path, report: Report) -> None:
+    """Ray-cast the views that are not there yet."""
+    def one(index: int) -> None:
+        shot = plan.shots[index]
+        stage = plan.stage(shot)
+        frame = take(
+            stage.caster, stage.lighting, shot.camera, samples=plan.samples,
+            seed=plan.seed * 1_000_003 + index, exposure=stage.exposure, seeds=stage.object_seeds,
+        )  # fmt: skip
+        write_frame(work / shot.group, shot.name, frame)
+
+    missing = [i for i, shot in enumerate(plan.shots)
+               if not depth_path(work / shot.group, shot.name).exists()]  # fmt: skip
+    done = len(plan.shots) - len(missing)
+    report(done, len(plan.shots))
+    with ThreadPoolExecutor(WORKERS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        futures = [pool.submit(one, index) for index in missing]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                done += 1
+                report(done, len(plan.shots))
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def write_frame(folder: Path, name: str, frame: Frame) -> None:
+    """Write photos/<name> and depth/<stem>.npz (depth, normal, object), the latter last."""
+    encoded, png = cv2.imencode(".png", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR))
+    assert encoded
+    write_bytes(folder / "photos" / name, png.tobytes())
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer, depth=frame.depth, normal=frame.normal.astype(np.float16), object=frame.object
+    )
+    write_bytes(depth_path(folder, name), buffer.getvalue())
+
+
+def read_frame(folder: Path, name: str) -> Frame:
+    """Read what `write_frame` wrote; normals have the precision of float16."""
+    path = folder / "photos" / name
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise DataError(f"{path}: not a readable image; make the scene again")
+    with np.load(depth_path(folder, name), allow_pickle=False) as arrays:
+        return Frame(
+            colour=cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), depth=arrays["depth"],
+            normal=arrays["normal"].astype(np.float32), object=arrays["object"],
+        )  # fmt: skip
+
+
+def _write_model(plan: Plan, folder: Path, shots: Sequence[Shot]) -> None:
+    """Write sparse/0 with true poses and imitated points."""
+    fixed = np.array([kind not in plan.movable and kind != "sky" for kind in plan.kinds])
+    cameras = [shot.camera for shot in shots]
+    found = []
+    for shot in shots:
+        frame = read_frame(folder, shot.name)
+        found.append(sfm.corners(shot.camera, frame, plan.features, fixed[frame.object]))
+    places = sfm.merged(found, float(cameras[0].K[0, 0]))
+    sightings = [
+        sfm.seen(places, shot.camera, read_frame(folder, shot.name).depth) for shot in shots
+    ]
+    sparse = sfm.imitate(places, cameras, sightings, plan.seed)
+    target = folder / "sparse" / "0"
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir(parents=True)
+    colmap_model([shot.name for shot in shots], cameras, sparse).write_binary(target)
+
+
+def colmap_model(
+    names: Sequence[str], cameras: Sequence[Camera], sparse: sfm.Sparse
+) -> pycolmap.Reconstruction:
+    """The COLMAP model of pinhole views and points; views of equal intrinsics share a camera."""
+    model = pycolmap.Reconstruction()
+    kinds: dict[tuple, int] = {}
+    order = np.argsort(sparse.view, kind="stable")
+    starts = np.searchsorted(sparse.view[order], np.arange(len(cameras) + 1))
+    place = np.empty(len(order), dtype=int)
+    for index, (name, camera) in enumerate(zip(names, cameras, strict=True)):
+        K = camera.K.numpy()
+        key = (camera.width, camera.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        if key not in kinds:
+            kinds[key] = len(kinds) + 1
+            made = pycolmap.Camera(model="PINHOLE", width=key[0], height=key[1],
+                                   params=list(key[2:]), camera_id=kinds[key])  # fmt: skip
+            model.add_camera_with_trivial_rig(made)
+        mine = order[starts[index] : starts[index + 1]]
+        place[mine] = np.arange(len(mine))
+        pose = camera.world_to_camera.numpy()
+        image = pycolmap.Image(
+            name=name, camera_id=kinds[key], image_id=index + 1, keypoints=sparse.pixel[mine]
+        )
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    ends = np.searchsorted(sparse.point, np.arange(len(sparse.positions) + 1))
+    for point in range(len(sparse.positions)):
+        rows = range(ends[point], ends[point + 1])
+        track = pycolmap.Track(
+            [pycolmap.TrackElement(int(sparse.view[r]) + 1, int(place[r])) for r in rows]
+        )
+        identity = model.add_point3D(sparse.positions[point], track, sparse.colours[point])
+        model.points3D[identity].error = float(sparse.errors[point])
+    return model
+
+
+def _write_facts(plan: Plan, folder: Path, shots: Sequence[Shot], name: str) -> None:
+    """Write scene.toml."""
+    camera = shots[0].camera
+    chosen = {f"world_{key}": str(value) for key, value in plan.settings.items()}
+    facts = {
+        "made_by": "splatbench",
+        "world": plan.world,
+        "seed": str(plan.seed),
+        "content": name,
+        "camera": f"pinhole {camera.width} x {camera.height}, focal {float(camera.K[0, 0]):g} px",
+        "truth": "ray-cast; depth/*.npz: depth (z, metres), normal (world), object (id)",
+        "objects": ",".join(plan.kinds),
+    }
+    file = SceneFile(units="metres", up=(0.0, 0.0, 1.0), facts=facts | chosen | dict(plan.facts))
+    write_scene_file(folder, file)
+
+
+def pixels_hash(folder: Path) -> str:
+    """Sha256 over the photos' names and pixels, in name order."""
+    digest = hashlib.sha256()
+    for path in sorted((folder / "photos").glob("*.png")):
+        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        assert picture is not None
+        digest.update(path.name.encode() + picture.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,94 @@
+"""What a made scene consists of: its views, and the lit world that each of them sees."""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from jaxtyping import Float
+
+from splatbench.datasets.procedural.frames import Lighting
+from splatbench.datasets.procedural.tracing import Caster
+from splatbench.reference.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """A lit world at one moment."""
+
+    caster: Caster
+    lighting: Lighting
+    object_seeds: Float[np.ndarray, " objects"]
+    """A number in [0, 1) for each object id, for textures."""
+    exposure: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shot:
+    """One view of a plan."""
+
+    name: str
+    """Photo name, with its suffix .png."""
+    camera: Camera
+    time: float = 0.0
+    """Seconds since the first view."""
+    group: str = ""
+    """"": part of the scene; else the name of the folder inside it that gets the view: views
+    for tests only, with a model of their own."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """Everything that defines a made scene."""
+
+    world: str
+    settings: Mapping[str, object]
+    """What was chosen, as plain values; with seed and code they name the content."""
+    seed: int
+    shots: tuple[Shot, ...]
+    stage: Callable[[Shot], Stage]
+    """The lit world of a shot. Called from several threads."""
+    samples: int
+    """Strata a pixel on each axis."""
+    features: int = 400
+    """Corners looked for in a view when the sparse points are drawn."""
+    movable: tuple[str, ...] = ()
+    """Kinds of objects that never carry sparse points."""
+    facts: Mapping[str, str] = field(default_factory=dict)
+    """Further facts for scene.toml."""
+    kinds: tuple[str, ...] = ("sky",)
+    """What each object is, by object id."""
+
+
+def once(make: Callable[[], Stage]) -> Callable[[Shot], Stage]:
+    """A stage that is the same for all shots, made when the first one asks."""
+    lock, made = Lock(), []
+
+    def stage(shot: Shot) -> Stage:
+        with lock:
+            if not made:
+                made.append(make())
+        return made[0]
+
+    return stage
+
+
+def object_seeds(count: int, seed: int) -> Float[np.ndarray, " objects"]:
+    """A number in [0, 1) for each object id."""
+    return np.random.Generator(np.random.PCG64((seed, 77))).random(count)
+
+
+def code_hash() -> str:
+    """Sha256 over the sources that decide what a made scene looks like."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def content_hash(world: str, settings: Mapping[str, object], seed: int) -> str:
+    """Twelve hex digits that name a made scene's content: world, settings, seed and code."""
+    text = f"{world} {sorted(settings.items())!r} {seed} {code_hash()}"
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -1,0 +1,222 @@
+"""Sparse points as structure from motion would leave them: noisy, with gaps, some wrong."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from splatbench.datasets.procedural.frames import Frame, pixel_rays
+from splatbench.reference.camera import Camera
+
+PIXEL_NOISE = 0.4
+"""Standard deviation of an observation in pixels."""
+MISS = 0.5
+"""Share of true observations that matching misses."""
+WRONG = 0.01
+"""Share of points that come from a wrong match."""
+WRONG_DEPTH = 0.12
+"""Standard deviation of the logarithm of a wrong point's depth."""
+STEEPEST = 0.2
+"""Cosine between view and surface below which a feature is not found again."""
+ZOOM = 2.2
+"""Largest ratio of distances between the views of a track."""
+SAME = 2.5
+"""Corners of two views whose places lie within this many pixels are one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sparse:
+    """Points with their tracks; observations are sorted by point."""
+
+    positions: Float[np.ndarray, "n 3"]
+    colours: UInt8[np.ndarray, "n 3"]
+    errors: Float[np.ndarray, " n"]
+    """Mean reprojection error in pixels."""
+    point: Int[np.ndarray, " m"]
+    """Index of the point of each observation."""
+    view: Int[np.ndarray, " m"]
+    pixel: Float[np.ndarray, "m 2"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Corners:
+    """Places that a feature detector would find."""
+
+    positions: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    colours: UInt8[np.ndarray, "n 3"]
+    distance: Float[np.ndarray, " n"]
+    """Metres from the camera that found the corner."""
+
+
+def corners(
+    camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, "h w"]
+) -> Corners:
+    """The strongest corners of a picture, lifted to the world by its true depth.
+
+    Args:
+        camera: Of the picture.
+        frame: Picture and truth.
+        count: Corners at most.
+        allowed: Pixels on things that stand still.
+
+    Source: Shi and Tomasi 1994, "Good Features to Track".
+    """
+    grey = cv2.cvtColor(frame.colour, cv2.COLOR_RGB2GRAY)
+    mask = (allowed & np.isfinite(frame.depth)).astype(np.uint8)
+    found = cv2.goodFeaturesToTrack(grey, count, 0.01, 3.0, mask=mask, blockSize=3)
+    pixel = np.zeros((0, 2), dtype=int) if found is None else found.reshape(-1, 2).astype(int)
+    x, y = pixel[:, 0], pixel[:, 1]
+    origins, ways = pixel_rays(camera, pixel + 0.5)
+    depth = frame.depth[y, x].astype(np.float64)
+    return Corners(
+        positions=origins + ways * depth[:, None],
+        normals=frame.normal[y, x].astype(np.float64),
+        colours=frame.colour[y, x],
+        distance=np.linalg.norm(ways, axis=1) * depth,
+    )
+
+
+def merged(found: Sequence[Corners], focal: float) -> Corners:
+    """All corners, those that several views found counted once."""
+    every = Corners(
+        positions=np.concatenate([c.positions for c in found]),
+        normals=np.concatenate([c.normals for c in found]),
+        colours=np.concatenate([c.colours for c in found]),
+        distance=np.concatenate([c.distance for c in found]),
+    )
+    # one corner a cell; the cell follows the distance in octaves, as features follow scale
+    size = SAME / focal * 2 ** np.round(np.log2(every.distance.clip(1e-3)))
+    cells = np.floor(every.positions / size[:, None])
+    keys = np.column_stack([np.log2(size).round(3), cells])
+    _, first = np.unique(keys, axis=0, return_index=True)
+    keep = np.sort(first)
+    return Corners(
+        positions=every.positions[keep], normals=every.normals[keep],
+        colours=every.colours[keep], distance=every.distance[keep],
+    )  # fmt: skip
+
+
+def seen(
+    places: Corners, camera: Camera, depth: Float[np.ndarray, "h w"]
+) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
+    """Which places a view truly sees well enough to match, and where.
+
+    A place is visible where its z lies within the true depths of the 3 x 3 pixels around it.
+    """
+    local = places.positions @ camera.rotation.numpy().T + camera.translation.numpy()
+    z = local[:, 2]
+    ahead = np.flatnonzero(z > 0.05)
+    pixel = local[ahead] @ camera.K.numpy().T
+    pixel = pixel[:, :2] / pixel[:, 2:]
+    inside = ((pixel > 2) & (pixel < np.array([camera.width, camera.height]) - 2)).all(axis=1)
+    rows, pixel = ahead[inside], pixel[inside]
+    x, y = pixel.astype(int).T
+    near, far = np.full(len(rows), np.inf), np.zeros(len(rows))
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            around = depth[y + dy, x + dx]
+            near, far = np.minimum(near, around), np.maximum(far, around)
+    slack = 0.002 * z[rows]
+    there = (z[rows] > near - slack) & (z[rows] < far + slack) & (z[rows] < 1.1 * near)
+    ways = camera.centre.numpy() - places.positions[rows]
+    length = np.linalg.norm(ways, axis=1)
+    facing = np.einsum("ij,ij->i", ways, places.normals[rows]) > STEEPEST * length
+    alike = np.abs(np.log(length / places.distance[rows])) < np.log(ZOOM)
+    keep = there & facing & alike
+    return rows[keep], pixel[keep]
+
+
+def imitate(
+    places: Corners,
+    cameras: Sequence[Camera],
+    sightings: Sequence[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]],
+    seed: int,
+) -> Sparse:
+    """Observations with misses and noise, triangulated; a few points are wrong.
+
+    Args:
+        places: True places.
+        cameras: Of the views.
+        sightings: For each view, the places it sees and where (`seen`).
+        seed: Of misses, noise and wrong points.
+
+    Returns: Points seen by at least 3 views (a wrong one: by 2), reprojecting within 4 pixels.
+    """
+    rng = np.random.Generator(np.random.PCG64((seed, 5)))
+    point = np.concatenate([rows for rows, _ in sightings])
+    view = np.concatenate([np.full(len(rows), i) for i, (rows, _) in enumerate(sightings)])
+    pixel = np.concatenate([pixels for _, pixels in sightings])
+    kept = rng.random(len(point)) > MISS
+    order = np.argsort(point[kept], kind="stable")
+    point, view, pixel = point[kept][order], view[kept][order], pixel[kept][order]
+    pixel = pixel + rng.normal(0, PIXEL_NOISE, pixel.shape)
+    enough = np.bincount(point, minlength=len(places.positions)) >= 3
+    point, view, pixel = _only(enough, point, view, pixel)
+    positions = places.positions.copy()
+    for _ in range(3):
+        positions = positions + _gauss_newton(positions, cameras, point, view, pixel)
+    wrong = enough & (rng.random(len(enough)) < WRONG)
+    positions, (point, view, pixel) = _spoil(positions, wrong, cameras, point, view, pixel, rng)
+    gap = np.linalg.norm(_residuals(positions, cameras, point, view, pixel)[0], axis=1)
+    count = np.bincount(point, minlength=len(enough)).clip(1)
+    errors = np.bincount(point, weights=gap, minlength=len(enough)) / count
+    good = enough & (errors < 4)
+    point, view, pixel = _only(good, point, view, pixel)
+    return Sparse(
+        positions=positions[good], colours=places.colours[good], errors=errors[good],
+        point=(np.cumsum(good) - 1)[point], view=view, pixel=pixel,
+    )  # fmt: skip
+
+
+def _only(wanted, point, view, pixel):
+    """Observations of wanted points."""
+    rows = wanted[point]
+    return point[rows], view[rows], pixel[rows]
+
+
+def _residuals(positions, cameras, point, view, pixel):
+    """Observed minus projected, and the projection's derivative by the position."""
+    rotation = np.stack([c.rotation.numpy() for c in cameras])[view]
+    shift = np.stack([c.translation.numpy() for c in cameras])[view]
+    intrinsics = np.stack([c.K.numpy() for c in cameras])[view]
+    local = np.einsum("nij,nj->ni", rotation, positions[point]) + shift
+    z = local[:, 2:].clip(1e-6)
+    focal = intrinsics[:, [0, 1], [0, 1]]
+    flat = local[:, :2] / z
+    derivative = (rotation[:, :2] - flat[..., None] * rotation[:, 2:]) * (focal / z)[..., None]
+    return pixel - (flat * focal + intrinsics[:, :2, 2]), derivative
+
+
+def _gauss_newton(positions, cameras, point, view, pixel):
+    """One step of triangulation for all points at once."""
+    residual, derivative = _residuals(positions, cameras, point, view, pixel)
+    normal = np.tile(np.eye(3) * 1e-9, (len(positions), 1, 1))
+    right = np.zeros_like(positions)
+    np.add.at(normal, point, np.einsum("nki,nkj->nij", derivative, derivative))
+    np.add.at(right, point, np.einsum("nki,nk->ni", derivative, residual))
+    return np.linalg.solve(normal, right[..., None])[..., 0]
+
+
+def _spoil(positions, wrong, cameras, point, view, pixel, rng):
+    """Move wrong points along the ray of their first view; only two views still claim them."""
+    first = np.unique(point, return_index=True)
+    place = dict(zip(first[0].tolist(), first[1].tolist(), strict=True))
+    keep = np.ones(len(point), dtype=bool)
+    positions = positions.copy()
+    for index in np.flatnonzero(wrong).tolist():
+        start = place[index]
+        eye = cameras[view[start]].centre.numpy()
+        positions[index] = eye + (positions[index] - eye) * np.exp(rng.normal(0, WRONG_DEPTH))
+        keep[start + 2 : np.searchsorted(point, index, side="right")] = False
+    point, view, pixel = point[keep], view[keep], pixel[keep].copy()
+    moved = wrong[point]
+    residual, _ = _residuals(positions, cameras, point[moved], view[moved], pixel[moved])
+    # the wrong match agrees with the wrong place, within the noise
+    pixel[moved] -= residual - rng.normal(0, PIXEL_NOISE, residual.shape)
+    inside = np.ones(len(point), dtype=bool)
+    size = np.array([[c.width, c.height] for c in cameras])[view]
+    inside[moved] = ((pixel[moved] > 0) & (pixel[moved] < size[moved])).all(axis=1)
+    return positions, (point[inside], view[inside], pixel[inside])
