@@ -7,7 +7,7 @@ FAR_UNITS = 1e4
 """Float32 resolves 1e-3 units at 1e4; farther scenes are moved."""
 FAR_EXTENTS = 1e3
 _PARALLEL = 0.9
-_FLAT = 0.2
+_FLAT = 0.5
 
 
 def origin_shift(centres: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
@@ -32,8 +32,8 @@ def up_vector(
 ) -> tuple[Float64[np.ndarray, "3"], str]:
     """Guess the unit vector against gravity from how the photos were taken.
 
-    Nadir flights (all cameras look the same way within about 25 degrees, their centres lie in
-    a plane, and they look along its normal): the plane's normal, on the side away from what
+    Nadir flights (all cameras look the same way within about 25 degrees, their centres spread
+    at most half as far off a plane as in it, and they look along its normal): the plane's normal, on the side away from what
     they look at. A flat survey of a facade meets the same conditions and is taken for one.
     Otherwise the mean of the cameras' up axes (-y), which people and gimbals keep upright.
 

@@ -1,0 +1,99 @@
+"""The adapter on real photos: what is registered, where points land, what is left out."""
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+
+from helpers.real_scenes import real_scene
+from splatbench.datasets.opening import open_scene
+from splatbench.reference.camera import project_points
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.scene import Scene
+
+pytestmark = pytest.mark.real
+FAILED_IN_SENECA = ["img_0482.jpg", "img_0498.jpg", "img_0579.jpg"]
+
+
+def opened(name: str, **rules) -> Scene:
+    return open_scene(real_scene(name), Protocol(name="test", source="test", **rules))
+
+
+@pytest.mark.parametrize(
+    ("name", "views", "points", "left_out"),
+    [
+        ("brighton_beach", 18, 4183, []),
+        ("caliterra", 75, 24715, []),
+        ("seneca", 164, 62785, FAILED_IN_SENECA),
+    ],
+)
+def test_counts_tracks_and_left_out(name, views, points, left_out):
+    scene = opened(name, width=250)
+    assert len(scene.views) == views
+    assert len(scene.points) == points
+    assert [photo for photo, _ in scene.left_out] == left_out
+    assert all("did not register" in reason for _, reason in scene.left_out)
+    assert scene.test == tuple(range(0, views, 8))
+    model = pycolmap.Reconstruction(real_scene(name) / "sparse/0")
+    names = [view.name for view in scene.views]
+    for row, number in enumerate(sorted(model.points3D)):
+        if row % 500:
+            continue
+        point = model.point3D(number)
+        assert torch.equal(scene.points.positions[row], torch.from_numpy(point.xyz))
+        track = {model.image(e.image_id).name for e in point.track.elements}
+        first, last = scene.points.track_starts[row : row + 2].tolist()
+        assert {names[i] for i in scene.points.track_views[first:last].tolist()} == track
+
+
+@pytest.mark.parametrize("undistort", ["crop", "keep"])
+@pytest.mark.parametrize("name", ["brighton_beach", "caliterra", "seneca"])
+def test_points_project_to_their_undistorted_observations(name, undistort):
+    """The distance from a point to its observation is the model's reprojection error, no more."""
+    scene = opened(name, factor=3.0, undistort=undistort)
+    model = pycolmap.Reconstruction(real_scene(name) / "sparse/0")
+    for view in scene.views[::20]:
+        image = model.find_image_with_name(view.name)
+        assert image is not None
+        assert image.camera is not None
+        seen = [p for p in image.points2D if p.has_point3D()]
+        world = np.stack([model.point3D(p.point3D_id).xyz for p in seen])
+        pixels = np.stack([p.xy for p in seen])
+        K = view.camera.K.numpy()
+        # the residual in the photo, carried through the same map: exact, so 1e-6 of a pixel
+        in_photo = np.asarray(image.camera.img_from_cam(image.cam_from_world() * world))
+        there = np.asarray(image.camera.cam_from_img(in_photo)) @ K[:2, :2].T + K[:2, 2]
+        projected = project_points(view.camera, torch.from_numpy(world))[0].numpy()
+        assert np.abs(projected - there).max() < 1e-6
+        observed = np.asarray(image.camera.cam_from_img(pixels)) @ K[:2, :2].T + K[:2, 2]
+        assert np.median(np.linalg.norm(projected - observed, axis=1)) < 0.3 / 3 * 2
+
+
+def test_photos_match_their_points(tmp_path):
+    """Colours that COLMAP took at the observations are those of the truth at the projections."""
+    scene = opened("brighton_beach")
+    model = pycolmap.Reconstruction(real_scene("brighton_beach") / "sparse/0")
+    view = scene.views[8]
+    image = model.find_image_with_name(view.name)
+    assert image is not None
+    truth = view.load()
+    world = np.stack([model.point3D(p.point3D_id).xyz for p in image.points2D if p.has_point3D()])
+    colour = [model.point3D(p.point3D_id).color for p in image.points2D if p.has_point3D()]
+    where, _ = project_points(view.camera, torch.from_numpy(world))
+
+    def difference(dx: float) -> float:
+        column = (where[:, 0] + dx).long().clamp(0, view.camera.width - 1)
+        row = where[:, 1].long().clamp(0, view.camera.height - 1)
+        expected = torch.from_numpy(np.stack(colour)).double() / 255
+        return float((truth[row, column] - expected).abs().median())
+
+    assert difference(0.0) < min(difference(-3.0), difference(3.0))
+
+
+@pytest.mark.parametrize("name", ["brighton_beach", "caliterra", "seneca"])
+def test_up_is_against_what_nadir_cameras_look_at(name):
+    scene = opened(name, width=250)
+    forward = torch.stack([view.camera.rotation[2] for view in scene.views]).mean(0)
+    assert scene.up @ forward < -0.95
+    assert scene.facts["up_source"] == "camera plane"
+    assert scene.up.norm() == pytest.approx(1)
