@@ -1,0 +1,150 @@
+"""Protocol files: all of ours load, and every mistake is named in one line."""
+
+import dataclasses
+
+import pytest
+
+from splatbench.metrics.protocol_files import KEYS, load_protocol, protocol_names
+from splatbench.reference.errors import UsageError
+from splatbench.reference.protocol import Protocol
+
+
+@pytest.mark.parametrize("name", protocol_names())
+def test_each_of_ours_loads_and_says_its_source(name):
+    protocol = load_protocol(name)
+    assert protocol.name == name
+    assert protocol.source
+
+
+def test_the_default_is_the_default_of_the_type():
+    assert load_protocol("default") == Protocol(name="default", source="ours")
+
+
+def test_what_ours_change():
+    rules = {name: dataclasses.asdict(load_protocol(name)) for name in protocol_names()}
+    changed = {
+        name: {
+            key: value
+            for key, value in rules[name].items()
+            if key not in ("name", "source") and value != rules["default"][key]
+        }
+        for name in rules
+    }
+    assert changed == {
+        "default": {},
+        "quick": {"width": 250},
+        "width_500": {"width": 500},
+        "brighton_250": {"width": 250, "test_names": ("dji_0026.jpg",)},
+        "brighton_500": {"width": 500, "test_names": ("dji_0026.jpg",)},
+        "float": {"rounding": "float"},
+        "truncate": {"rounding": "truncate"},
+        "3dgs": {
+            "images": "images",
+            "filter": "bicubic",
+            "masked": False,
+            "metrics": ("psnr", "ssim_3dgs"),
+        },
+        "mega-nerf": {
+            "images": "images",
+            "factor": 4.0,
+            "filter": "lanczos",
+            "rounding": "float",
+            "masked": False,
+            "region": "right_half",
+            "appearance": "half",
+            "metrics": ("psnr", "ssim_3dgs"),
+        },
+    }
+
+
+def test_a_file_of_ones_own(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        'source = "me"\nwidth = 640\nbackground = [1, 1.0, 0.5]\ntest_names = ["b.jpg", "a.jpg"]\n'
+        'colour_fit = ["cc_affine"]\nmetrics = ["flip"]\nhold = 0\ndrop_test_points = true\n'
+    )
+    want = Protocol(
+        name="mine",
+        source="me",
+        width=640,
+        background=(1.0, 1.0, 0.5),
+        test_names=("b.jpg", "a.jpg"),
+        colour_fit=("cc_affine",),
+        metrics=("flip",),
+        hold=0,
+        drop_test_points=True,
+    )
+    assert load_protocol(path) == load_protocol(str(path)) == want
+    assert isinstance(load_protocol(path).background[0], float)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("widht = 3", "unknown key 'widht', nearest is 'width'"),
+        ('name = "other"', "unknown key 'name'"),
+        ('width = "250"', "width: .*integer.*found '250'"),
+        ("width = 2.5", "width: .*integer.*found 2.5"),
+        ("width = 0", "width is 0"),
+        ("width = 250\nfactor = 2", "both width and factor"),
+        ("factor = 0", "factor is 0"),
+        ("factor = 0.5", "factor is 0.5"),
+        ("factor = nan", "factor is nan"),
+        ("factor = inf", "factor is inf"),
+        ("hold = -1", "hold is -1"),
+        ("hold = true", "hold: .*integer.*found True"),
+        ("masked = 1", "masked: .*boolean.*found 1"),
+        ('filter = "nearest"', "filter: .*'area', 'lanczos' or 'bicubic', found 'nearest'"),
+        ('rounding = "up"', "rounding: .*'round', 'truncate' or 'float', found 'up'"),
+        ('region = "left_half"', "region: .*found 'left_half'"),
+        ("background = [0, 0]", "background.2: Field required"),
+        ("background = [0, 0, 2]", "background is .* expected three numbers in"),
+        ("metrics = []", "metrics is empty"),
+        ('metrics = "psnr"', "metrics: .*tuple|metrics: .*array"),
+        ('metrics = ["psnr", "psrn"]', "metrics: no metric 'psrn', nearest is 'psnr'"),
+        ('metrics = ["psnr", "psnr"]', "metrics names one twice"),
+        ('colour_fit = ["cc"]', "colour_fit.0: .*'cc_affine' or 'cc_quadratic', found 'cc'"),
+        ('images = ""', "images is empty"),
+        ("hold = 1979-05-27", "hold: .*integer"),
+        ("hold = ", "not a TOML file"),
+        ("[rules]", "unknown key 'rules'"),
+    ],
+)
+def test_every_mistake_is_named_with_its_file(tmp_path, line, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'source = "me"\n{line}\n')
+    with pytest.raises(UsageError, match=message) as caught:
+        load_protocol(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", 'source = "  "\n', "source = 3\n"])
+def test_a_protocol_without_a_source_is_refused(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match="source"):
+        load_protocol(path)
+
+
+@pytest.mark.parametrize("name", ["defalt", "", "../default", "protocols/default"])
+def test_an_unknown_name_is_refused_with_the_nearest(name):
+    with pytest.raises(UsageError, match="nearest is .*known: 3dgs"):
+        load_protocol(name)
+
+
+def test_a_missing_folder_or_binary_file_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no.toml: cannot read the protocol: No such file"):
+        load_protocol(tmp_path / "no.toml")
+    folder = tmp_path / "folder.toml"
+    folder.mkdir()
+    with pytest.raises(UsageError, match="cannot read the protocol: Is a directory"):
+        load_protocol(folder)
+    path = tmp_path / "binary.toml"
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(UsageError, match="not a TOML file"):
+        load_protocol(path)
+
+
+def test_every_rule_can_be_given():
+    assert set(KEYS) == {f.name for f in dataclasses.fields(Protocol)} - {"name"}
