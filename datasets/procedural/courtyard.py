@@ -1,7 +1,6 @@
 """The small scene of the quick suite: a farm around a courtyard, seen from a low flight."""
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,7 +9,6 @@ from torch import Tensor
 
 from splatbench.datasets.procedural import things
 from splatbench.datasets.procedural.daylight import Daylight, Sky
-from splatbench.datasets.procedural.exporting import Report, make_scene
 from splatbench.datasets.procedural.facades import Facade, Planks, Tiles, stone_wall
 from splatbench.datasets.procedural.flights import looking, ring, strips
 from splatbench.datasets.procedural.grounds import (
@@ -51,6 +49,13 @@ class Settings:
     """Stations along and across the nadir lines."""
     samples: int = 3
     """Strata a pixel on each axis."""
+
+
+PRESETS = {
+    "small": Settings(),
+    "medium": Settings(width=480, height=352, oblique=20, nadir=(5, 4), samples=4),
+    "large": Settings(width=1200, height=880, oblique=40, nadir=(8, 8), samples=4),
+}
 
 
 def ground(surface: Surface) -> Paint:
@@ -195,24 +200,6 @@ def plan(seed: int = 0, settings: Settings = Settings()) -> Plan:
         world="courtyard", settings=asdict(settings), seed=seed, shots=shots,
         stage=once(stage), samples=settings.samples, kinds=world.kinds,
     )  # fmt: skip
-
-
-def make(
-    folder: Path,
-    *,
-    seed: int = 0,
-    settings: Settings = Settings(),
-    report: Report = lambda done, total: None,
-) -> Path:
-    """Make the scene in `folder` as a COLMAP scene with depth, normals and objects.
-
-    Args:
-        folder: New; or this very scene, which is then left alone.
-        seed: Of trees, tones and cameras.
-        settings: Sizes.
-        report: Told (views done, views in all).
-    """
-    return make_scene(plan(seed, settings), folder, report)
 
 
 def daylight(caster: Caster) -> Daylight:

@@ -13,12 +13,12 @@ import numpy as np
 import pycolmap
 import torch
 
-from splatbench.datasets.cache import write_bytes
 from splatbench.datasets.depth_maps import depth_path
+from splatbench.datasets.files import write_bytes
 from splatbench.datasets.procedural import sfm
 from splatbench.datasets.procedural.frames import Frame, take
 from splatbench.datasets.procedural.plan import Plan, Shot, content_hash
-from splatbench.datasets.scene_file import SceneFile, write_scene_file
+from splatbench.datasets.scene_file import SceneFile, read_scene_file, write_scene_file
 from splatbench.reference.camera import Camera
 from splatbench.reference.errors import DataError, UsageError
 
@@ -63,8 +63,6 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
 
 def _content(folder: Path) -> str:
     """Content hash of a made scene, "" for any other folder."""
-    from splatbench.datasets.scene_file import read_scene_file
-
     return read_scene_file(folder).facts.get("content", "") if folder.is_dir() else ""
 
 

@@ -1,0 +1,195 @@
+"""The known scenes: what they are, where they are looked for, and how to get them."""
+
+import difflib
+import functools
+import os
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal, get_args
+
+from splatbench.datasets.cache import cache_folder, locked
+from splatbench.datasets.files import sha256_of
+from splatbench.datasets.progress import bar
+from splatbench.reference.errors import DataError, MissingError, UsageError
+
+FILE = "registry.toml"
+"""Beside this module; a data root may hold one of its own with further scenes."""
+DEFAULT_ROOTS = ("data", "../shared/data")
+Kind = Literal["real", "made", "public"]
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneEntry:
+    """One registered scene."""
+
+    name: str
+    kind: Kind
+    """real: photos we test with; made: ray-cast by this package; public: a published set's scene."""
+    licence: str
+    source: str
+    """Who made it, in words."""
+    about: str
+    """What it shows, in words."""
+    home: str = ""
+    """Web page of the data."""
+    get: str = ""
+    """What to do by hand to have it; "" where the package can do it."""
+    folders: tuple[str, ...] = ()
+    """Where it is looked for below each data root, best first."""
+    files: dict[str, str] = field(default_factory=dict)
+    """sha256 of files of the scene, where known."""
+    url: str = ""
+    """Archive that `bench scenes get` downloads."""
+    sha256: str = ""
+    """Of that archive."""
+    world: str = ""
+    """For made scenes: the procedural world."""
+    preset: str = ""
+    seed: int = 0
+
+
+def data_roots() -> tuple[Path, ...]:
+    """Folders that scenes are looked for in: SPLATBENCH_DATA (a path list), else the defaults."""
+    named = os.environ.get("SPLATBENCH_DATA")
+    parts = named.split(os.pathsep) if named else DEFAULT_ROOTS
+    return tuple(Path(part) for part in parts if part)
+
+
+def read_registry(path: Path) -> tuple[SceneEntry, ...]:
+    """Read a registry file: a table for each scene, or for a set with its list `scenes`.
+
+    Raises: DataError naming the entry and the field.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not a TOML file ({error})") from None
+    entries = []
+    for name, table in data.items():
+        if not isinstance(table, dict):
+            raise DataError(f"{path}: {name!r} is {table!r}, expected a table [{name}]")
+        scenes = table.pop("scenes", None)
+        for scene in [name] if scenes is None else [f"{name}/{part}" for part in scenes]:
+            entries.append(_entry(path, scene, table))
+    return tuple(entries)
+
+
+def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
+    known = {f.name: f.type for f in fields(SceneEntry)}
+    values = {"folders": [name], **table}
+    for key, value in values.items():
+        wanted = {"folders": list, "files": dict, "seed": int}.get(key, str)
+        if key not in known or key == "name":
+            raise DataError(f"{path}: [{name}] has the unknown field {key!r}; known: {sorted(known)}")
+        if not isinstance(value, wanted):
+            raise DataError(f"{path}: [{name}] {key} is {value!r}, expected {wanted.__name__}")
+    missing = {"kind", "licence", "source", "about"} - set(values)
+    if missing:
+        raise DataError(f"{path}: [{name}] lacks {sorted(missing)}")
+    if values["kind"] not in get_args(Kind):
+        raise DataError(f"{path}: [{name}] kind is {values['kind']!r}, expected {get_args(Kind)}")
+    if bool(values.get("url")) != bool(values.get("sha256")):
+        raise DataError(f"{path}: [{name}] needs both url and sha256, or neither")
+    values["folders"] = tuple(values["folders"])  # type: ignore[arg-type]
+    return SceneEntry(name=name, **values)  # type: ignore[arg-type]
+
+
+@functools.cache
+def _builtin() -> tuple[SceneEntry, ...]:
+    return read_registry(Path(__file__).with_name(FILE))
+
+
+def list_scenes() -> tuple[SceneEntry, ...]:
+    """Every registered scene, by name; a data root's own entries win over the package's."""
+    entries = {entry.name: entry for entry in _builtin()}
+    for root in reversed(data_roots()):
+        if (root / FILE).is_file():
+            entries |= {entry.name: entry for entry in read_registry(root / FILE)}
+    return tuple(entries[name] for name in sorted(entries))
+
+
+def get_entry(name: str) -> SceneEntry:
+    """The entry of a name. Raises: UsageError naming the nearest one."""
+    entries = {entry.name: entry for entry in list_scenes()}
+    if name in entries:
+        return entries[name]
+    near = difflib.get_close_matches(name, entries, n=1, cutoff=0.0)[0]
+    raise UsageError(
+        f"{name}: no such folder and no registered scene of this name; "
+        f"nearest is {near!r}; `bench scenes list` has all"
+    )
+
+
+def locate(entry: SceneEntry) -> Path | None:
+    """Folder of a scene that is here already, or None."""
+    if entry.kind == "made":
+        path = made_folder(entry)
+        return path if path.is_dir() else None
+    for root in data_roots():
+        for folder in entry.folders:
+            if (root / folder).is_dir():
+                return root / folder
+    return None
+
+
+def find_scene(name: str, report: Report | None = None) -> Path:
+    """Folder of a registered scene; a made one is made when it is asked for first.
+
+    Args:
+        name: As in `bench scenes list`.
+        report: Told (views done, views in all) while a scene is made; None: a bar on stderr.
+
+    Raises: UsageError for an unknown name; MissingError for a scene that is not on this machine,
+        saying where it was looked for and how to get it.
+    """
+    entry = get_entry(name)
+    found = locate(entry)
+    if found is not None:
+        return found
+    if entry.kind == "made":
+        return make_entry(entry, report)
+    raise MissingError(absence(entry))
+
+
+def absence(entry: SceneEntry) -> str:
+    """Where a scene was looked for in vain, and how to get it."""
+    looked = ", ".join(str(root / folder) for root in data_roots() for folder in entry.folders)
+    how = f"run `bench scenes get {entry.name}`" if entry.url else entry.get
+    return (
+        f"{entry.name}: not on this machine; looked for {looked} (set SPLATBENCH_DATA to the "
+        f"folders that hold your data). To get it: {how}"
+    )
+
+
+def made_folder(entry: SceneEntry) -> Path:
+    """Folder in the cache of a made scene, named by its content."""
+    from splatbench.datasets.procedural import worlds
+
+    content = worlds.content(entry.world, entry.preset, entry.seed)
+    return cache_folder() / "scenes" / content / entry.name
+
+
+def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
+    """Make a made scene in the cache; a second process waits and finds it there."""
+    from splatbench.datasets.procedural import worlds
+
+    folder = made_folder(entry)
+    with locked(folder.with_name(f".{entry.name}.lock")):
+        if folder.is_dir():
+            return folder
+        if report is not None:
+            return worlds.make(entry.world, entry.preset, entry.seed, folder, report)
+        with bar(f"making the scene {entry.name}") as shown:
+            return worlds.make(entry.world, entry.preset, entry.seed, folder, shown)
+
+
+def changed_files(entry: SceneEntry, folder: Path) -> list[str]:
+    """Files of a scene that are missing or differ from the registry's checksums."""
+    return [
+        name
+        for name, digest in sorted(entry.files.items())
+        if not (folder / name).is_file() or sha256_of(folder / name) != digest
+    ]
