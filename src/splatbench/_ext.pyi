@@ -1,1 +1,93 @@
 """Native CPU kernels of splatbench."""
+
+from torch import Tensor
+
+def simd_level() -> str:
+    """The SIMD level in use."""
+
+def simd_levels() -> list[str]:
+    """SIMD levels that this machine can run, slowest first."""
+
+def set_simd_level(name: str) -> None:
+    """Use another level from now on."""
+
+def threads() -> int:
+    """Threads in use."""
+
+def set_threads(count: int) -> None:
+    """Use so many threads from now on."""
+
+def compiler() -> str:
+    """The compiler that built this module."""
+
+def exp2(x: Tensor, y: Tensor) -> None:
+    """y = 2^x for x in [-100, 0], as the kernels compute it."""
+
+class Model:
+    """Arrays of a set of Gaussians."""
+
+    def __init__(
+        self,
+        means: Tensor,
+        quaternions: Tensor | None,
+        scales: Tensor | None,
+        opacities: Tensor | None,
+        colours: Tensor | None,
+        sh: Tensor | None,
+        sh_used: int,
+        raw: bool,
+        antialiased: bool,
+    ) -> None: ...
+
+class State:
+    """What a backward pass needs of the forward pass."""
+
+    @property
+    def bytes(self) -> int:
+        """Memory held."""
+
+    @property
+    def pairs(self) -> int:
+        """Pairs of Gaussian and tile."""
+
+def render(
+    model: Model,
+    K: Tensor,
+    world_to_camera: Tensor,
+    width: int,
+    height: int,
+    near: float,
+    background: Tensor | None,
+    colour: Tensor,
+    alpha: Tensor,
+    depth: Tensor,
+    radii: Tensor,
+    distance: Tensor | None,
+    median: Tensor | None,
+    ids: Tensor | None,
+    weights: Tensor | None,
+) -> State:
+    """Render into the given arrays."""
+
+def render_backward(
+    state: State,
+    model: Model,
+    background: Tensor | None,
+    alpha_value: Tensor,
+    depth_value: Tensor,
+    distance_value: Tensor | None,
+    colour: Tensor | None,
+    alpha: Tensor | None,
+    depth: Tensor | None,
+    distance: Tensor | None,
+    median: Tensor | None,
+    means: Tensor | None,
+    quaternions: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor | None,
+    colours: Tensor | None,
+    sh: Tensor | None,
+    screen: Tensor | None,
+    screen_absolute: Tensor | None,
+) -> None:
+    """Gradients of the model from gradients of the pictures."""

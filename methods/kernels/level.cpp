@@ -1,0 +1,31 @@
+// The kernels of one SIMD level. Compiled once for each level with its own flags; no standard library here,
+// because an inline function compiled for AVX-512 must never be the one that the linker keeps for all.
+#include "simd.hpp"
+
+#include "harmonics.inl"
+#include "projection.inl"
+#include "projection_backward.inl"
+#include "raster.inl"
+#include "raster_backward.inl"
+
+namespace {
+
+void exp2_many(const float* x, float* y, int64_t count) {
+  for (int64_t i = 0; i < count; i += L) {
+    float in[L], out[L];
+    for (int l = 0; l < L; ++l) in[l] = i + l < count ? -x[i + l] : 0;
+    store(out, exp2_negative(load(in)));
+    for (int l = 0; l < L && i + l < count; ++l) y[i + l] = out[l];
+  }
+}
+
+}  // namespace
+
+#define JOIN2(a, b) a##b
+#define JOIN(a, b) JOIN2(a, b)
+#define STRING2(a) #a
+#define STRING(a) STRING2(a)
+
+extern const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL);
+const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, render_tile, backward_tile,
+                                                         backward_project, exp2_many};

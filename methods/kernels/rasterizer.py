@@ -1,0 +1,176 @@
+"""The native rasterizer: twin of splatbench.reference.rasterizer on the CPU, in float32.
+
+It differs from the reference by rounding only, except on pixels that sit on a step of the image's
+definition (splatbench.reference.steps). Two additions: a Gaussian with a NaN or infinite parameter is
+not drawn and gets zero gradient, and outputs that nobody differentiates cost nothing in the backward
+pass.
+"""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatbench import _ext
+from splatbench.reference.camera import Camera
+from splatbench.reference.rasterizer import Mode
+from splatbench.reference.render import RenderOutput
+from splatbench.reference.screen_gradient import ScreenProbe
+
+MAX_CHANNELS = 32
+"""Most colour channels in one pass."""
+DEGREES = (1, 4, 9, 16)
+"""Numbers of spherical-harmonic coefficients of degree 0 to 3."""
+
+
+def rasterize(
+    camera: Camera,
+    means: Float[Tensor, "n 3"],
+    quaternions: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    *,
+    colours: Float[Tensor, "n c"] | None = None,
+    sh: Float[Tensor, "n k 3"] | None = None,
+    background: Float[Tensor, " c"] | None = None,
+    mode: Mode = "classic",
+    distance: bool = False,
+    median: bool = False,
+    contributors: int = 0,
+    probe: ScreenProbe | None = None,
+) -> RenderOutput:
+    """Render Gaussians: C = sum_i c_i a_i prod_{j<i} (1 - a_j) + T bg, sorted by camera-space z.
+
+    Arguments and result are those of splatbench.reference.rasterizer.rasterize.
+
+    Raises: ValueError unless exactly one of `colours` and `sh` is given, everything is float32 on the
+        CPU and the shapes fit together, with at most 32 channels.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4 to 6; Cholesky form, tiles of exact
+        ellipses and the division-free backward pass: ours.
+    """
+    model = (means, quaternions, scales, opacities, colours, sh)
+    check_model(*model)
+    if mode not in ("classic", "antialiased"):
+        raise ValueError(f"mode is {mode!r}, expected 'classic' or 'antialiased'")
+    if contributors < 0:
+        raise ValueError(f"contributors is {contributors}, expected at least 0")
+    channels = 3 if colours is None else colours.shape[1]
+    if background is not None and background.shape != (channels,):
+        raise ValueError(f"background has shape {tuple(background.shape)}, expected ({channels},)")
+    probes = (None, None) if probe is None else (probe.signed, probe.absolute)
+    asked = (mode == "antialiased", distance, median, contributors)
+    images = _Rasterize.apply(camera, asked, *model, background, *probes)
+    return RenderOutput(**dict(zip(_NAMES, images, strict=True)))  # type: ignore[arg-type]
+
+
+def check_model(
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor | None,
+    sh: Tensor | None,
+) -> None:
+    """Refuse Gaussians that the kernels cannot read.
+
+    Raises: ValueError, naming the argument, what was found and what was expected.
+    """
+    if (colours is None) == (sh is None):
+        raise ValueError("give exactly one of colours and sh")
+    n = len(means) if means.ndim else 0
+    expected: dict[str, tuple[Tensor, tuple[int, ...]]] = {
+        "means": (means, (n, 3)),
+        "quaternions": (quaternions, (n, 4)),
+        "scales": (scales, (n, 3)),
+        "opacities": (opacities, (n,)),
+    }
+    if colours is not None:
+        channels = colours.shape[-1] if colours.ndim else 0
+        expected["colours"] = (colours, (n, channels))
+        if not 1 <= channels <= MAX_CHANNELS:
+            raise ValueError(f"colours has {channels} channels, expected 1 to {MAX_CHANNELS}")
+    if sh is not None:
+        count = sh.shape[1] if sh.ndim == 3 else 0
+        expected["sh"] = (sh, (n, count, 3))
+        if count not in DEGREES:
+            raise ValueError(
+                f"sh has shape {tuple(sh.shape)}, expected ({n}, k, 3), k in {DEGREES}"
+            )
+    for name, (tensor, shape) in expected.items():
+        if tensor.shape != shape:
+            raise ValueError(f"{name} has shape {tuple(tensor.shape)}, expected {shape}")
+        if tensor.dtype != torch.float32 or tensor.device.type != "cpu":
+            raise ValueError(
+                f"{name} is {tensor.dtype} on {tensor.device}, expected torch.float32 on the CPU"
+            )
+
+
+_NAMES = (
+    "colour", "alpha", "depth", "radii", "distance", "median_depth", "contributor_ids",
+    "contributor_weights",
+)  # fmt: skip
+
+
+def plain(tensor: Tensor | None) -> Tensor | None:
+    """The values alone, contiguous, as the kernels read them."""
+    return None if tensor is None else tensor.detach().contiguous()
+
+
+def native_camera(camera: Camera) -> tuple[Tensor, Tensor, int, int, float]:
+    """The camera as the kernels take it: K and pose in float64, size and near plane."""
+    return (
+        camera.K.to(dtype=torch.float64, device="cpu").contiguous(),
+        camera.world_to_camera.to(dtype=torch.float64, device="cpu").contiguous(),
+        camera.width, camera.height, camera.near,
+    )  # fmt: skip
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, camera: Camera, asked: tuple, *tensors: Tensor | None):
+        antialiased, distance, median, contributors = asked
+        means, quaternions, scales, opacities, colours, sh, background, _, _ = map(plain, tensors)
+        assert means is not None
+        used = 0 if sh is None else sh.shape[1]
+        model = _ext.Model(
+            means, quaternions, scales, opacities, colours, sh, used, False, antialiased
+        )
+        height, width = camera.height, camera.width
+        image = lambda *last: means.new_empty(height, width, *last)  # noqa: E731
+        colour = image(3 if colours is None else colours.shape[1])
+        alpha, depth, radii = image(), image(), means.new_empty(len(means))
+        far, middle = image() if distance else None, image() if median else None
+        ids = torch.empty(height, width, contributors, dtype=torch.int64) if contributors else None
+        weights = image(contributors) if contributors else None
+        _ext.set_threads(torch.get_num_threads())
+        state = _ext.render(
+            model, *native_camera(camera), background, colour, alpha, depth, radii, far, middle,
+            ids, weights,
+        )  # fmt: skip
+        ctx.state, ctx.model = state, model
+        ctx.shapes = [None if t is None else t.shape for t in tensors]
+        ctx.save_for_backward(background, alpha, depth, far, *tensors[:6])
+        ctx.mark_non_differentiable(*(t for t in (radii, ids, weights) if t is not None))
+        ctx.set_materialize_grads(False)
+        return colour, alpha, depth, radii, far, middle, ids, weights
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor | None):
+        background, alpha, depth, far, *_ = ctx.saved_tensors
+        colour, by_alpha, by_depth, _, by_far, by_median, _, _ = map(plain, grad_outputs)
+        needed = list(ctx.needs_input_grad[2:])
+        new = [
+            alpha.new_empty(shape) if need else None
+            for shape, need in zip(ctx.shapes, needed, strict=True)
+        ]
+        behind = None
+        if needed[6] and colour is not None:
+            behind = (colour * (1 - alpha)[..., None]).sum(dim=(0, 1))
+        _ext.set_threads(torch.get_num_threads())
+        _ext.render_backward(
+            ctx.state, ctx.model, background, alpha, depth, far, colour, by_alpha, by_depth, by_far,
+            by_median, *new[:6], *new[7:],
+        )  # fmt: skip
+        return None, None, *new[:6], behind, *new[7:]

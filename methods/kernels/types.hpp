@@ -1,0 +1,126 @@
+// Plain data that the kernels share. No functions here: this header is compiled for several SIMD levels.
+#pragma once
+#include <cstddef>
+#include <cstdint>
+
+namespace splat {
+
+constexpr int LANES = 16;   // Gaussians or pixels that are worked on together
+constexpr int TILE = 16;    // side of a tile in pixels: one list of Gaussians each
+constexpr int BLOCK = 4;    // side of a block in pixels: its 16 pixels are the lanes
+constexpr int BLOCKS = 16;  // blocks in a tile
+constexpr int CHUNK = 256;  // Gaussians of a tile that are prepared together
+constexpr int MAX_CHANNELS = 32;
+
+constexpr float ALPHA_MAX = 0.99f;
+constexpr float T_MIN = 1e-4f;
+constexpr double BLUR = 0.3;
+constexpr double WHITEN = 0.84932180028801904272;  // sqrt(log2(e) / 2): exponents are powers of 2
+
+// One projected Gaussian. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky factor of
+// the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
+// alpha = opacity 2^-(u^2 + v^2), and the support is u^2 + v^2 <= limit.
+enum Geo {
+  X_WHOLE, X_PART, Y_WHOLE, Y_PART,  // mean in pixels = whole + part: float32 alone loses 1e-4 px at 1000
+  L11, L12, L22, OPACITY,
+  LIMIT,     // log2(255 opacity)
+  SLOPE,     // l12 / l11: how the ellipse's middle moves with dy
+  TIP,       // dy at the ellipse's rightmost point
+  INV_L11,
+  HALF_X, HALF_Y,  // half-extents of the support in pixels
+  DEPTH, DISTANCE,
+  GEO
+};
+
+// One Gaussian as a tile sees it: position relative to the tile's corner, then its features.
+enum Rec { R_U0, R_V0, R_L11, R_L12, R_L22, R_OPACITY, R_LIMIT, R_UNUSED, R_FEATURES };
+
+// One row of gradient sums over the pixels of a tile, with g = d loss / d ln(alpha).
+enum Sum { S_G, S_GU, S_GV, S_GUU, S_GUV, S_GVV, S_ABS_X, S_ABS_Y, S_FEATURES };
+
+struct Camera {
+  double rotation[9], translation[3], centre[3];
+  double k[6];               // first two rows of K
+  double limit_x, limit_y;   // clamp of x/z and y/z in the Jacobian
+  double near;
+  int width, height;
+};
+
+struct Model {
+  const float *means, *quaternions, *scales, *opacities;
+  const float* colours;  // [n, channels], or null
+  const float* sh;       // [n, sh_stored, 3], or null
+  int64_t count;
+  int channels;          // of the image
+  int sh_used, sh_stored;
+  bool raw;              // scales are logarithms, opacities logits
+  bool antialiased;
+};
+
+struct Projection {  // what projecting writes, per Gaussian
+  float* geo;        // [n, GEO]
+  float* features;   // [n, stride]: colours, depth, distance
+  int stride;
+  float* radii;      // [n]
+  uint8_t* drawn;    // [n]
+};
+
+struct Tiles {
+  const float* geo;
+  const float* features;
+  int stride;                  // floats between the features of two Gaussians
+  const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
+  const uint32_t* start;       // [tiles + 1] into entries
+  uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
+  int across;                  // tiles in a row
+  int width, height;
+};
+
+struct Pictures {  // outputs, row-major; null where not asked for
+  int channels;
+  const float* background;
+  float *colour, *alpha, *depth, *distance, *median;
+  float* left;  // final transmittance
+  int contributors;
+  int64_t* ids;
+  float* weights;
+};
+
+struct PictureGradients {  // d loss / d output; null is zero
+  int channels;
+  const float* background;
+  const float *alpha_value, *depth_value, *distance_value;
+  const float *colour, *alpha, *depth, *distance, *median;
+};
+
+struct ModelGradients {  // all written in full; null where not asked for
+  float *means, *quaternions, *scales, *opacities, *colours, *sh;
+  float *screen, *screen_absolute;  // [n, 2]
+};
+
+struct Scratch {  // one a thread; grown by the caller before each use
+  float* recs;        // [rows, rec stride]
+  uint16_t* masks;    // [rows]
+  uint32_t* lists;    // [BLOCKS, rows]
+  float* state;       // [BLOCKS, 4 + features, LANES]
+  float* weights;     // [rows, LANES]
+  float* alphas;      // [rows, LANES]
+};
+
+// The kernels of one SIMD level.
+struct Kernels {
+  const char* name;
+  void (*project)(const Camera&, const Model&, const Projection&, int64_t first, int64_t last);
+  void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
+  void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
+                        float* sums, int sums_stride);
+  void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,
+                           int sums_stride, int features, const uint32_t* slot_start, const uint32_t* slots,
+                           const ModelGradients&, int64_t first, int64_t last);
+  void (*exp2)(const float* x, float* y, int64_t count);
+};
+
+inline int rec_stride(int features) { return R_FEATURES + (features + 7) / 8 * 8; }
+inline int sum_stride(int features) { return (S_FEATURES + features + LANES - 1) / LANES * LANES; }
+
+}  // namespace splat
