@@ -1,0 +1,228 @@
+"""`bench score RENDERS TRUTH`: anybody's images against the truth, without a model."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from splatbench.cli import output
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from splatbench.reference.protocol import Protocol
+    from splatbench.reference.result import ImageScore
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trio:
+    """The files of one view."""
+
+    name: str
+    """File name of the truth relative to its folder."""
+    render: Path
+    truth: Path
+    mask: Path | None
+
+
+def score(
+    renders: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS")],
+    truth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRUTH")],
+    *,
+    protocol: str = "default",
+    masks: Path | None = None,
+    scene: str | None = None,
+    method: str | None = None,
+    seed: int | None = None,
+) -> int:
+    """Score a folder of images against a folder of true ones, file by file.
+
+    Files are matched by their path in the folder without the suffix (PNG, JPEG, TIFF; 8 bit). Every
+    file is looked at before anything is scored, and each that is missing, left over, unreadable or
+    of another size is named. Of a protocol only the scoring rules apply (rounding, masks, region,
+    metrics, colour fits): which images there are and how large is what is in the folders.
+
+    With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
+    valid_share and every metric by its name; then a line with image null: the mean of each over the
+    images, and psnr_of_mean_mse. Values that are not finite are null.
+
+    Args:
+        renders: Folder of images to score.
+        truth: Folder of true images of the same sizes.
+        protocol: Names of protocols or paths of .toml files, with commas between them.
+        masks: Folder of masks, white where a pixel counts, one for each truth: of the same path
+            without the suffix, or the truth's whole name with another suffix behind it.
+        scene: Name for the output.
+        method: Name for the output.
+        seed: Number for the output.
+    """
+    from splatbench.metrics.protocol_files import load_protocol
+    from splatbench.metrics.scoring import scene_metrics
+    from splatbench.reference.errors import UsageError
+
+    names = [name.strip() for name in protocol.split(",")]
+    rules = [load_protocol(name) for name in names]
+    if len({rule.name for rule in rules}) < len(rules):
+        raise UsageError(f"--protocol {protocol}: one name stands twice")
+    scores = _score_all(_trios(renders, truth, masks), rules)
+    label = {"scene": scene, "method": method, "seed": seed}
+    for rule in rules:
+        images = scores[rule.name]
+        means = scene_metrics(images)
+        if output.wants_json():
+            for line in _lines(images, means):
+                output.print_record(label | {"protocol": rule.name} | line)
+        else:
+            _print_table(rule.name, images, means)
+    return 0
+
+
+def _trios(renders: Path, truth: Path, masks: Path | None) -> list[Trio]:
+    """The files of each view, sorted by name, all of them readable and of one size.
+
+    Raises: DataError after naming on stderr, one line each, every file that does not fit.
+    """
+    from splatbench.reference.errors import DataError
+
+    shown, true = _by_key(renders), _by_key(truth)
+    valid = None if masks is None else _by_key(masks)
+    problems = [f"{renders / shown[key]}: no truth of that name" for key in shown.keys() - true]
+    found = []
+    for key, name in true.items():
+        mask = None if valid is None else valid.get(key, valid.get(name))
+        if key not in shown:
+            problems.append(f"{truth / name}: no render of that name in {renders}")
+        elif valid is not None and mask is None:
+            problems.append(f"{truth / name}: no mask of that name in {masks}")
+        else:
+            where = None if masks is None or mask is None else masks / mask
+            files = Trio(name=name, render=renders / shown[key], truth=truth / name, mask=where)
+            found.append(files)
+    with output.progress() as bar:
+        task = bar.add_task("check", total=len(found), values="")
+        for trio in found:
+            problems += _problems(trio)
+            bar.advance(task)
+    if problems:
+        for problem in sorted(problems):
+            output.warn(problem)
+        raise DataError(f"{len(problems)} problems, named above; nothing was scored")
+    return sorted(found, key=lambda trio: trio.name)
+
+
+def _by_key(folder: Path) -> dict[str, str]:
+    """Relative path without suffix -> relative path, of every image below the folder."""
+    from splatbench.datasets.photos import list_photos
+    from splatbench.reference.errors import DataError
+
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder, expected one of images")
+    names = list_photos(folder)
+    if not names:
+        raise DataError(f"{folder}: holds no image, expected .png or .jpg files")
+    keys: dict[str, str] = {}
+    for name in names:
+        key = str(Path(name).with_suffix(""))
+        if key in keys:
+            raise DataError(f"{folder}: {keys[key]} and {name} differ only by suffix; remove one")
+        keys[key] = name
+    return keys
+
+
+def _problems(trio: Trio) -> Iterator[str]:
+    """What is wrong with the files of a view; decodes each of them."""
+    from splatbench.datasets.photos import read_photo
+    from splatbench.reference.errors import DataError
+
+    sizes: dict[Path, Sequence[int]] = {}
+    for path in (trio.truth, trio.render, trio.mask):
+        if path is not None:
+            try:
+                sizes[path] = read_photo(path).shape
+            except DataError as error:
+                yield str(error)
+    if trio.truth in sizes:
+        height, width, _ = sizes.pop(trio.truth)
+        for path, size in sizes.items():
+            if tuple(size[:2]) != (height, width):
+                yield (
+                    f"{path}: is {size[1]} x {size[0]} px but {trio.truth} is {width} x {height}; "
+                    "both must have the same size"
+                )
+
+
+def _score_all(trios: Sequence[Trio], rules: "Sequence[Protocol]") -> "dict[str, list[ImageScore]]":
+    """Scores by protocol, one view's images in memory at a time.
+
+    Raises: DataError after naming on stderr, one line each, every view that cannot be scored.
+    """
+    from splatbench.datasets.photos import read_photo
+    from splatbench.metrics.scoring import score_image
+    from splatbench.reference.errors import DataError
+
+    scores: dict[str, list[ImageScore]] = {rule.name: [] for rule in rules}
+    failed = 0
+    with output.progress() as bar:
+        task = bar.add_task("score", total=len(trios), values="")
+        for trio in trios:
+            bar.update(task, values=trio.name)
+            render, truth = read_photo(trio.render), read_photo(trio.truth)
+            mask = None if trio.mask is None else _read_mask(trio.mask)
+            try:
+                for rule in rules:
+                    scores[rule.name].append(score_image(trio.name, render, truth, rule, mask))
+            except DataError as error:
+                output.warn(str(error))
+                failed += 1
+            bar.advance(task)
+    if failed:
+        raise DataError(f"{failed} of {len(trios)} images cannot be scored, named above")
+    return scores
+
+
+def _read_mask(path: Path) -> "Tensor":
+    """True where the mask is white: at least half of full brightness."""
+    from splatbench.datasets.photos import read_photo
+
+    return read_photo(path).mean(dim=2) >= 0.5
+
+
+def _lines(
+    images: "Sequence[ImageScore]", means: Mapping[str, float]
+) -> Iterator[dict[str, object]]:
+    """One record an image, then that of the mean."""
+    for image in images:
+        yield {
+            "image": image.name,
+            "truth_sha256": image.truth_sha256,
+            "valid_share": image.valid_share,
+            **image.metrics,
+        }
+    yield {"image": None, **means}
+
+
+def _print_table(protocol: str, images: "Sequence[ImageScore]", means: Mapping[str, float]) -> None:
+    """A table on stdout: one row an image, the mean below."""
+    from rich.console import Console
+    from rich.table import Table
+
+    masked = any(image.valid_share < 1 for image in images)
+    table = Table(title=f"protocol {protocol}, {len(images)} images")
+    table.add_column("image", no_wrap=True)
+    for name in (*(["valid"] if masked else []), *images[0].metrics):
+        table.add_column(name, justify="right", no_wrap=True)
+    for image in images:
+        share = [f"{image.valid_share:.1%}"] if masked else []
+        table.add_row(image.name, *share, *(f"{value:.4f}" for value in image.metrics.values()))
+    table.add_section()
+    shown = [f"{means[name]:.4f}" for name in images[0].metrics]
+    table.add_row("mean", *([""] if masked else []), *shown)
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = 1000  # a pipe has no width to fold to
+    console.print(table)
+    for name, value in means.items():
+        if name not in images[0].metrics:
+            console.print(f"{name} {value:.4f}", markup=False)
