@@ -1,0 +1,142 @@
+"""What a leaderboard shows of a result: scores, time, memory and size, and how each is written."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from splatbench.metrics.registry import METRICS
+from splatbench.reference.errors import DataError
+from splatbench.reference.result import Result
+from splatbench.reports.statistics import Summary
+
+MB = 2**20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One value of a result, and how to read and write it."""
+
+    key: str
+    """Name in machine-readable output."""
+    title: str
+    unit: str = ""
+    higher_is_better: bool | None = None
+    """None: neither, so it ranks nothing and nothing in it is marked best."""
+    digits: int = 4
+    """After the point."""
+    value: Callable[[Result], float] = field(compare=False)
+    """The value of one seed; nan where it was not measured."""
+    per_image: bool = False
+    """Whether every image has a value of its own under this key."""
+    aside: Callable[[float], str] | None = None
+    """What is written in brackets behind the number."""
+    of_the_machine: bool = False
+    """Whether it depends on where it was measured."""
+
+    @property
+    def heading(self) -> str:
+        """Title, unit and an arrow that points to the better side."""
+        arrow = {True: " ↑", False: " ↓", None: ""}[self.higher_is_better]
+        return self.title + (f" [{self.unit}]" if self.unit else "") + arrow
+
+    def text(self, value: float) -> str:
+        """The number as people read it; a dash where it is undefined."""
+        if math.isnan(value):
+            return "–"
+        number = "∞" if math.isinf(value) else f"{value:,.{self.digits}f}"
+        aside = self.aside(value) if self.aside else ""
+        return f"{number} ({aside})" if aside else number
+
+    def with_interval(self, summary: Summary) -> str:
+        """Mean ± half the 95 % interval; the mean alone where there is no interval."""
+        half = (summary.high - summary.low) / 2
+        if math.isnan(half):
+            return self.text(summary.mean)
+        return f"{self.text(summary.mean)} ± {self.text(half)}"
+
+
+def columns(rules: dict[str, object], results: list[Result]) -> tuple[Column, ...]:
+    """The protocol's metrics, first the one that ranks, then all others that any result has.
+
+    Args:
+        rules: protocol_rules of the results.
+        results: All under that protocol.
+    Raises: DataError where the rules name no metric.
+    """
+    named = rules.get("metrics")
+    if not isinstance(named, (list, tuple)) or not named:
+        raise DataError(
+            f"protocol {rules.get('name')!r}: its rules name no metrics; expected a list of "
+            "names, the first of which ranks"
+        )
+    scored = {name for result in results for image in result.images for name in image.metrics}
+    found = {name: None for result in results for name in result.metrics}
+    first, *others = map(str, named)
+    ordered = [first, *(name for name in others if name in found)]
+    ordered += [name for name in found if name not in ordered]
+    return (*(score_column(name, name in scored) for name in ordered), *COSTS)
+
+
+def score_column(name: str, per_image: bool) -> Column:
+    """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse."""
+    plain = name.removesuffix("_of_mean_mse")
+    for fit in ("cc_affine_", "cc_quadratic_"):
+        plain = plain.removeprefix(fit)
+    metric = METRICS.get(plain)
+    unit = metric.unit if metric else ""
+    return Column(
+        key=name,
+        title=name,
+        unit=unit,
+        higher_is_better=metric.higher_is_better if metric else None,
+        digits=2 if unit == "dB" else 4,
+        value=lambda result: result.metrics.get(name, math.nan),
+        per_image=per_image,
+    )
+
+
+COSTS = (
+    Column(
+        key="train_seconds",
+        title="train",
+        unit="s",
+        higher_is_better=False,
+        digits=1,
+        value=lambda result: result.stages.get("train", math.nan),
+        of_the_machine=True,
+    ),
+    Column(
+        key="render_ms",
+        title="render",
+        unit="ms",
+        higher_is_better=False,
+        digits=1,
+        value=lambda result: result.render_ms,
+        aside=lambda ms: f"{1000 / ms:,.0f} FPS" if ms > 0 else "",
+        of_the_machine=True,
+    ),
+    Column(
+        key="primitives",
+        title="primitives",
+        digits=0,
+        value=lambda result: float(result.primitives),
+    ),
+    Column(
+        key="disk_mb",
+        title="disk",
+        unit="MB",
+        higher_is_better=False,
+        digits=1,
+        value=lambda result: result.bytes_on_disk / MB,
+    ),
+    Column(
+        key="peak_memory_mb",
+        title="peak memory",
+        unit="MB",
+        higher_is_better=False,
+        digits=0,
+        value=lambda result: result.peak_memory_mb,
+        of_the_machine=True,
+    ),
+)
+"""What a result costs, beside every score. 1 MB is 2^20 bytes; FPS follows from the median frame."""
