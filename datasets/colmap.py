@@ -10,7 +10,8 @@ import numpy as np
 import pycolmap
 import torch
 
-from splatbench.datasets.colmap_model import Model, find_model, read_model
+from splatbench.datasets.colmap_model import Model, find_model, pose_matrix, read_model
+from splatbench.datasets.depth_maps import depth_loader
 from splatbench.datasets.frame import origin_shift, up_vector
 from splatbench.datasets.images import TensorCache
 from splatbench.datasets.photos import list_photos, photo_size
@@ -45,9 +46,9 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     about = read_scene_file(folder)
     names = [image.name for image in model.images]
     poses = torch.eye(4, dtype=torch.float64).repeat(len(names), 1, 1)
-    matrices = np.stack([image.cam_from_world().matrix() for image in model.images])
+    matrices = np.stack([pose_matrix(image) for image in model.images])
     poses[:, :3] = torch.from_numpy(matrices)
-    centres = np.stack([image.projection_center() for image in model.images])
+    centres = -np.einsum("nji,nj->ni", matrices[:, :, :3], matrices[:, :, 3])
     shift = torch.from_numpy(origin_shift(centres))
     poses[:, :3, 3] += poses[:, :3, :3] @ shift
 
@@ -136,6 +137,9 @@ def _views(model: Model, photos: Path, poses: torch.Tensor, protocol: Protocol) 
                 ),
                 load=truth.image,
                 load_mask=truth.mask if truth.has_mask else None,
+                load_depth=None
+                if plan is not None
+                else depth_loader(photos.parent, image.name, size, scaled),
                 sensor=f"camera {image.camera_id}" if several else "",
             )
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from jaxtyping import Float64
 
 from splatbench.datasets import colmap_binary, colmap_text
 from splatbench.datasets.colmap_index import (
@@ -21,6 +22,10 @@ _READERS = (
     (colmap_binary.SUFFIX, colmap_binary.index_binary),
     (colmap_text.SUFFIX, colmap_text.index_text),
 )
+
+
+_UNIT = 1e-3
+"""How far a quaternion's length may be from 1: text files round to a few digits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,10 +77,6 @@ def read_model(folder: Path) -> Model:
         )
     index = index_files(folder)
     check_references(folder, suffix, index)
-    if not len(index.point_ids):
-        raise DataError(
-            f"{folder / f'points3D{suffix}'}: has no points; methods start from them, triangulate"
-        )
     reconstruction = pycolmap.Reconstruction()
     try:
         if suffix == colmap_binary.SUFFIX:
@@ -102,6 +103,13 @@ def read_model(folder: Path) -> Model:
     return model
 
 
+def pose_matrix(image: pycolmap.Image) -> Float64[np.ndarray, "3 4"]:
+    """World to camera of an image; COLMAP keeps quaternions as read, here they get length 1."""
+    pose = image.cam_from_world()
+    quaternion = pose.rotation.quat / np.linalg.norm(pose.rotation.quat)
+    return pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), pose.translation).matrix()
+
+
 def _check_numbers(model: Model, suffix: str) -> None:
     """Poses, used cameras and points must be finite, focal lengths positive."""
     if not model.images:
@@ -109,9 +117,20 @@ def _check_numbers(model: Model, suffix: str) -> None:
             f"{model.folder / f'images{suffix}'}: none of {len(model.index.image_ids)} images has "
             "a pose; run the mapper first"
         )
+    if not len(model.index.point_ids):
+        raise DataError(
+            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; "
+            "run a triangulator first"
+        )
     for image in model.images:
-        if not np.isfinite(image.cam_from_world().matrix()).all():
-            raise DataError(f"{model.folder}: the pose of image {image.name!r} is not finite")
+        pose = image.cam_from_world()
+        length = float(np.linalg.norm(pose.rotation.quat))
+        if not (np.isfinite(pose.translation).all() and abs(length - 1) < _UNIT):
+            raise DataError(
+                f"{model.folder}: the pose of image {image.name!r} has a rotation quaternion of "
+                f"length {length:.6g} and translation {pose.translation.tolist()}, expected "
+                "length 1 and finite numbers; run the mapper again"
+            )
         camera = model.reconstruction.camera(image.camera_id)
         focal = () if camera.is_spherical() else (camera.focal_length_x, camera.focal_length_y)
         if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal):

@@ -33,7 +33,7 @@ def protocol(**rules) -> Protocol:
     ],
 )
 def test_scaled_size(size, rules, expected):
-    assert scaled_size(*size, protocol(**rules)) == expected
+    assert scaled_size(size[0], size[1], protocol(**rules)) == expected
 
 
 @given(

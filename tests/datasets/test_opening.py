@@ -1,0 +1,211 @@
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+import torch
+from PIL import Image
+
+from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
+from splatbench.datasets.opening import open_scene
+from splatbench.datasets.scene_file import SceneFile, write_scene_file
+from splatbench.datasets.splits import split_hash
+from splatbench.reference.camera import project_points
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.scene import Scene
+
+FLIGHT = Flight(views=6)
+
+
+def protocol(**rules) -> Protocol:
+    return Protocol(name="test", source="test", **rules)
+
+
+def same(a: Scene, b: Scene) -> None:
+    assert [view.name for view in a.views] == [view.name for view in b.views]
+    for first, second in zip(a.views, b.views, strict=True):
+        assert torch.equal(first.camera.K, second.camera.K)
+        assert torch.equal(first.camera.world_to_camera, second.camera.world_to_camera)
+    assert torch.equal(a.points.positions, b.points.positions)
+    assert torch.equal(a.points.colours, b.points.colours)
+    assert torch.equal(a.points.track_starts, b.points.track_starts)
+    assert torch.equal(a.points.track_views, b.points.track_views)
+
+
+def test_text_binary_with_and_without_rigs_are_one_scene(tmp_path):
+    binary = open_scene(write_scene(tmp_path / "binary", FLIGHT), protocol(hold=3))
+    text = open_scene(str(write_scene(tmp_path / "text", FLIGHT, text=True)), protocol(hold=3))
+    old = open_scene(write_scene(tmp_path / "old", FLIGHT, rigs=False), protocol(hold=3))
+    same(binary, text)
+    same(binary, old)
+    assert binary.test == (0, 3)
+    assert binary.name == "binary"
+    assert binary.units == "sfm"
+    assert binary.facts["split_sha256"] == split_hash([v.name for v in binary.views], (0, 3))
+    assert binary.facts["model_sha256"] != text.facts["model_sha256"]
+
+
+@pytest.mark.parametrize(("model", "photos"), [("sparse", "photos"), ("sparse/0", "images")])
+def test_other_folder_names(tmp_path, model, photos):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    (folder / "photos").rename(folder / "elsewhere")
+    (folder / "elsewhere").rename(folder / photos)
+    (folder / "sparse/0").rename(folder / "model")
+    (folder / "sparse").rmdir()
+    (folder / model).parent.mkdir(exist_ok=True)
+    (folder / "model").rename(folder / model)
+    scene = open_scene(folder, protocol())
+    assert scene.facts["image_folder"] == photos
+    assert scene.views[0].load().shape[0] == scene.views[0].camera.height
+
+
+def test_rigs_with_a_second_sensor_are_read(tmp_path):
+    """A rig of two cameras: the second one's pose is its sensor's times the frame's."""
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    plain = reconstruction(FLIGHT)
+    model = pycolmap.Reconstruction()
+    first, second = FLIGHT.camera, FLIGHT.camera
+    second.camera_id = 2
+    model.add_camera(first)
+    model.add_camera(second)
+    rig = pycolmap.Rig(rig_id=1)
+    rig.add_ref_sensor(first.sensor_id)
+    offset = pycolmap.Rigid3d(pycolmap.Rotation3d(np.array([0, 0.02, 0])), np.array([0.1, 0, 0]))
+    rig.add_sensor(second.sensor_id, offset)
+    model.add_rig(rig)
+    frame = pycolmap.Frame(frame_id=1, rig_id=1, rig_from_world=plain.image(1).cam_from_world())
+    frame.add_data_id(pycolmap.data_t(first.sensor_id, 1))
+    frame.add_data_id(pycolmap.data_t(second.sensor_id, 2))
+    model.add_frame(frame)
+    for number in (1, 2):
+        image = pycolmap.Image(name=view_name(number - 1), camera_id=number, image_id=number)
+        image.frame_id = 1
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D(np.array([3.0, 4.0]))])
+        model.add_image(image)
+    track = pycolmap.Track([pycolmap.TrackElement(1, 0), pycolmap.TrackElement(2, 0)])
+    model.add_point3D(np.array([0.0, 0.0, 0.0]), track, np.zeros(3, dtype=np.uint8))
+    for path in (folder / "sparse/0").iterdir():
+        path.unlink()
+    model.write_binary(folder / "sparse/0")
+    scene = open_scene(folder, protocol())
+    expected = offset * plain.image(1).cam_from_world()
+    found = scene.views[1].camera.world_to_camera[:3].numpy()
+    assert found == pytest.approx(expected.matrix(), abs=1e-12)
+    assert [view.sensor for view in scene.views] == ["camera 1", "camera 2"]
+
+
+def test_far_coordinates_are_shifted_in_float64(tmp_path):
+    near = open_scene(write_scene(tmp_path / "near", FLIGHT), protocol())
+    utm = (448_262.0, 5_411_932.0, 120.0)
+    moved = open_scene(write_scene(tmp_path / "far", Flight(views=6, offset=utm)), protocol())
+    assert torch.equal(near.shift, torch.zeros(3, dtype=torch.float64))
+    centres = torch.stack([view.camera.centre for view in moved.views])
+    assert centres.mean(0).abs().max() < 1e-6
+    back = moved.points.positions + moved.shift
+    assert (back - near.points.positions - torch.tensor(utm).double()).abs().max() < 2e-9
+    for a, b in zip(near.views, moved.views, strict=True):
+        first, _ = project_points(a.camera, near.points.positions)
+        second, _ = project_points(b.camera, moved.points.positions)
+        # t = -R C at 5e6 units has 1e-9 of rounding, at 4 units from the ground and f = 70
+        assert (first - second).abs().max() < 1e-6
+
+
+def test_points_that_only_test_views_see_can_be_dropped(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    held = tuple(view_name(i) for i in (0, 3))
+    every = open_scene(folder, protocol(test_names=held))
+    dropped = open_scene(folder, protocol(test_names=held, drop_test_points=True))
+    starts = every.points.track_starts.tolist()
+    tracks = [set(every.points.track_views[a:b].tolist()) for a, b in pairwise(starts)]
+    keep = [i for i, track in enumerate(tracks) if not track <= {0, 3}]
+    assert 0 < len(keep) < len(tracks)
+    assert torch.equal(dropped.points.positions, every.points.positions[keep])
+    starts = dropped.points.track_starts.tolist()
+    found = [set(dropped.points.track_views[a:b].tolist()) for a, b in pairwise(starts)]
+    assert found == [tracks[i] for i in keep]
+    assert dropped.facts["points"] == f"{len(keep)} of {len(tracks)}"
+
+
+def test_unregistered_photos_are_listed_and_their_observations_left_out(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    model.deregister_frame(model.image(2).frame_id)
+    model.write_binary(folder / "sparse/0")
+    extra = Image.new("RGB", (96, 72))
+    extra.save(folder / "photos/extra.jpg")
+    (folder / "photos/notes.txt").write_text("not a photo")
+    write_scene_file(
+        folder, SceneFile(left_out={"extra.jpg": "too dark", "gone.jpg": "unreadable"})
+    )
+    scene = open_scene(folder, protocol())
+    assert [view.name for view in scene.views] == [view_name(i) for i in (0, 2, 3, 4, 5)]
+    assert dict(scene.left_out) == {
+        "extra.jpg": "too dark",
+        "gone.jpg": "unreadable",
+        view_name(1): "structure from motion did not register it",
+    }
+    assert int(scene.points.track_views.max()) < len(scene.views)
+
+
+def test_a_prescaled_folder_gets_cameras_of_its_own_size(tmp_path):
+    """images_2: 48 x 36 photos of a 96 x 72 camera, K scaled per axis."""
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    (folder / "images_2").mkdir()
+    for path in (folder / "photos").iterdir():
+        Image.open(path).resize((48, 36)).save(folder / "images_2" / path.name)
+    full = open_scene(folder, protocol())
+    half = open_scene(folder, protocol(images="images_2"))
+    assert abs(half.views[0].camera.width - full.views[0].camera.width / 2) <= 1
+    assert torch.allclose(half.views[0].camera.K[0, 0], full.views[0].camera.K[0, 0] / 2)
+    image = half.views[0].load()
+    assert image.shape == (half.views[0].camera.height, half.views[0].camera.width, 3)
+
+
+def test_scene_file_gives_units_up_and_facts(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    write_scene_file(
+        folder, SceneFile(units="metres", up=(0.0, 0.0, 1.0), facts={"made": 'a "test"\n'})
+    )
+    scene = open_scene(folder, protocol())
+    assert scene.units == "metres"
+    assert scene.up.tolist() == [0, 0, 1]
+    assert scene.facts["made"] == 'a "test"\n'
+    assert scene.facts["up_source"] == "scene.toml"
+
+
+def test_rounded_quaternions_become_rotations(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT, text=True, rigs=False)
+    exact = open_scene(folder, protocol())
+    path = folder / "sparse/0/images.txt"
+    lines = path.read_text().splitlines()
+    for i, line in enumerate(lines):
+        fields = line.split()
+        if line.endswith(".png"):
+            lines[i] = " ".join([fields[0], *(f"{float(q):.4f}" for q in fields[1:5]), *fields[5:]])
+    path.write_text("\n".join(lines) + "\n")
+    for rough, fine in zip(open_scene(folder, protocol()).views, exact.views, strict=True):
+        rotation = rough.camera.rotation
+        assert (rotation @ rotation.T - torch.eye(3)).abs().max() < 1e-12
+        assert (rotation - fine.camera.rotation).abs().max() < 4e-4
+
+
+def test_the_model_hash_follows_every_file(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    before = open_scene(folder, protocol()).facts["model_sha256"]
+    assert before == open_scene(folder, protocol(width=20)).facts["model_sha256"]
+    data = bytearray((folder / "sparse/0/points3D.bin").read_bytes())
+    data[8 + 8 + 24] ^= 1  # red of the first point
+    (folder / "sparse/0/points3D.bin").write_bytes(data)
+    assert open_scene(folder, protocol()).facts["model_sha256"] != before
+
+
+def test_opening_decodes_no_photo(tmp_path, monkeypatch):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    loaded: list[Path] = []
+    real = Image.Image.load
+    monkeypatch.setattr(Image.Image, "load", lambda self: loaded.append(self) or real(self))
+    scene = open_scene(folder, protocol(width=40))
+    assert not loaded
+    scene.views[0].load()
+    assert loaded
