@@ -152,7 +152,7 @@ void check_rows(const Maybe<A>& a, int64_t n, size_t columns, const char* what) 
 State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double, 2>& pose, int width,
                               int height, double near, Background background, Out<float, 3> colour,
                               Out<float, 2> alpha, Out<float, 2> depth, Out<float, 1> radii,
-                              Maybe<Out<float, 2>> distance, Maybe<Out<float, 2>> median,
+                              Maybe<Out<float, 2>> left, Maybe<Out<float, 2>> distance, Maybe<Out<float, 2>> median,
                               Maybe<Out<int64_t, 3>> ids, Maybe<Out<float, 3>> weights) {
   auto state = std::make_unique<State>();
   state->camera = make_camera(k, pose, width, height, near);
@@ -161,6 +161,7 @@ State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double
   check_image(colour, c, "colour");
   check_image(alpha, c, "alpha");
   check_image(depth, c, "depth");
+  check_image(left, c, "left");
   check_image(distance, c, "distance");
   check_image(median, c, "median");
   check_image(ids, c, "ids");
@@ -175,6 +176,7 @@ State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double
   p.colour = colour.data();
   p.alpha = alpha.data();
   p.depth = depth.data();
+  p.left = data(left);
   p.distance = data(distance);
   p.median = data(median);
   p.contributors = ids ? (int)ids->shape(2) : 0;
@@ -269,7 +271,7 @@ NB_MODULE(_ext, m) {
       .def_prop_ro("pairs", [](const State& s) { return s.bins.entries.size(); }, "Pairs of Gaussian and tile.");
   m.def("render", &render, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"),
         nb::arg("height"), nb::arg("near"), nb::arg("background").none(), nb::arg("colour"), nb::arg("alpha"),
-        nb::arg("depth"), nb::arg("radii"), nb::arg("distance").none(), nb::arg("median").none(),
+        nb::arg("depth"), nb::arg("radii"), nb::arg("left").none(), nb::arg("distance").none(), nb::arg("median").none(),
         nb::arg("ids").none(), nb::arg("weights").none(), "Render into the given arrays.");
   m.def("render_backward", &render_backward, nb::arg("state"), nb::arg("model"), nb::arg("background").none(),
         nb::arg("alpha_value"), nb::arg("depth_value"), nb::arg("distance_value").none(), nb::arg("colour").none(),

@@ -201,7 +201,7 @@ INLINE void write_block(const Tiles& tiles, const Pictures& out, Window tile, in
     for (int c = 0; c < out.channels; ++c)
       out.colour[pixel * out.channels + c] = f[c * L] + (out.background ? left * out.background[c] : 0);
     out.alpha[pixel] = sum;
-    out.left[pixel] = left;
+    if (out.left) out.left[pixel] = left;
     out.depth[pixel] = f[out.channels * L] * scale;
     if (out.distance) out.distance[pixel] = f[(out.channels + 1) * L] * scale;
     if (out.median) out.median[pixel] = state[ST_MEDIAN * L + l];

@@ -138,27 +138,28 @@ class _Rasterize(torch.autograd.Function):
             means, quaternions, scales, opacities, colours, sh, used, False, antialiased
         )
         height, width = camera.height, camera.width
-        image = lambda *last: means.new_empty(height, width, *last)  # noqa: E731
+        image = lambda *last: means.new_empty(height, width, *last)
         colour = image(3 if colours is None else colours.shape[1])
         alpha, depth, radii = image(), image(), means.new_empty(len(means))
+        left = image() if ctx.needs_input_grad[8] else None
         far, middle = image() if distance else None, image() if median else None
         ids = torch.empty(height, width, contributors, dtype=torch.int64) if contributors else None
         weights = image(contributors) if contributors else None
         _ext.set_threads(torch.get_num_threads())
         state = _ext.render(
-            model, *native_camera(camera), background, colour, alpha, depth, radii, far, middle,
-            ids, weights,
+            model, *native_camera(camera), background, colour, alpha, depth, radii, left, far,
+            middle, ids, weights,
         )  # fmt: skip
         ctx.state, ctx.model = state, model
         ctx.shapes = [None if t is None else t.shape for t in tensors]
-        ctx.save_for_backward(background, alpha, depth, far, *tensors[:6])
+        ctx.save_for_backward(background, left, alpha, depth, far, *tensors[:6])
         ctx.mark_non_differentiable(*(t for t in (radii, ids, weights) if t is not None))
         ctx.set_materialize_grads(False)
         return colour, alpha, depth, radii, far, middle, ids, weights
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor | None):
-        background, alpha, depth, far, *_ = ctx.saved_tensors
+        background, left, alpha, depth, far, *_ = ctx.saved_tensors
         colour, by_alpha, by_depth, _, by_far, by_median, _, _ = map(plain, grad_outputs)
         needed = list(ctx.needs_input_grad[2:])
         new = [
@@ -167,7 +168,7 @@ class _Rasterize(torch.autograd.Function):
         ]
         behind = None
         if needed[6] and colour is not None:
-            behind = (colour * (1 - alpha)[..., None]).sum(dim=(0, 1))
+            behind = (colour * left[..., None]).sum(dim=(0, 1))
         _ext.set_threads(torch.get_num_threads())
         _ext.render_backward(
             ctx.state, ctx.model, background, alpha, depth, far, colour, by_alpha, by_depth, by_far,

@@ -57,7 +57,7 @@ Tiles State::view() {
 Projection State::projection(float* radii) { return {geo.data(), features.data(), stride, radii, drawn.data()}; }
 
 size_t State::bytes() const {
-  return geo.bytes() + features.bytes() + left.bytes() + drawn.bytes() + processed.bytes() + bins.entries.bytes() +
+  return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + bins.entries.bytes() +
          bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
 }
 
@@ -70,7 +70,6 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   state.geo.resize(n * GEO);
   state.features.resize(n * state.stride);
   state.drawn.resize(n);
-  state.left.resize((size_t)camera.width * camera.height);
   state.processed.resize(state.tiles());
   const Kernels& k = kernels();
   const Projection projection = state.projection(radii);
@@ -78,7 +77,6 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
   bin(camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
 
-  pictures.left = state.left.data();
   const size_t pixels = (size_t)camera.width * camera.height;
   for (size_t i = 0; i < pixels * pictures.contributors; ++i) {
     pictures.ids[i] = -1;

@@ -13,7 +13,7 @@ struct State {
   Camera camera;
   int64_t count = 0;
   int channels = 0, stride = 0;
-  Buffer<float> geo, features, left;
+  Buffer<float> geo, features;
   Buffer<uint8_t> drawn;
   Buffer<uint32_t> processed;
   Bins bins;

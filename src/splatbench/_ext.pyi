@@ -62,6 +62,7 @@ def render(
     alpha: Tensor,
     depth: Tensor,
     radii: Tensor,
+    left: Tensor | None,
     distance: Tensor | None,
     median: Tensor | None,
     ids: Tensor | None,

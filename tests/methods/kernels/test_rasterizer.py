@@ -1,0 +1,243 @@
+"""The native rasterizer against the float64 reference on random scenes, at every SIMD level."""
+
+import inspect
+
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from helpers.gaussian_scenes import GaussianScene, random_scene
+from splatbench import _ext
+from splatbench.methods.kernels import rasterizer as native
+from splatbench.reference import rasterizer as reference
+from splatbench.reference.agreement import compare_gradients, largest_error
+from splatbench.reference.render import RenderOutput
+from splatbench.reference.screen_gradient import ScreenProbe
+from splatbench.reference.steps import step_pixels
+
+PIXEL_TOLERANCE = 2e-5  # worst seen 3e-6 (colour), 9e-6 (depth, about 5 units)
+NAMES = ("means", "quaternions", "scales", "opacities", "sh", "signed", "absolute", "background")
+PICTURES = ("colour", "alpha", "depth", "distance", "median_depth")
+SEEN = {"pixels": 0, "steps": 0, "scenes": 0}
+
+
+@pytest.fixture(params=_ext.simd_levels())
+def simd_level(request):
+    before = _ext.simd_level()
+    _ext.set_simd_level(request.param)
+    yield request.param
+    _ext.set_simd_level(before)
+
+
+def run(rasterize, scene: GaussianScene, dtype: torch.dtype, weights, **options):
+    """Pictures, and the gradients of a weighted sum of them by everything."""
+    leaves = scene.arguments(dtype)
+    probe = ScreenProbe.zeros(len(scene.means), leaves[0])
+    background = torch.tensor([0.2, 0.5, 0.7], dtype=dtype, requires_grad=True)
+    out: RenderOutput = rasterize(
+        scene.camera, *leaves[:4], sh=leaves[4], background=background, probe=probe, **options
+    )
+    total = torch.zeros((), dtype=dtype)
+    for name, weight in weights.items():
+        picture = getattr(out, name)
+        total = total + (picture * weight.to(dtype)).sum()
+    total.backward()
+    gradients = [leaf.grad for leaf in leaves]
+    gradients += [probe.signed.grad, probe.absolute.grad, background.grad]
+    return out, [torch.zeros(1) if g is None else g for g in gradients]
+
+
+def cotangents(scene: GaussianScene, names, steps, seed: int):
+    """Random weights of each picture's pixels, zero on steps."""
+    g = torch.Generator().manual_seed(seed)
+    height, width = scene.camera.height, scene.camera.width
+    made = {}
+    for name in names:
+        shape = (height, width, 3) if name == "colour" else (height, width)
+        weight = torch.randn(shape, generator=g)
+        weight[steps] = 0
+        made[name] = weight
+    return made
+
+
+def assert_twins(
+    scene: GaussianScene, names=PICTURES, *, seed: int = 0, count: bool = True, **options
+):
+    """Native pictures and gradients of `scene` agree with the reference's in float64."""
+    steps = step_pixels(
+        scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
+        mode=options.get("mode", "classic"),
+    )  # fmt: skip
+    weights = cotangents(scene, names, steps, seed)
+    wanted = {"distance": "distance" in names, "median": "median_depth" in names} | options
+    truth, true_gradients = run(reference.rasterize, scene, torch.float64, weights, **wanted)
+    out, gradients = run(native.rasterize, scene, torch.float32, weights, **wanted)
+    for name in names:
+        error = largest_error(getattr(out, name), getattr(truth, name), ignore=steps)
+        assert error <= PIXEL_TOLERANCE, f"{name}: {error}"
+    scale = max(float(g.norm()) for g in true_gradients)
+    for name, value, wanted_value in zip(NAMES, gradients, true_gradients, strict=True):
+        agreement = compare_gradients(value, wanted_value, floor=1e-6 * scale)
+        assert agreement.good(), f"{name}: {agreement}"
+    torch.testing.assert_close(out.radii.double(), truth.radii, rtol=1e-5, atol=1e-4)
+    if count:
+        SEEN["pixels"] += steps.numel()
+        SEEN["steps"] += int(steps.sum())
+        SEEN["scenes"] += 1
+    return out, truth
+
+
+def test_the_signature_is_the_references():
+    assert str(inspect.signature(native.rasterize)) == str(inspect.signature(reference.rasterize))
+
+
+@settings(
+    max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    count=st.integers(0, 150),
+    seed=st.integers(0, 2**20),
+    size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
+    degree=st.integers(0, 3),
+    mode=st.sampled_from(["classic", "antialiased"]),
+    names=st.sampled_from([PICTURES, ("colour",), ("colour", "alpha", "depth"), ("distance",)]),
+)
+def test_pictures_and_gradients_are_the_references(
+    simd_level, count, seed, size, degree, mode, names
+):
+    scene = random_scene(count, seed, width=size[0], height=size[1], degree=degree)
+    assert_twins(scene, names, seed=seed, mode=mode)
+
+
+def test_few_pixels_sit_on_steps():
+    for seed in range(20):  # so that the share means something when this test runs alone
+        scene = random_scene(100, seed)
+        steps = step_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]))
+        SEEN["pixels"] += steps.numel()
+        SEEN["steps"] += int(steps.sum())
+    assert SEEN["steps"] < 1e-3 * SEEN["pixels"], SEEN
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32])
+@pytest.mark.parametrize("names", [("colour",), ("colour", "depth", "distance", "alpha")])
+def test_any_number_of_channels(simd_level, channels, names):
+    scene = random_scene(60, channels)
+    g = torch.Generator().manual_seed(channels)
+    values = torch.rand(60, channels, generator=g)
+    weight = torch.randn(scene.camera.height, scene.camera.width, channels, generator=g)
+    behind = torch.rand(channels, generator=g)
+    results = []
+    for rasterize, dtype in (
+        (reference.rasterize, torch.float64),
+        (native.rasterize, torch.float32),
+    ):
+        leaves = scene.arguments(dtype)
+        colours = values.to(dtype).requires_grad_()
+        out = rasterize(
+            scene.camera, *leaves[:4], colours=colours, background=behind.to(dtype),
+            distance="distance" in names,
+        )  # fmt: skip
+        total = (out.colour * weight.to(dtype)).sum()
+        for name in names[1:]:
+            total = total + (getattr(out, name) * weight[..., 0].to(dtype)).sum()
+        total.backward()
+        results.append((out.colour, [leaf.grad for leaf in (*leaves[:4], colours)]))
+    assert largest_error(results[1][0], results[0][0]) <= PIXEL_TOLERANCE
+    for value, truth in zip(results[1][1], results[0][1], strict=True):
+        assert compare_gradients(value, truth).good()
+
+
+@pytest.mark.parametrize("k", [1, 3, 8])
+def test_strongest_contributors_are_the_references(simd_level, k):
+    scene = random_scene(80, 7)
+    truth = reference.rasterize(
+        scene.camera, *scene.arguments(torch.float64)[:4], sh=scene.sh.double(), contributors=k
+    )
+    out = native.rasterize(
+        scene.camera, *scene.arguments(torch.float32)[:4], sh=scene.sh, contributors=k
+    )
+    assert out.contributor_ids is not None
+    assert out.contributor_weights is not None
+    assert truth.contributor_ids is not None
+    assert truth.contributor_weights is not None
+    # equal weights up to rounding may change places; the weights themselves agree
+    assert largest_error(out.contributor_weights, truth.contributor_weights) < PIXEL_TOLERANCE
+    assert (out.contributor_ids != truth.contributor_ids).double().mean() < 0.01
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_bits_do_not_depend_on_threads(simd_level, threads):
+    scene = random_scene(700, 3, width=90, height=70)
+    names = ("colour", "depth")
+    weights = cotangents(scene, names, torch.zeros(70, 90, dtype=torch.bool), 1)
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(1)
+        one, one_gradients = run(native.rasterize, scene, torch.float32, weights)
+        torch.set_num_threads(threads)
+        many, many_gradients = run(native.rasterize, scene, torch.float32, weights)
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(one.colour, many.colour)
+    assert torch.equal(one.depth, many.depth)
+    for a, b in zip(one_gradients[:-1], many_gradients[:-1], strict=True):
+        assert torch.equal(a, b)
+
+
+def test_exp2_is_within_its_stated_error(simd_level):
+    x = torch.linspace(-100, 0, 1_000_003)
+    y = torch.empty_like(x)
+    _ext.exp2(x, y)
+    truth = torch.exp2(x.double())
+    assert float(((y.double() - truth) / truth).abs().max()) < 2.5e-7
+    assert y[-1] == 1
+
+
+PLANTED = {
+    "sign": lambda g: -g,
+    "scale": lambda g: 1.01 * g,
+    "axis": lambda g: g[:, [1, 0, 2]],
+    "nan": lambda g: g.index_put((torch.tensor(0), torch.tensor(0)), torch.tensor(float("nan"))),
+}
+
+
+@pytest.mark.parametrize("error", PLANTED)
+def test_planted_gradient_errors_are_seen(error):
+    scene = random_scene(60, 5)
+    weights = cotangents(scene, ("colour",), torch.zeros(21, 33, dtype=torch.bool), 1)
+    _, truth = run(reference.rasterize, scene, torch.float64, weights)
+    _, value = run(native.rasterize, scene, torch.float32, weights)
+    assert compare_gradients(value[0], truth[0]).good()
+    assert not compare_gradients(PLANTED[error](value[0]), truth[0]).good()
+
+
+@pytest.mark.parametrize("error", ["lost", "shifted", "nan"])
+def test_planted_image_errors_are_seen(error):
+    scene = random_scene(60, 5)
+    truth = reference.rasterize(
+        scene.camera, *scene.arguments(torch.float64)[:4], sh=scene.sh.double()
+    )
+    planted = scene.but(opacities=scene.opacities.clone())
+    if error == "lost":
+        planted.opacities[int(truth.radii.argmax())] = 0
+    image = native.rasterize(
+        planted.camera, *planted.arguments(torch.float32)[:4], sh=scene.sh
+    ).colour.clone()
+    if error == "shifted":
+        image = image.roll(1, dims=1)
+    if error == "nan":
+        image[3, 4, 1] = float("nan")
+    assert largest_error(image, truth.colour) > PIXEL_TOLERANCE
+
+
+def test_values_are_told_from_gradients_of_no_one():
+    """Without anything to differentiate, the render is the same and no graph is kept."""
+    scene = random_scene(50, 2)
+    values = [v.detach() for v in scene.arguments(torch.float32)]
+    out = native.rasterize(scene.camera, *values[:4], sh=values[4])
+    assert not out.colour.requires_grad
+    again = native.rasterize(
+        scene.camera, *scene.arguments(torch.float32)[:4], sh=scene.sh.requires_grad_()
+    )
+    assert torch.equal(out.colour, again.colour.detach())
