@@ -187,7 +187,7 @@ def grow(
     strongest = strongest.scatter_reduce(
         0, owner[:, None].expand_as(sources), sources, "amax", include_self=True
     )
-    size = torch.tensor(cell).to(anchors.log_scales).log()
+    size = anchors.log_scales.new_tensor(cell).log()
     return Anchors(
         centres=torch.cat([anchors.centres, cells.to(anchors.centres) * cell]),
         offsets=torch.cat([anchors.offsets, anchors.offsets.new_zeros(len(cells), k, 3)]),

@@ -89,7 +89,7 @@ def spiral_path(
         sinking = layer / max(1, settings.layers - 1)
         target = centre + settings.look_up * sinking * height * up
         for view in range(settings.views):
-            turn = 2 * torch.pi * torch.tensor((view + layer / 2) / settings.views).to(up)
+            turn = 2 * torch.pi * up.new_tensor((view + layer / 2) / settings.views)
             around = turn.cos() * east + turn.sin() * north
             eye = centre + height * up + settings.radius * footprint * around
             poses.append(look_at(eye, target, up))

@@ -76,8 +76,8 @@ def test_neighbouring_orbits_are_turned_by_half_a_step():
     poses = spiral_path(ORIGIN, UP, 10.0, 20.0, SpiralSettings(layers=2, views=6))
     around = torch.stack([torch.stack([pinhole(p).centre[:2] for p in row]) for row in poses]) / 10
     angles = torch.rad2deg(torch.atan2(around[..., 1], around[..., 0])) % 60
-    assert_close(angles[0], angles[0, :1].expand(6), atol=1e-5, rtol=0)
-    assert float((angles[1, 0] - angles[0, 0]) % 60) == pytest.approx(30, abs=1e-4)
+    assert_close(angles[0], angles[0, :1].expand(6), atol=1e-9, rtol=0)
+    assert float((angles[1, 0] - angles[0, 0]) % 60) == pytest.approx(30, abs=1e-9)
 
 
 def seen_points(pose: Tensor, points: Tensor) -> Tensor:
