@@ -179,7 +179,7 @@ def oriented_boxes(
     """
     turn = torch.eye(3, dtype=frame.dtype)
     turn[:2, :2] = rectangles.axes.to(frame)
-    vertical = torch.tensor(heights).to(frame).expand(len(rectangles.lows), 2)
+    vertical = frame.new_tensor(heights).expand(len(rectangles.lows), 2)
     low = torch.cat([rectangles.lows.to(frame), vertical[:, :1]], dim=1)
     high = torch.cat([rectangles.highs.to(frame), vertical[:, 1:]], dim=1)
     rotation = turn @ frame
