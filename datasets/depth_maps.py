@@ -1,5 +1,7 @@
 """True depth beside the photos of scenes that have it: depth/<photo's stem>.npz."""
 
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -40,11 +42,14 @@ def depth_loader(
 
 def _read(path: Path, photo_size: tuple[int, int], size: tuple[int, int]) -> Float[Tensor, "h w"]:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        # opened here: numpy leaves its own handle open when the file is damaged
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             depth = arrays[KEY]
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise DataError(f"{path}: no array {KEY!r} to read ({said}); make the scene again") from None
+        raise DataError(
+            f"{path}: no array {KEY!r} to read ({said}); make the scene again"
+        ) from None
     if depth.shape != photo_size[::-1] or depth.dtype != np.float32:
         raise DataError(
             f"{path}: depth is {depth.dtype} {depth.shape[::-1]}, its photo is {photo_size}; "

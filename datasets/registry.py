@@ -9,7 +9,9 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args
 
+from splatbench.datasets.archives import extract
 from splatbench.datasets.cache import cache_folder, locked
+from splatbench.datasets.download import download
 from splatbench.datasets.files import sha256_of
 from splatbench.datasets.progress import bar
 from splatbench.reference.errors import DataError, MissingError, UsageError
@@ -83,7 +85,9 @@ def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
     for key, value in values.items():
         wanted = {"folders": list, "files": dict, "seed": int}.get(key, str)
         if key not in known or key == "name":
-            raise DataError(f"{path}: [{name}] has the unknown field {key!r}; known: {sorted(known)}")
+            raise DataError(
+                f"{path}: [{name}] has the unknown field {key!r}; known: {sorted(known)}"
+            )
         if not isinstance(value, wanted):
             raise DataError(f"{path}: [{name}] {key} is {value!r}, expected {wanted.__name__}")
     missing = {"kind", "licence", "source", "about"} - set(values)
@@ -158,9 +162,10 @@ def absence(entry: SceneEntry) -> str:
     """Where a scene was looked for in vain, and how to get it."""
     looked = ", ".join(str(root / folder) for root in data_roots() for folder in entry.folders)
     how = f"run `bench scenes get {entry.name}`" if entry.url else entry.get
+    page = f" (home page {entry.home})" if entry.home and entry.home not in how else ""
     return (
         f"{entry.name}: not on this machine; looked for {looked} (set SPLATBENCH_DATA to the "
-        f"folders that hold your data). To get it: {how}"
+        f"folders that hold your data). To get it: {how}{page}"
     )
 
 
@@ -184,6 +189,24 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
             return worlds.make(entry.world, entry.preset, entry.seed, folder, report)
         with bar(f"making the scene {entry.name}") as shown:
             return worlds.make(entry.world, entry.preset, entry.seed, folder, shown)
+
+
+def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) -> Path:
+    """Download and unpack a scene below the first data root; the archive is deleted then.
+
+    Raises: MissingError if it has to be got by hand.
+    """
+    if not entry.url:
+        raise MissingError(absence(entry))
+    folder = data_roots()[0] / entry.folders[0]
+    with locked(folder.with_name(f".{folder.name}.lock")):
+        if folder.is_dir():
+            return folder
+        archive = folder.with_name(f".{folder.name}.archive")
+        download(entry.url, archive, sha256=entry.sha256, report=report)
+        extract(archive, folder)
+        archive.unlink()
+    return folder
 
 
 def changed_files(entry: SceneEntry, folder: Path) -> list[str]:

@@ -94,12 +94,15 @@ def terrace_colour(surface: Surface) -> Float[Tensor, "n 3"]:
     return paving_colour(surface, (1.1, 0.8), "b0a08a")
 
 
-def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+Height = Float[np.ndarray, "..."] | float
+
+
+def height(x: Height, y: Height) -> Height:
     """Gently rolling ground, flat in the yard and dug out at the pond. Metres."""
     hills = 1.6 * np.sin(0.055 * x + 0.6) * np.cos(0.06 * y) + 0.6 * np.sin(0.13 * x - 0.11 * y)
-    far = np.clip((np.hypot(x, y) - 15) / 25, 0, 1)
-    pit = np.clip((np.hypot(x - POND[0], y - POND[1]) - POND[2]) / 1.4, -1, 0)
-    return hills * far + 0.5 * pit
+    shore = np.hypot(x - POND[0], y - POND[1]) - POND[2]
+    far = np.clip((np.hypot(x, y) - 15) / 25, 0, 1) * np.clip(shore / 8, 0, 1)
+    return hills * far + 0.6 * np.clip(shore / 1.4, -1, 0)
 
 
 def build(seed: int) -> World:
@@ -107,7 +110,7 @@ def build(seed: int) -> World:
     rng = np.random.Generator(np.random.PCG64(seed))
     world = Builder()
     xs = np.concatenate([np.arange(-120, -26, 4), np.arange(-26, 26, 0.5), np.arange(26, 121, 4)])
-    world.add("ground", [(heightfield(xs, xs, height(*np.meshgrid(xs, xs))), ground)])
+    world.add("ground", [(heightfield(xs, xs, np.asarray(height(*np.meshgrid(xs, xs)))), ground)])
     sheet = placed(cylinder(POND[2] * 1.02, 0.01, 32), (POND[0], POND[1], -0.22))
     world.add("water", [(sheet, water)])
     _buildings(world)
@@ -115,7 +118,7 @@ def build(seed: int) -> World:
     _trees(world, rng)
     for x, y, heading, tone in ((5.6, -5.2, 1.9, "9c2f2a"), (8.0, -20.6, -0.12, "c9ccd0"),
                                 (-14.0, -18.6, 3.19, "2f4d77")):  # fmt: skip
-        world.add("car", things.moved(things.car(tone), (x, y, float(height(np.array(x), np.array(y)))), heading))
+        world.add("car", things.moved(things.car(tone), (x, y, float(height(x, y))), heading))
     for index in range(5):
         bale = cylinder(0.75, 1.3, 16)
         x, y = 13.5 + 1.9 * (index % 3), -8.0 + 2.0 * (index // 3)
@@ -128,12 +131,19 @@ def _buildings(world: Builder) -> None:
     plaster = Facade(tones=("ddd0b4",))
     house = things.moved(things.house(13.0, 7.0, 5.6, 3.4, plaster), (-3.0, 9.6, 0.0))
     wing = things.moved(things.house(7.5, 5.2, 2.9, 2.3, plaster), (-9.2, 3.9, 0.0), np.pi / 2)
-    dormers = [things.moved(things.dormer(1.6, 2.0, 1.3, plaster), (x, 6.6, 6.0)) for x in (-5.6, -0.6)]
+    dormers = [
+        things.moved(things.dormer(1.6, 2.0, 1.3, plaster), (x, 6.6, 6.0)) for x in (-5.6, -0.6)
+    ]
     world.add("house", house + wing + dormers[0] + dormers[1])
     brick = Facade(tones=("9c5b45",), brick=True, shutters=False, bay=3.4, window=(0.9, 1.0))
     slate = Tiles(tones=("62656b",), tile=(0.5, 0.45))
-    world.add("barn", things.moved(things.house(11.0, 6.4, 3.9, 3.2, brick, slate), (8.6, 3.0, 0.0), np.pi / 2))
-    world.add("shed", things.moved(things.house(4.6, 3.4, 2.4, 1.3, Planks()), (-8.3, -6.7, 0.0), 0.15))
+    world.add(
+        "barn",
+        things.moved(things.house(11.0, 6.4, 3.9, 3.2, brick, slate), (8.6, 3.0, 0.0), np.pi / 2),
+    )
+    world.add(
+        "shed", things.moved(things.house(4.6, 3.4, 2.4, 1.3, Planks()), (-8.3, -6.7, 0.0), 0.15)
+    )
     ring_of_stones = cylinder(0.9, 0.9, 16)
     roof = things.gable_roof(2.0, 1.8, 2.3, 0.8, 0.3)
     posts = joined(*(placed(box((0.16, 0.16, 2.4)), (x, 0, 0)) for x in (-0.8, 0.8)))
@@ -153,8 +163,13 @@ def _walls(world: Builder) -> None:
         world.add("wall", [(shape, stone_wall)])
     for gate in (-1.8, 2.6):
         world.add("pillar", [(placed(box((0.8, 0.8, 2.2)), (gate, -y, 0.0)), stone_wall)])
-    for index, (hx, hy, length, heading) in enumerate(((-16.0, 2.0, 9.0, 1.45), (-3.0, 15.6, 12.0, 0.1))):
-        world.add("hedge", things.moved(things.hedge(length, 1.3, 1.7, 40 + index), (hx, hy, 0.0), heading))
+    for index, (hx, hy, length, heading) in enumerate(
+        ((-16.0, 2.0, 9.0, 1.45), (-3.0, 15.6, 12.0, 0.1))
+    ):
+        world.add(
+            "hedge",
+            things.moved(things.hedge(length, 1.3, 1.7, 40 + index), (hx, hy, 0.0), heading),
+        )
 
 
 def _trees(world: Builder, rng: np.random.Generator) -> None:
@@ -165,7 +180,7 @@ def _trees(world: Builder, rng: np.random.Generator) -> None:
         tall, seed = rng.uniform(5.5, 8.5), int(rng.integers(1 << 30))
         kind = things.conifer if index % 4 == 3 else things.tree
         parts = kind(tall, tall * rng.uniform(0.62, 0.8), seed)
-        ground_level = float(height(np.array(x), np.array(y)))
+        ground_level = float(height(x, y))
         world.add("tree", things.moved(parts, (x, y, ground_level - 0.1), rng.uniform(0, 6)))
 
 

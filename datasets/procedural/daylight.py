@@ -11,6 +11,7 @@ from torch.nn import functional
 from splatbench.datasets.procedural.noise import fbm
 from splatbench.datasets.procedural.surface import mix, rgb, step
 from splatbench.datasets.procedural.tracing import START, Caster
+from splatbench.datasets.procedural.units import Number, Triple
 
 DIRECTIONS = 64
 """Rays by which each cell of the volume looks around."""
@@ -38,7 +39,9 @@ class Sky:
     def direction(self) -> Float[np.ndarray, "3"]:
         """Unit vector to the sun."""
         c = np.cos(self.elevation)
-        return np.array([c * np.cos(self.azimuth), c * np.sin(self.azimuth), np.sin(self.elevation)])
+        return np.array(
+            [c * np.cos(self.azimuth), c * np.sin(self.azimuth), np.sin(self.elevation)]
+        )
 
     def picture(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """What the sky looks like in each unit direction; a flat haze below the horizon."""
@@ -62,8 +65,8 @@ def fibonacci(count: int) -> Float[np.ndarray, "n 3"]:
 class Daylight:
     """Light that reaches surfaces: the sun by shadow rays, the sky from a volume."""
 
-    def __init__(self, caster: Caster, sky: Sky, low: tuple[float, float, float],
-                 high: tuple[float, float, float], cell: float):  # fmt: skip
+    def __init__(self, caster: Caster, sky: Sky, low: Triple,
+                 high: Triple, cell: Number):  # fmt: skip
         """Fill the volume of the box `low` to `high` (metres) with cells of size `cell`."""
         self.caster, self.sky = caster, sky
         self.low, self.high = np.array(low, dtype=float), np.array(high, dtype=float)
@@ -136,7 +139,9 @@ def _look_around(
 
 def _filled(moments: Float[np.ndarray, "x y z 12"], valid: Bool[np.ndarray, "x y z"]) -> Tensor:
     """The volume with cells inside solids taking the mean of their open neighbours."""
-    value = torch.from_numpy(np.where(valid[..., None], moments, 0)).float().permute(3, 0, 1, 2)[None]
+    value = (
+        torch.from_numpy(np.where(valid[..., None], moments, 0)).float().permute(3, 0, 1, 2)[None]
+    )
     weight = torch.from_numpy(valid).float()[None, None]
     kernel = torch.ones(1, 1, 3, 3, 3)
     for _ in range(4):

@@ -68,6 +68,7 @@ def _content(folder: Path) -> str:
 
 def _make_views(plan: Plan, work: Path, report: Report) -> None:
     """Ray-cast the views that are not there yet."""
+
     def one(index: int) -> None:
         shot = plan.shots[index]
         stage = plan.stage(shot)

@@ -54,7 +54,9 @@ class Facade:
         dark = mix(rgb("20262c"), rgb("5b6670"), step(0.3, 1.0, luck))
         dark = mix(dark, rgb("b5ad9b"), 0.75 * step(0.78, 0.8, luck) * step(-0.1, 0.1, middle))
         trim = palette(["e6e2d8", "6b5644", "d5d8da", "8b4f3b"], surface.seeds)
-        leaf = palette(["5a3d2b", "31463c", "6d2f27", "3d4756"], torch.remainder(7 * surface.seeds, 1))
+        leaf = palette(
+            ["5a3d2b", "31463c", "6d2f27", "3d4756"], torch.remainder(7 * surface.seeds, 1)
+        )
         colour = torch.where(frame[:, None], trim, colour)
         colour = torch.where((door & there & (inside > 0.06))[:, None], leaf, colour)
         colour = torch.where(glass[:, None], dark, colour)

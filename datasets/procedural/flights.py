@@ -4,11 +4,15 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from splatbench.datasets.procedural.units import Number
 from splatbench.reference.camera import Camera
 
 
 def looking(
-    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], size: tuple[int, int], focal: float
+    eye: Float[np.ndarray, "3"],
+    target: Float[np.ndarray, "3"],
+    size: tuple[int, int],
+    focal: Number,
 ) -> Camera:
     """A pinhole camera at `eye` towards `target`, upright where that is defined.
 
@@ -29,7 +33,7 @@ def posed(
     eye: Float[np.ndarray, "3"],
     rotation: Float[np.ndarray, "3 3"],
     size: tuple[int, int],
-    focal: float,
+    focal: Number,
 ) -> Camera:
     """A pinhole camera at `eye`; rows of `rotation` are its right, down and forward in the world."""
     pose = np.eye(4)
@@ -44,8 +48,8 @@ def posed(
 
 
 def ring(
-    count: int, radius: float, altitude: float, target: Float[np.ndarray, "3"], phase: float,
-    jitter: float, rng: np.random.Generator,
+    count: int, radius: Number, altitude: Number, target: Float[np.ndarray, "3"], phase: Number,
+    jitter: Number, rng: np.random.Generator,
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:  # fmt: skip
     """Eyes on a circle around the target and what they look at, each a little off."""
     views = []
@@ -57,8 +61,8 @@ def ring(
 
 
 def strips(
-    x: tuple[float, float, int], y: tuple[float, float, int], altitude: float, tilt: float,
-    jitter: float, rng: np.random.Generator,
+    x: tuple[float, float, int], y: tuple[float, float, int], altitude: Number, tilt: Number,
+    jitter: Number, rng: np.random.Generator,
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:  # fmt: skip
     """Eyes on a serpentine of straight lines along x, looking down.
 

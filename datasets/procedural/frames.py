@@ -1,7 +1,7 @@
 """One picture of a world: area-sampled colour, and exact depth, normal and object at pixel centres."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -11,12 +11,14 @@ from torch.nn import functional
 
 from splatbench.datasets.procedural.surface import Surface, to_srgb
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 from splatbench.reference.camera import Camera
 
 RAYS_AT_ONCE = 2**16
 """Bound on samples shaded together: small enough for the cache, large enough for vectors."""
 
 
+@runtime_checkable
 class Lighting(Protocol):
     """What lights a world."""
 
@@ -66,7 +68,7 @@ def take(
     *,
     samples: int,
     seed: int,
-    exposure: float = 1.0,
+    exposure: Number = 1.0,
     seeds: Float[np.ndarray, " objects"],
 ) -> Frame:
     """Picture and truth of one view.
@@ -144,7 +146,8 @@ def shade(
     met = np.flatnonzero(hits.face >= 0)
     colour = torch.empty(len(ways), 3)
     missed = torch.from_numpy(hits.face < 0)
-    colour[missed] = lighting.background(unit[missed])
+    if bool(missed.any()):
+        colour[missed] = lighting.background(unit[missed])
     if not len(met):
         return colour
     face, view = hits.face[met], unit[torch.from_numpy(met)]

@@ -1,6 +1,7 @@
 """Textures of the ground, as functions of world position."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -8,6 +9,7 @@ from torch import Tensor
 
 from splatbench.datasets.procedural.noise import cell_random, fbm, visible
 from splatbench.datasets.procedural.surface import Paint, Surface, mix, rgb, step
+from splatbench.datasets.procedural.units import Number
 
 
 def plain(tone: str) -> Callable[[Surface], Float[Tensor, "n 3"]]:
@@ -43,7 +45,7 @@ def gravel_colour(surface: Surface) -> Float[Tensor, "n 3"]:
     return colour * (0.62 + 0.75 * stones)[:, None]
 
 
-def soil_colour(surface: Surface, heading: float = 0.35) -> Float[Tensor, "n 3"]:
+def soil_colour(surface: Surface, heading: Number = 0.35) -> Float[Tensor, "n 3"]:
     """Albedo of a field in rows of young crop on brown soil."""
     p, foot = surface.points[:, :2], surface.footprint
     across = torch.tensor([-torch.sin(torch.tensor(heading)), torch.cos(torch.tensor(heading))])
@@ -78,11 +80,14 @@ def paving_colour(
     shade = cell_random(torch.stack([column, row], dim=1), 41)
     inside = _gap((x - column) * size[0], size[0]) * _gap(p[:, 1] - row * size[1], size[1])
     joint = (1 - inside) * visible(2 * size[1], foot)
-    colour = rgb(tone) * (0.66 + 0.6 * shade * visible(size[1], foot) + 0.3 * fbm(p, 0.8, 4, 42, foot))[:, None]
+    colour = (
+        rgb(tone)
+        * (0.66 + 0.6 * shade * visible(size[1], foot) + 0.3 * fbm(p, 0.8, 4, 42, foot))[:, None]
+    )
     return mix(colour, rgb("4d483f"), 0.75 * joint)
 
 
-def _gap(x: Float[Tensor, " n"], size: float, joint: float = 0.05) -> Float[Tensor, " n"]:
+def _gap(x: Float[Tensor, " n"], size: Number, joint: Number = 0.05) -> Float[Tensor, " n"]:
     """1 inside a slab, 0 in the joint at its edges."""
     return step(joint * 0.4, joint, x) * step(joint * 0.4, joint, size - x)
 
@@ -105,7 +110,7 @@ def segment_distance(
     best = torch.full_like(points[:, 0], torch.inf)
     along = torch.zeros_like(best)
     walked = 0.0
-    for start, end in zip(line[:-1], line[1:], strict=True):
+    for start, end in pairwise(line):
         a, b = torch.tensor(start), torch.tensor(end)
         length = float((b - a).norm())
         t = ((points - a) @ (b - a) / length**2).clamp(0, 1)

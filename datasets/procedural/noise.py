@@ -8,6 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from splatbench.datasets.procedural.units import Number
+
 SIDES = {2: 256, 3: 64}
 """Cells after which a table repeats, by dimension."""
 
@@ -66,7 +68,7 @@ def value_noise(points: Float[Tensor, "n d"], seed: int) -> Float[Tensor, " n"]:
 
 def fbm(
     points: Float[Tensor, "n d"],
-    wavelength: float,
+    wavelength: Number,
     octaves: int,
     seed: int,
     footprint: Float[Tensor, " n"] | None = None,
@@ -93,7 +95,7 @@ def fbm(
     return total
 
 
-def visible(wavelength: float, footprint: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+def visible(wavelength: Number, footprint: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     """How much of a pattern samples can carry: 1 at 4 samples a wavelength, 0 below 2."""
     return (wavelength / (2 * footprint) - 1).clamp(0, 1)
 

@@ -51,9 +51,7 @@ class Corners:
     """Metres from the camera that found the corner."""
 
 
-def corners(
-    camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, "h w"]
-) -> Corners:
+def corners(camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, "h w"]) -> Corners:
     """The strongest corners of a picture, lifted to the world by its true depth.
 
     Args:
@@ -132,7 +130,7 @@ def seen(
 def imitate(
     places: Corners,
     cameras: Sequence[Camera],
-    sightings: Sequence[tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]],
+    sightings: Sequence[tuple[Int[np.ndarray, " _"], Float[np.ndarray, "_ 2"]]],
     seed: int,
 ) -> Sparse:
     """Observations with misses and noise, triangulated; a few points are wrong.

@@ -6,6 +6,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
+from splatbench.datasets.procedural.units import Number, Triple
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
@@ -21,8 +23,8 @@ class Shape:
 
 def placed(
     shape: Shape,
-    offset: tuple[float, float, float] | Float[np.ndarray, "3"],
-    heading: float = 0.0,
+    offset: Triple | Float[np.ndarray, "3"],
+    heading: Number = 0.0,
 ) -> Shape:
     """The shape turned about z by `heading` (radians, counter-clockwise) and moved."""
     c, s = np.cos(heading), np.sin(heading)
@@ -72,19 +74,21 @@ def polygon(
     )
 
 
-def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: float, top: float) -> Shape:
+def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: Number, top: Number) -> Shape:
     """Vertical walls around a counter-clockwise outline; coords (u, v, width, height) each."""
     outline = np.asarray(outline, dtype=float)
     sides = []
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         width, height = float(np.linalg.norm(b - a)), top - bottom
         corners = [[*a, bottom], [*b, bottom], [*b, top], [*a, top]]
-        coords = [[u, v, width, height] for u, v in ((0, 0), (width, 0), (width, height), (0, height))]
+        coords = [
+            [u, v, width, height] for u, v in ((0, 0), (width, 0), (width, height), (0, height))
+        ]
         sides.append(polygon(corners, coords))
     return joined(*sides)
 
 
-def box(size: tuple[float, float, float], bottom: float = 0.0) -> Shape:
+def box(size: Triple, bottom: Number = 0.0) -> Shape:
     """An upright box centred on the z axis, with its lid and without its floor."""
     x, y, z = size[0] / 2, size[1] / 2, bottom + size[2]
     outline = [[-x, -y], [x, -y], [x, y], [-x, y]]
@@ -92,7 +96,7 @@ def box(size: tuple[float, float, float], bottom: float = 0.0) -> Shape:
 
 
 def gable_roof(
-    length: float, width: float, eave: float, rise: float, overhang: float = 0.4
+    length: Number, width: Number, eave: Number, rise: Number, overhang: Number = 0.4
 ) -> Shape:
     """Two tiled slopes with the ridge along x, as slabs 0.15 m thick; coords (u, v) up the slope."""
     x, y = length / 2 + overhang, width / 2 + overhang
@@ -111,7 +115,7 @@ def gable_roof(
     return joined(*slopes)
 
 
-def gable_ends(length: float, width: float, eave: float, rise: float) -> Shape:
+def gable_ends(length: Number, width: Number, eave: Number, rise: Number) -> Shape:
     """The two triangles of wall under a gable roof; coords continue those of the walls."""
     ends = []
     for side in (-1.0, 1.0):
@@ -123,7 +127,7 @@ def gable_ends(length: float, width: float, eave: float, rise: float) -> Shape:
     return joined(*ends)
 
 
-def blob(radii: tuple[float, float, float], roughness: float, seed: int, detail: int = 3) -> Shape:
+def blob(radii: Triple, roughness: Number, seed: int, detail: int = 3) -> Shape:
     """A lumpy ellipsoid around the origin; coords are its own position and 0.
 
     Args:
@@ -159,7 +163,9 @@ def smooth(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) ->
     )
 
 
-def cylinder(radius: float, height: float, sides: int = 12, top_radius: float | None = None) -> Shape:
+def cylinder(
+    radius: Number, height: Number, sides: int = 12, top_radius: Number | None = None
+) -> Shape:
     """An upright cylinder or cone frustum on z = 0 with a lid; coords are positions."""
     angles = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -180,5 +186,7 @@ def heightfield(
     vertices = np.stack([grid_x, grid_y, heights], axis=2).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape(heights.shape)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack([a, b, c], 2).reshape(-1, 3), np.stack([a, c, d], 2).reshape(-1, 3)])
+    faces = np.concatenate(
+        [np.stack([a, b, c], 2).reshape(-1, 3), np.stack([a, c, d], 2).reshape(-1, 3)]
+    )
     return smooth(vertices, faces)

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from splatbench.datasets.procedural.units import Number
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Surface:
@@ -22,7 +24,6 @@ class Surface:
     """A number in [0, 1) that belongs to the object."""
     footprint: Float[Tensor, " n"]
     """Metres between neighbouring samples here."""
-
 
     def part(self, rows: Int[Tensor, " k"]) -> "Surface":
         """Some of the points."""
@@ -62,7 +63,9 @@ def to_srgb(linear: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
     """Values in [0, 1] as stored in images, of linear light. Source: IEC 61966-2-1."""
     linear = linear.clamp(0, 1)
     low = linear * 12.92
-    return torch.where(linear <= 0.0031308, low, 1.055 * linear.clamp(min=1e-8) ** (1 / 2.4) - 0.055)
+    return torch.where(
+        linear <= 0.0031308, low, 1.055 * linear.clamp(min=1e-8) ** (1 / 2.4) - 0.055
+    )
 
 
 def mix(
@@ -72,7 +75,7 @@ def mix(
     return a + (b - a) * share[:, None]
 
 
-def step(low: float, high: float, x: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+def step(low: Number, high: Number, x: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
     """Smooth step from 0 at `low` to 1 at `high` (falling where low > high)."""
     t = ((x - low) / (high - low)).clamp(0, 1)
     return t * t * (3 - 2 * t)

@@ -17,6 +17,7 @@ from splatbench.datasets.procedural.shapes import (
     walls,
 )
 from splatbench.datasets.procedural.surface import Material
+from splatbench.datasets.procedural.units import Number, Triple
 
 Parts = list[tuple[Shape, Material]]
 
@@ -28,13 +29,18 @@ GLASS = Solid(tone="1d242b", gloss=1.0, dirt=0.2)
 TYRE = Solid(tone="1b1b1c", dirt=0.3)
 
 
-def moved(parts: Parts, offset: tuple[float, float, float], heading: float = 0.0) -> Parts:
+def moved(parts: Parts, offset: Triple, heading: Number = 0.0) -> Parts:
     """Every part turned about z by `heading` (radians) and moved."""
     return [(placed(shape, offset, heading), material) for shape, material in parts]
 
 
 def house(
-    length: float, width: float, eave: float, rise: float, wall: Material, roof: Material = TILES
+    length: Number,
+    width: Number,
+    eave: Number,
+    rise: Number,
+    wall: Material,
+    roof: Material = TILES,
 ) -> Parts:
     """A gabled house with the ridge along x and a chimney. Metres."""
     x, y = length / 2, width / 2
@@ -47,7 +53,7 @@ def house(
     ]
 
 
-def dormer(width: float, depth: float, height: float, wall: Material) -> Parts:
+def dormer(width: Number, depth: Number, height: Number, wall: Material) -> Parts:
     """A small gabled window house that faces -y, for a roof slope."""
     outline = [[-width / 2, 0], [width / 2, 0], [width / 2, depth], [-width / 2, depth]]
     roof = placed(gable_roof(depth, width, height, width * 0.35, 0.2), (0, depth / 2, 0), np.pi / 2)
@@ -55,7 +61,9 @@ def dormer(width: float, depth: float, height: float, wall: Material) -> Parts:
     return [(joined(walls(outline, 0, height), front), wall), (roof, TILES)]
 
 
-def tree(height: float, spread: float, seed: int, detail: int = 3, crown: Material = LEAVES) -> Parts:
+def tree(
+    height: Number, spread: Number, seed: int, detail: int = 3, crown: Material = LEAVES
+) -> Parts:
     """A broad-leaved tree: a trunk and a crown of several lumps. Metres."""
     rng = np.random.Generator(np.random.PCG64(seed))
     lumps = []
@@ -69,7 +77,7 @@ def tree(height: float, spread: float, seed: int, detail: int = 3, crown: Materi
     return [(joined(*lumps), crown), (trunk, BARK)]
 
 
-def conifer(height: float, spread: float, seed: int, detail: int = 3) -> Parts:
+def conifer(height: Number, spread: Number, seed: int, detail: int = 3) -> Parts:
     """A spruce: stacked skirts of needles."""
     needles = Leaves(tones=("2f4a2c", "3a5433", "2c4433"), clump=0.7)
     skirts = []
@@ -81,18 +89,21 @@ def conifer(height: float, spread: float, seed: int, detail: int = 3) -> Parts:
     return [(joined(*skirts), needles), (cylinder(0.2, height * 0.5, 7, 0.08), BARK)]
 
 
-def hedge(length: float, width: float, height: float, seed: int) -> Parts:
+def hedge(length: Number, width: Number, height: Number, seed: int) -> Parts:
     """A trimmed hedge along x, as a row of lumps."""
     count = max(2, int(length / (0.9 * width)))
     places = np.linspace(-length / 2, length / 2, count)
     lumps = [
-        placed(blob((width * 0.75, width * 0.55, height * 0.6), 0.2, seed + i, 2), (x, 0, height * 0.45))
+        placed(
+            blob((width * 0.75, width * 0.55, height * 0.6), 0.2, seed + i, 2),
+            (x, 0, height * 0.45),
+        )
         for i, x in enumerate(places)
     ]
     return [(joined(*lumps), LEAVES)]
 
 
-def car(paint: str, length: float = 4.3) -> Parts:
+def car(paint: str, length: Number = 4.3) -> Parts:
     """A car along +x on z = 0: body, cabin, windows, wheels."""
     half, wide = length / 2, 0.88
     profile = np.array(  # side view (x, z) of the body with its cabin, counter-clockwise
@@ -114,11 +125,15 @@ def car(paint: str, length: float = 4.3) -> Parts:
             (joined(*wheels), TYRE)]  # fmt: skip
 
 
-def _extruded(profile: np.ndarray, wide: float) -> Shape:
+def _extruded(profile: np.ndarray, wide: Number) -> Shape:
     """A solid with a polygonal side view (x, z), from y = -wide to wide."""
     rim = []
     for a, b in zip(profile, np.roll(profile, -1, axis=0), strict=True):
-        rim.append(polygon([[a[0], wide, a[1]], [b[0], wide, b[1]], [b[0], -wide, b[1]], [a[0], -wide, a[1]]]))
+        rim.append(
+            polygon(
+                [[a[0], wide, a[1]], [b[0], wide, b[1]], [b[0], -wide, b[1]], [a[0], -wide, a[1]]]
+            )
+        )
     lower, cabin = profile[[0, 1, 2, 3, 4, 7, 8]], profile[[7, 4, 5, 6]]
     for part in (lower, cabin):
         rim.append(polygon([[x, -wide, z] for x, z in part]))
@@ -126,16 +141,23 @@ def _extruded(profile: np.ndarray, wide: float) -> Shape:
     return joined(*rim)
 
 
-def _strip(low: list[float], high: list[float], wide: float) -> Shape:
+def _strip(low: list[float], high: list[float], wide: Number) -> Shape:
     """A pane across the car between two heights of its profile, 1 cm outside it."""
     a, b = np.array(low), np.array(high)
     out = np.array([b[1] - a[1], a[0] - b[0]])
     out = out / np.linalg.norm(out) * 0.012 * np.sign(out[1])
     a, b = a + out, b + out
-    return polygon([[a[0], -wide, a[1]], [a[0], wide, a[1]], [b[0], wide * 0.9, b[1]], [b[0], -wide * 0.9, b[1]]])
+    return polygon(
+        [
+            [a[0], -wide, a[1]],
+            [a[0], wide, a[1]],
+            [b[0], wide * 0.9, b[1]],
+            [b[0], -wide * 0.9, b[1]],
+        ]
+    )
 
 
-def _wheel(x: float, y: float) -> Shape:
+def _wheel(x: Number, y: Number) -> Shape:
     """A wheel that stands across the car."""
     disc = cylinder(0.33, 0.22, 14)
     turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)

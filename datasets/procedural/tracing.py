@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from embreex import mesh_construction, rtcore_scene
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from splatbench.datasets.procedural.world import World
@@ -35,12 +36,12 @@ class Caster:
         area = (self.plane**2).sum(axis=1, keepdims=True).clip(1e-24)
         self.dual = (np.cross(edge2, self.plane) / area, np.cross(self.plane, edge1) / area)
         self.face_normals = self.plane / np.sqrt(area)
-        self._scene = rtcore_scene.EmbreeScene()
-        mesh_construction.TriangleMesh(
-            self._scene, world.vertices.astype(np.float32), world.faces.astype(np.int32)
-        )
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, world.vertices.astype(np.float32), world.faces.astype(np.int32))
 
-    def first(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+    def first(
+        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> Hits:
         """The first triangle on each ray; its distance is that of the ray and the plane."""
         face = self._scene.run(
             origins.astype(np.float32), directions.astype(np.float32), query="INTERSECT"

@@ -1,0 +1,139 @@
+"""bench scenes: the registered scenes, and the worlds that the package makes."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from splatbench.cli import output
+
+if TYPE_CHECKING:
+    from splatbench.datasets.registry import SceneEntry
+
+Positional = tyro.conf.Positional
+
+
+def list_scenes() -> None:
+    """List the registered scenes: kind, licence, and whether each is on this machine.
+
+    With --json, an object a line: name, kind, licence, present, path.
+    """
+    from splatbench.datasets import registry
+
+    rows = [(entry, registry.locate(entry)) for entry in registry.list_scenes()]
+    if output.wants_json():
+        for entry, path in rows:
+            output.print_record(_summary(entry, path))
+        return
+    table = Table(box=None, pad_edge=False)
+    for column in ("name", "kind", "licence", "present", "path"):
+        table.add_column(column, overflow="fold")
+    for entry, path in rows:
+        present = "yes" if path else "makes itself" if entry.kind == "made" else "no"
+        table.add_row(entry.name, entry.kind, entry.licence, present, str(path or ""))
+    console = Console(highlight=False, markup=False)
+    # a pipe has no width of its own: nothing is folded there
+    console.print(table, width=None if console.is_terminal else 240)
+
+
+def show(name: Positional[str]) -> None:
+    """Show everything that is known of one scene.
+
+    Args:
+        name: As in `bench scenes list`.
+    """
+    from splatbench.datasets import registry
+
+    entry = registry.get_entry(name)
+    path = registry.locate(entry)
+    changed = registry.changed_files(entry, path) if path else []
+    looked = [str(root / f) for root in registry.data_roots() for f in entry.folders]
+    record = _summary(entry, path) | {
+        "about": entry.about,
+        "source": entry.source,
+        "home": entry.home,
+        "looked_for": [] if entry.kind == "made" else looked,
+        "get": entry.get or f"bench scenes get {entry.name}",
+        "files": entry.files,
+        "changed_files": changed,
+    }
+    lines = [
+        f"{key}: {_words(value)}" for key, value in record.items() if value not in ("", [], {})
+    ]
+    output.emit(record, "\n".join(lines))
+
+
+def get(name: Positional[str]) -> None:
+    """Get a scene onto this machine: make it, or download, check and unpack it.
+
+    A scene that has to be downloaded by hand is said to be so, with the place (exit code 3). What
+    was stopped is continued by the same command.
+
+    Args:
+        name: As in `bench scenes list`.
+    """
+    from splatbench.datasets import registry
+
+    entry = registry.get_entry(name)
+    path = registry.locate(entry)
+    if path is None:
+        with output.progress() as progress:
+            task = progress.add_task(f"getting {name}", total=None, values="")
+
+            def report(done: int, total: int) -> None:
+                progress.update(task, completed=done, total=total or None)
+
+            action = registry.make_entry if entry.kind == "made" else registry.fetch_entry
+            path = action(entry, report)
+    output.emit(_summary(entry, path), str(path))
+
+
+def make(
+    world: Positional[str],
+    out: Positional[Path],
+    *,
+    preset: Annotated[str, tyro.conf.arg(metavar="small|medium|large")] = "small",
+    seed: int = 0,
+) -> None:
+    """Make a procedural world as a COLMAP scene folder with true depth, normals and objects.
+
+    What was stopped is continued by the same command.
+
+    Args:
+        world: Name of the world; an unknown one lists them.
+        out: New folder.
+        preset: How large.
+        seed: Of everything random in it.
+    """
+    from splatbench.datasets.procedural import worlds
+
+    with output.progress() as progress:
+        task = progress.add_task(f"making {world}", total=None, values="")
+
+        def report(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        path = worlds.make(world, preset, seed, out, report)
+    record = {"world": world, "preset": preset, "seed": seed, "path": str(path)}
+    output.emit(record, str(path))
+
+
+def _summary(entry: "SceneEntry", path: Path | None) -> dict[str, object]:
+    return {
+        "name": entry.name,
+        "kind": entry.kind,
+        "licence": entry.licence,
+        "present": path is not None,
+        "path": str(path) if path else None,
+    }
+
+
+def _words(value: object) -> str:
+    """A value in words for a person."""
+    if isinstance(value, list):
+        return ", ".join(str(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {item}" for key, item in value.items())
+    return "no" if value is False or value is None else "yes" if value is True else str(value)
