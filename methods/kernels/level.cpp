@@ -7,6 +7,8 @@
 #include "projection_backward.inl"
 #include "raster.inl"
 #include "raster_backward.inl"
+#include "loss.inl"
+#include "adam.inl"
 
 namespace {
 
@@ -28,4 +30,4 @@ void exp2_many(const float* x, float* y, int64_t count) {
 
 extern const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL);
 const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, render_tile, backward_tile,
-                                                         backward_project, exp2_many};
+                                                         backward_project, loss_maps, loss_gradient, adam, exp2_many};

@@ -14,6 +14,8 @@
 #include <string>
 #include <vector>
 
+#include "adam.hpp"
+#include "loss.hpp"
 #include "pool.hpp"
 #include "render.hpp"
 
@@ -233,6 +235,39 @@ void render_backward(State& state, const ModelArrays& arrays, Background backgro
   backward(model, p, g, threads(), state);
 }
 
+double photometric_loss(In<float, 3> image, In<float, 3> truth, Maybe<In<bool, 2>> mask, double dssim,
+                        Maybe<Out<float, 3>> gradient) {
+  const size_t h = image.shape(0), w = image.shape(1), c = image.shape(2);
+  const auto same = [&](const auto& a) { return a.shape(0) == h && a.shape(1) == w && a.shape(2) == c; };
+  check(same(truth) && h * w * c > 0 && h * w * c < (size_t)1 << 31, "truth");
+  check(!mask || (mask->shape(0) == h && mask->shape(1) == w), "mask");
+  check(!gradient || same(*gradient), "gradient");
+  const uint8_t* valid = reinterpret_cast<const uint8_t*>(data(mask));
+  nb::gil_scoped_release release;
+  return photometric(image.data(), truth.data(), valid, (int)h, (int)w, (int)c, dssim, data(gradient), threads());
+}
+
+using Flat = nb::ndarray<nb::pytorch, float, nb::c_contig, nb::device::cpu>;
+
+void adam_update(const std::vector<Flat>& values, const std::vector<Flat>& gradients, const std::vector<Flat>& first,
+                 const std::vector<Flat>& second, const std::vector<double>& rates, int64_t step, double beta1,
+                 double beta2, double epsilon, Maybe<In<bool, 1>> rows) {
+  const size_t n = values.size();
+  check(gradients.size() == n && first.size() == n && second.size() == n && rates.size() == n, "a list of tensors");
+  std::vector<AdamGroup> groups;
+  for (size_t i = 0; i < n; ++i) {
+    const size_t size = values[i].size();
+    check(gradients[i].size() == size && first[i].size() == size && second[i].size() == size, "a gradient or moment");
+    const size_t length = values[i].ndim() ? values[i].shape(0) : 0;
+    check(!rows || rows->shape(0) == length, "rows");
+    groups.push_back({{values[i].data(), first[i].data(), second[i].data(), gradients[i].data()},
+                      (int64_t)length, length ? (int64_t)(size / length) : 0, rates[i]});
+  }
+  const uint8_t* chosen = reinterpret_cast<const uint8_t*>(data(rows));
+  nb::gil_scoped_release release;
+  adam_step(groups, step, beta1, beta2, epsilon, chosen, threads());
+}
+
 }  // namespace
 
 const Kernels& splat::kernels() { return *current; }
@@ -255,6 +290,12 @@ NB_MODULE(_ext, m) {
     check(x.shape(0) == y.shape(0), "y");
     current->exp2(x.data(), y.data(), (int64_t)x.shape(0));
   }, nb::arg("x"), nb::arg("y"), "y = 2^x for x in [-100, 0], as the kernels compute it.");
+
+  m.def("photometric", &photometric_loss, nb::arg("image"), nb::arg("truth"), nb::arg("mask").none(),
+        nb::arg("dssim"), nb::arg("gradient").none(), "The loss; its gradient goes into `gradient`.");
+  m.def("adam", &adam_update, nb::arg("values"), nb::arg("gradients"), nb::arg("first"), nb::arg("second"),
+        nb::arg("rates"), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
+        nb::arg("rows").none(), "One update of all tensors in place.");
 
   nb::class_<ModelArrays>(m, "Model", "Arrays of a set of Gaussians.")
       .def("__init__",

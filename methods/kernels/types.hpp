@@ -107,6 +107,32 @@ struct Scratch {  // one a thread; grown by the caller before each use
   float* alphas;      // [rows, LANES]
 };
 
+struct Loss {
+  const float *image, *truth;  // [height, width, channels]
+  const uint8_t* mask;         // [height, width] or null
+  int width, height, channels;
+  int row_floats;              // of a row with its margins
+  float l1_weight, ssim_weight;
+  float taps[6];               // the window from its middle outwards
+  float* maps;                 // [height, 3, row_floats]
+  double* sums;                // [height, 2]: |a - b|, SSIM
+  float* gradient;             // [height, width, channels]
+};
+
+struct AdamTensor {
+  float *value, *first, *second;
+  const float* gradient;
+};
+
+struct AdamRate {
+  float first_part;   // 1 - beta1
+  float second_keep;  // beta2
+  float second_part;  // 1 - beta2
+  float spread;       // 1 / sqrt(1 - beta2^t)
+  float rate;         // learning rate / (1 - beta1^t)
+  float epsilon;
+};
+
 // The kernels of one SIMD level.
 struct Kernels {
   const char* name;
@@ -117,6 +143,9 @@ struct Kernels {
   void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,
                            int sums_stride, int features, const uint32_t* slot_start, const uint32_t* slots,
                            const ModelGradients&, int64_t first, int64_t last);
+  void (*loss_maps)(const Loss&, float* scratch, int first, int last);
+  void (*loss_gradient)(const Loss&, float* scratch, int first, int last);
+  void (*adam)(const AdamRate&, const AdamTensor&, int64_t begin, int64_t end);
   void (*exp2)(const float* x, float* y, int64_t count);
 };
 

@@ -92,3 +92,22 @@ def render_backward(
     screen_absolute: Tensor | None,
 ) -> None:
     """Gradients of the model from gradients of the pictures."""
+
+def photometric(
+    image: Tensor, truth: Tensor, mask: Tensor | None, dssim: float, gradient: Tensor | None
+) -> float:
+    """The loss; its gradient goes into `gradient`."""
+
+def adam(
+    values: list[Tensor],
+    gradients: list[Tensor],
+    first: list[Tensor],
+    second: list[Tensor],
+    rates: list[float],
+    step: int,
+    beta1: float,
+    beta2: float,
+    epsilon: float,
+    rows: Tensor | None,
+) -> None:
+    """One update of all tensors in place."""
