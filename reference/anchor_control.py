@@ -1,0 +1,116 @@
+"""HDGS control of anchors: growth by gradient and density, growth in time, unvisited records."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrowthSettings:
+    """Thresholds of growth and pruning. The paper gives no values: these are ours."""
+
+    gradient: float = 2e-4
+    """Mean 2D gradient of a voxel's Gaussians from which it grows."""
+    density: float = 5.0
+    """Gaussians in a voxel from which it is subdivided finely."""
+    temporal_gradient: float = 2e-3
+    """Mean |d loss / d tau| of a voxel from which it may grow in time."""
+    temporal_share: float = 0.25
+    """Share of those voxels that do, drawn at random."""
+    fine: int = 2
+    """Subdivision of a dense voxel's edge."""
+    opacity: float = 0.005
+    """Mean opacity of an anchor's Gaussians below which it is pruned."""
+    unvisited: int = 500
+    """Iterations outside every view after which an anchor is pruned."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VoxelStatistics:
+    """Per occupied voxel, over N_g iterations."""
+
+    cells: Int[Tensor, "v 3"]
+    owner: Int[Tensor, " m"]
+    """Row of `cells` of each Gaussian."""
+    density: Float[Tensor, " v"]
+    """Gaussians in the voxel."""
+    gradient: Float[Tensor, " v"]
+    """Mean of their mean gradients."""
+
+
+def voxel_statistics(
+    positions: Float[Tensor, "m 3"], gradients: Float[Tensor, " m"], voxel: float
+) -> VoxelStatistics:
+    """Local density and average gradient of the neural Gaussians of each voxel.
+
+    Args:
+        positions: Means of the Gaussians.
+        gradients: Mean gradient of each one over the N_g iterations.
+        voxel: Edge > 0.
+
+    Source: HDGS, Sec. 3.5, "Growing".
+    """
+    cells, owner = torch.unique((positions / voxel).floor().long(), dim=0, return_inverse=True)
+    zero = gradients.new_zeros(len(cells))
+    density = zero.index_add(0, owner, torch.ones_like(gradients))
+    total = zero.index_add(0, owner, gradients)
+    return VoxelStatistics(
+        cells=cells, owner=owner, density=density, gradient=total / density.clamp(min=1)
+    )
+
+
+def new_anchors(
+    positions: Float[Tensor, "m 3"],
+    statistics: VoxelStatistics,
+    voxel: float,
+    settings: GrowthSettings,
+) -> Float[Tensor, "a 3"]:
+    """Centres of new anchors: none where the gradient is low, fine ones where it is dense too.
+
+    High gradient and high density: a centre in every sub-cell (fine x fine x fine) that holds a
+    Gaussian. High gradient, low density: one centre for the whole voxel.
+
+    Source: HDGS, Sec. 3.5 (GDG).
+    """
+    steep = statistics.gradient >= settings.gradient
+    dense = statistics.density >= settings.density
+    coarse = (statistics.cells[steep & ~dense].to(positions) + 0.5) * voxel
+    inside = (steep & dense)[statistics.owner]
+    edge = voxel / settings.fine
+    parts = torch.unique((positions[inside] / edge).floor().long(), dim=0)
+    return torch.cat([coarse, (parts.to(positions) + 0.5) * edge])
+
+
+def temporal_growth(
+    gradient: Float[Tensor, " v"], settings: GrowthSettings, generator: torch.Generator
+) -> Bool[Tensor, " v"]:
+    """Voxels that grow in time: a random share of those with a high temporal gradient.
+
+    Source: HDGS, Sec. 3.5.
+    """
+    drawn = torch.rand(len(gradient), generator=generator) < settings.temporal_share
+    return (gradient >= settings.temporal_gradient) & drawn
+
+
+def update_unvisited(record: Int[Tensor, " n"], visible: Bool[Tensor, " n"]) -> Int[Tensor, " n"]:
+    """The unvisited record (UR): iterations since each anchor was last in a view.
+
+    Source: HDGS, Sec. 3.5, "Pruning".
+    """
+    return torch.where(visible, 0, record + 1)
+
+
+def keep(
+    opacity: Float[Tensor, " n"], record: Int[Tensor, " n"], settings: GrowthSettings
+) -> Bool[Tensor, " n"]:
+    """Anchors that stay: opaque enough over N_p iterations, and visited recently enough.
+
+    Args:
+        opacity: Mean opacity of each anchor's Gaussians over the N_p iterations in which it was
+            visible; nan for an anchor that never was (only its record counts).
+        record: From `update_unvisited`.
+    """
+    faint = opacity < settings.opacity  # nan compares as false
+    return ~faint & (record <= settings.unvisited)
