@@ -32,7 +32,7 @@ def test_what_ours_change():
     }
     assert changed == {
         "default": {},
-        "quick": {"width": 250},
+        "quick": {"width": 240},
         "width_500": {"width": 500},
         "brighton_250": {"width": 250, "test_names": ("dji_0026.jpg",)},
         "brighton_500": {"width": 500, "test_names": ("dji_0026.jpg",)},
