@@ -213,7 +213,7 @@ def plan(seed: int = 0, settings: Settings = Settings()) -> Plan:
 
     return Plan(
         world="courtyard", settings=asdict(settings), seed=seed, shots=shots,
-        stage=once(stage), samples=settings.samples, kinds=world.kinds,
+        stage=once(stage), samples=settings.samples, kinds={"": world.kinds},
     )  # fmt: skip
 
 

@@ -57,6 +57,8 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
         shots = [shot for shot in plan.shots if shot.group == group]
         _write_model(plan, work / group, shots)
         _write_facts(plan, work / group, shots, name)
+    if not (work / "scene.toml").exists():  # all views are in groups: the folder says what they are
+        _write_facts(plan, work, plan.shots, name)
     os.replace(work, folder)
     return folder
 
@@ -121,7 +123,9 @@ def read_frame(folder: Path, name: str) -> Frame:
 
 def _write_model(plan: Plan, folder: Path, shots: Sequence[Shot]) -> None:
     """Write sparse/0 with true poses and imitated points."""
-    fixed = np.array([kind not in plan.movable and kind != "sky" for kind in plan.kinds])
+    fixed = np.array(
+        [kind not in plan.movable and kind != "sky" for kind in plan.kinds_of(shots[0].group)]
+    )
     cameras = [shot.camera for shot in shots]
     found = []
     for shot in shots:
@@ -184,7 +188,7 @@ def _write_facts(plan: Plan, folder: Path, shots: Sequence[Shot], name: str) -> 
         "content": name,
         "camera": f"pinhole {camera.width} x {camera.height}, focal {float(camera.K[0, 0]):g} px",
         "truth": "ray-cast; depth/*.npz: depth (z, metres), normal (world), object (id)",
-        "objects": ",".join(plan.kinds),
+        "objects": ",".join(plan.kinds_of(shots[0].group)),
     }
     file = SceneFile(units="metres", up=(0.0, 0.0, 1.0), facts=facts | chosen | dict(plan.facts))
     write_scene_file(folder, file)

@@ -177,3 +177,16 @@ class Solid:
         dirt = fbm(surface.coords[:, :3], 0.9, 4, 77, surface.footprint)
         colour = rgb(self.tone) * (1 + self.dirt * 2 * (dirt - 0.5))[:, None]
         return Paint(albedo=colour, gloss=torch.full_like(dirt, self.gloss))
+
+
+def flat_roof(surface: Surface) -> Paint:
+    """Bitumen sheets under gravel, with puddle stains; coords are (u, v, ...)."""
+    plane, foot = surface.coords[:, :2] + 60 * surface.seeds[:, None], surface.footprint
+    tone = palette(["7d7a75", "8f8a80", "6a6866", "a39c8f"], torch.remainder(11 * surface.seeds, 1))
+    stain = fbm(plane, 5.0, 5, 78, foot)
+    grain = fbm(plane, 0.5, 2, 79, foot)
+    seam = (torch.remainder(plane[:, 0] / 1.8, 1) < 0.06).float() * visible(1.0, foot)
+    colour = tone * (0.5 + 0.7 * stain + 0.3 * grain)[:, None]
+    puddle = step(0.58, 0.62, fbm(plane, 4.0, 3, 80, foot))
+    colour = mix(colour, rgb("4a4948"), 0.5 * puddle)
+    return Paint(albedo=mix(colour, rgb("3c3b3a"), 0.5 * seam))

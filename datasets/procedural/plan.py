@@ -58,8 +58,12 @@ class Plan:
     """Kinds of objects that never carry sparse points."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Further facts for scene.toml."""
-    kinds: tuple[str, ...] = ("sky",)
-    """What each object is, by object id."""
+    kinds: Mapping[str, tuple[str, ...]]
+    """What each object is, by object id, for each group of shots; "" stands for all not named."""
+
+    def kinds_of(self, group: str) -> tuple[str, ...]:
+        """What each object is that the shots of a group see."""
+        return self.kinds[group if group in self.kinds else ""]
 
 
 def once(make: Callable[[], Stage]) -> Callable[[Shot], Stage]:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from splatbench.datasets.procedural.facades import Solid, Tiles
+from splatbench.datasets.procedural.facades import Solid, Tiles, flat_roof
 from splatbench.datasets.procedural.plants import Bark, Leaves
 from splatbench.datasets.procedural.shapes import (
     Shape,
@@ -26,6 +26,8 @@ LEAVES = Leaves()
 BARK = Bark()
 CHIMNEY = Solid(tone="8c5a45", dirt=0.9)
 GLASS = Solid(tone="1d242b", gloss=1.0, dirt=0.2)
+CONCRETE = Solid(tone="a8a399", dirt=0.6)
+METAL = Solid(tone="8e9499", dirt=0.5)
 TYRE = Solid(tone="1b1b1c", dirt=0.3)
 
 
@@ -165,3 +167,26 @@ def _wheel(x: Number, y: Number) -> Shape:
     return Shape(
         vertices=vertices, faces=disc.faces, normals=disc.normals @ turn.T, coords=disc.coords
     )
+
+
+def flat_house(size: Triple, wall: Material, rng: np.random.Generator) -> Parts:
+    """A block with a flat gravel roof, a parapet, vents and a lift house."""
+    x, y, tall = size[0] / 2, size[1] / 2, float(size[2])
+    outline = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    inner = outline * (1 - 0.35 / np.array([x, y]))
+    roof = polygon([[*p, tall - 0.5] for p in inner])
+    rim = [walls(inner[::-1], tall - 0.5, tall)]
+    for index in range(4):
+        a, b = outline[index], outline[(index + 1) % 4]
+        c, d = inner[(index + 1) % 4], inner[index]
+        rim.append(polygon([[*a, tall], [*b, tall], [*c, tall], [*d, tall]]))
+    vents = [placed(box((3.2, 3.0, 2.6)), (0.25 * x, 0.3 * y * rng.choice([-1, 1]), tall - 0.5))]
+    for _ in range(int(rng.integers(4, 9))):
+        place = (rng.uniform(-0.7, 0.7) * x, rng.uniform(-0.8, 0.8) * y, tall - 0.5)
+        vents.append(
+            placed(
+                box((rng.uniform(0.7, 2.0), rng.uniform(0.7, 1.6), rng.uniform(0.6, 1.3))), place
+            )
+        )
+    return [(walls(outline, 0.0, tall), wall), (roof, flat_roof), (joined(*rim), CONCRETE),
+            (joined(*vents), METAL)]  # fmt: skip

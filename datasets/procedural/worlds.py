@@ -10,6 +10,8 @@ from splatbench.reference.errors import UsageError
 
 WORLDS = {
     "courtyard": "courtyard",
+    "city": "city",
+    "aerial-sparse": "aerial",
 }
 """World name to module of this package; each has PRESETS (name to Settings) and plan(seed, settings)."""
 

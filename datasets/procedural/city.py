@@ -1,0 +1,310 @@
+"""A city from a high nadir flight, and the low oblique and facade views that the flight never had."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatbench.datasets.procedural.blocks import BLOCKS, parked_car, tree
+from splatbench.datasets.procedural.daylight import Daylight, Sky
+from splatbench.datasets.procedural.flights import looking, strips
+from splatbench.datasets.procedural.grounds import (
+    asphalt_colour,
+    grass_colour,
+    gravel_colour,
+    paving_colour,
+    plain,
+    water,
+)
+from splatbench.datasets.procedural.noise import fbm
+from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
+from splatbench.datasets.procedural.shapes import heightfield, polygon
+from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
+from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.world import Builder, World
+
+PITCH = 56.0
+"""Metres from street to street."""
+ROAD = 5.0
+"""Half-width of a carriageway in metres."""
+WALK = 2.6
+"""Width of a pavement in metres."""
+KINDS = ("slabs", "old town", "offices", "park", "parking", "villas")
+"""What a block can be; each has its own density of detail."""
+UNSEEN = "unseen"
+"""Group of the views that no method trains on."""
+RIVER = 24.0
+"""Width of the river that runs along the last row of blocks, in metres."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How large the city is and how it is flown over."""
+
+    blocks: tuple[int, int] = (3, 2)
+    """Blocks along x and y."""
+    width: int = 300
+    height: int = 224
+    altitude: float = 105.0
+    """Metres above the streets."""
+    overlap: tuple[float, float] = (0.76, 0.66)
+    """Share of the footprint that neighbouring views share, along and across the lines."""
+    oblique: int = 5
+    """Low oblique views that no training view has."""
+    facade: int = 5
+    """Views of facades from the streets, likewise."""
+    cell: float = 3.0
+    """Metres between the places where sky light is known."""
+    samples: int = 3
+
+
+Kinds = tuple[tuple[int, ...], ...]
+
+PRESETS = {
+    "small": Settings(),
+    "medium": Settings(blocks=(6, 5), width=640, height=480, oblique=24, facade=24),
+    "large": Settings(
+        blocks=(20, 20), width=1600, height=1200, oblique=200, facade=200, cell=6.0,
+        overlap=(0.8, 0.7),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CityGround:
+    """Streets between blocks and what lies inside them."""
+
+    kinds: Kinds
+    """Index into KINDS by column (x) and row (y)."""
+
+    def __call__(self, surface: Surface) -> Paint:
+        """Colour."""
+        p = surface.points[:, :2]
+        table = torch.tensor(self.kinds)
+        size = torch.tensor([table.shape[0], table.shape[1]])
+        grid = p / PITCH + size / 2
+        cell = grid.floor()
+        local = (grid - cell - 0.5) * PITCH
+        column = cell.long().clamp(min=torch.zeros(2, dtype=torch.long), max=size - 1)
+        kind = table[column[:, 0], column[:, 1]]
+        # distance to the nearest street's middle on each axis
+        away = PITCH / 2 - local.abs()
+        outside = ((p.abs() - PITCH * size / 2).amax(dim=1) - ROAD).clamp(min=0)
+        street = away.amin(dim=1)
+        edge = 0.5 * (fbm(p, 1.7, 3, 301) - 0.5)
+        along = torch.where(away[:, 0] < away[:, 1], p[:, 1], p[:, 0])
+        crossing = away.amax(dim=1) < ROAD + WALK
+        dash = (street < 0.12) & (torch.remainder(along / 6, 1) < 0.5) & ~crossing
+        zebra = (
+            (away.amax(dim=1) > ROAD + 0.6)
+            & (away.amax(dim=1) < ROAD + 3.2)
+            & (street < ROAD - 0.4)
+        ) & (torch.remainder(torch.where(away[:, 0] < away[:, 1], p[:, 0], p[:, 1]), 1.1) < 0.55)
+        inner = [
+            (step(0.60, 0.66, fbm(p, 9.0, 3, 302)) * (kind != 4).float(), gravel_colour),
+            ((kind == 1).float(), cobbles),
+            ((kind == 2).float(), plaza),
+            ((kind == 4).float(), parking),
+            (step(0.5, 0.45, self._paths(local) + edge) * (kind == 3).float(), gravel_colour),
+        ]
+        road = step(ROAD + 0.02, ROAD - 0.02, street)
+        walk = step(ROAD + WALK + 0.05, ROAD + WALK, street)
+        kerb = ((street - ROAD).abs() < 0.16).float()
+        city = (outside == 0).float()
+        return Paint(
+            albedo=layered(
+                surface,
+                [
+                    (None, grass_colour),
+                    *((share * city, paint) for share, paint in inner),
+                    (walk * city, pavement),
+                    (kerb * city, plain("b4b0a8")),
+                    (road * city, asphalt_colour),
+                    (0.8 * dash.float() * city, plain("d6d4cc")),
+                    (0.75 * zebra.float() * city, plain("dcdad2")),
+                ],
+            )
+        )
+
+    @staticmethod
+    def _paths(local: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
+        """A park's paths: 0 on a winding cross and a ring, growing away from them."""
+        radius = local.norm(dim=1)
+        ring = (radius - 11).abs() / 2.2
+        cross = (local[:, 0] - 4 * torch.sin(local[:, 1] / 7)).abs() / 2.2
+        return torch.minimum(
+            ring, torch.minimum(cross, (local[:, 1] + local[:, 0] * 0.3).abs() / 2.2)
+        )
+
+
+def cobbles(surface: Surface) -> Float[Tensor, "n 3"]:
+    """Setts of an old town."""
+    return paving_colour(surface, (0.5, 0.5), "8f8678")
+
+
+def plaza(surface: Surface) -> Float[Tensor, "n 3"]:
+    """Large slabs between office buildings."""
+    return paving_colour(surface, (1.6, 1.6), "b3aca0")
+
+
+def pavement(surface: Surface) -> Float[Tensor, "n 3"]:
+    """Concrete slabs of a pavement."""
+    return paving_colour(surface, (0.8, 0.8), "9c9890")
+
+
+def parking(surface: Surface) -> Float[Tensor, "n 3"]:
+    """Asphalt with bays 2.5 m wide."""
+    p = surface.points[:, :2]
+    row = torch.remainder(p[:, 1], 16.0)
+    line = (torch.remainder(p[:, 0], 2.5) < 0.14) & ((row < 5) | (row > 11))
+    return layered(surface, [(None, asphalt_colour), (0.85 * line.float(), plain("d8d6cf"))])
+
+
+def height(
+    x: Float[np.ndarray, "..."],
+    y: Float[np.ndarray, "..."],
+    half: Float[np.ndarray, "2"],
+    river: bool,
+) -> Float[np.ndarray, "..."]:
+    """Flat city, a river bed beyond its last row, hills around. Metres."""
+    out = np.maximum(np.abs(x) - half[0], np.abs(y) - half[1])
+    hills = 7 * (np.sin(0.031 * x + 1) + np.cos(0.027 * y)) + 3 * np.sin(0.09 * x - 0.07 * y) + 6
+    if not river:
+        return hills * np.clip((out - 14) / 60, 0, 1)
+    bank = (y - half[1] - 12) / RIVER
+    bed = np.clip(1 - (2 * bank - 1) ** 4, 0, 1) * ((bank > 0) & (bank < 1))
+    rise = np.where(y > half[1], (bank - 1).clip(min=0) * RIVER, out - 14)
+    return hills * np.clip(rise / 60, 0, 1) - 3.0 * bed
+
+
+def build(seed: int, kinds: Kinds, margin: float, river: bool = True) -> World:
+    """The city of one seed.
+
+    Args:
+        seed: Of everything random.
+        kinds: Index into KINDS for each block, by column (x) and row (y).
+        margin: Metres of open land around the blocks.
+        river: Whether one runs along the last row.
+    """
+    rng = np.random.Generator(np.random.PCG64((seed, 3)))
+    nx, ny = len(kinds), len(kinds[0])
+    half = np.array([nx, ny]) * PITCH / 2
+    world = Builder()
+    xs, ys = (np.arange(-h - margin, h + margin + 4, 4.0) for h in half)
+    x, y = np.meshgrid(xs, ys)
+    world.add("ground", [(heightfield(xs, ys, height(x, y, half, river)), CityGround(kinds))])
+    far, low, high = half[0] + margin, half[1] + 12, half[1] + 12 + RIVER
+    if river:
+        sheet = [[-far, low, -1.1], [far, low, -1.1], [far, high, -1.1], [-far, high, -1.1]]
+        world.add("water", [(polygon(sheet), water)])
+    for column in range(nx):
+        for row in range(ny):
+            centre = (np.array([column, row]) + 0.5) * PITCH - half
+            BLOCKS[KINDS[kinds[column][row]]](world, centre, rng)
+    _street_furniture(world, half, nx, ny, rng)
+    for _ in range(int(0.0016 * 4 * far * (half[1] + margin))):
+        x, y = rng.uniform(-far, far), rng.uniform(-half[1] - margin, half[1] + margin)
+        beside = max(abs(x) - half[0], abs(y) - half[1]) > 9
+        if beside and not (river and low - 3 < y < high + 3) and wooded(x, y):
+            tree(world, x, y, rng, float(height(np.array([x]), np.array([y]), half, river)[0]))
+    return world.build()
+
+
+def wooded(x: float, y: float) -> bool:
+    """Where woods stand outside the city."""
+    return float(fbm(torch.tensor([[x, y]], dtype=torch.float32), 40.0, 2, 303)[0]) > 0.5
+
+
+def draw_kinds(seed: int, nx: int, ny: int) -> Kinds:
+    """Kinds of nx x ny blocks in random places, each kind equally often."""
+    rng = np.random.Generator(np.random.PCG64(seed))
+    cells = [(x, y) for x in range(nx) for y in range(ny)]
+    draw = rng.permutation(len(cells))
+    kinds = {cells[index]: int(n % len(KINDS)) for n, index in enumerate(draw)}
+    return tuple(tuple(kinds[x, y] for y in range(ny)) for x in range(nx))
+
+
+def _street_furniture(
+    world: Builder, half: np.ndarray, nx: int, ny: int, rng: np.random.Generator
+) -> None:
+    """Parked cars and street trees along every street."""
+    for axis, (lines, length) in enumerate(((nx, half[1]), (ny, half[0]))):
+        for line in range(lines + 1):
+            across = line * PITCH - half[axis]
+            for along in np.arange(-length + 11, length - 10, 7.0):
+                if abs(np.remainder(along + length, PITCH) - PITCH / 2) > PITCH / 2 - 11:
+                    continue
+                for side in (-1, 1):
+                    spot = across + side * (ROAD - 1.2)
+                    place = (spot, along) if axis == 0 else (along, spot)
+                    if rng.random() < 0.4:
+                        parked_car(world, *place, np.pi / 2 * (1 - axis), rng)
+                    elif rng.random() < 0.3:
+                        spot = across + side * (ROAD + WALK - 0.9)
+                        tree(world, *((spot, along) if axis == 0 else (along, spot)), rng)
+
+
+def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
+    """Nadir lines over the city; oblique and facade views in a group of their own."""
+    rng = np.random.Generator(np.random.PCG64((seed, 1)))
+    size, focal = (settings.width, settings.height), 1.05 * settings.width
+    half = np.array(settings.blocks) * PITCH / 2
+    cover = settings.altitude / focal * np.array(size)
+    counts = [
+        max(2, int(np.ceil(2 * h / (side * (1 - share)))) + 1)
+        for h, side, share in zip(half, cover, settings.overlap, strict=True)
+    ]
+    x, y = ((-h * 0.95, h * 0.95, n) for h, n in zip(half, counts, strict=True))
+    found = []
+    for index, (eye, target) in enumerate(strips(x, y, settings.altitude, 0.03, 0.8, rng)):
+        camera = looking(eye, target, size, focal)
+        found.append(Shot(name=f"nadir_{index:05d}.png", camera=camera))
+    for index in range(settings.oblique):
+        angle = 2 * np.pi * (index + 0.3) / settings.oblique
+        target = np.append(rng.uniform(-0.5, 0.5, 2) * half, 4.0)
+        eye = target + np.array([np.cos(angle) * 60, np.sin(angle) * 60, 42.0])
+        camera = looking(eye, target, size, focal)
+        found.append(Shot(name=f"oblique_{index:05d}.png", camera=camera, group=UNSEEN))
+    for index in range(settings.facade):
+        eye, target = _street_view(settings, rng)
+        camera = looking(eye, target, size, 0.8 * settings.width)
+        found.append(Shot(name=f"facade_{index:05d}.png", camera=camera, group=UNSEEN))
+    return tuple(found)
+
+
+def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """From above a street's middle, across it, at the houses of a block."""
+    axis = int(rng.integers(2))
+    half = np.array(settings.blocks) * PITCH / 2
+    line = int(rng.integers(0, settings.blocks[axis]))
+    eye = np.zeros(3)
+    eye[axis] = line * PITCH - half[axis]
+    eye[1 - axis] = rng.uniform(-0.7, 0.7) * half[1 - axis]
+    eye[2] = rng.uniform(8.0, 12.0)
+    ahead = np.zeros(3)
+    ahead[axis], ahead[1 - axis], ahead[2] = 14.0, rng.uniform(-12, 12), -4.5
+    return eye, eye + ahead
+
+
+def plan(seed: int, settings: Settings) -> Plan:
+    """The whole scene of a seed."""
+    kinds = draw_kinds(seed, *settings.blocks)
+    world = build(seed, kinds, 1.2 * settings.altitude)
+
+    def stage() -> Stage:
+        caster = Caster(world)
+        half = np.array(settings.blocks) * PITCH / 2 + 30
+        light = Daylight(
+            caster, Sky(azimuth=0.7, elevation=0.9), (-half[0], -half[1], -3.0),
+            (half[0], half[1], 42.0), settings.cell,
+        )  # fmt: skip
+        seeds = object_seeds(len(world.kinds), seed)
+        return Stage(caster=caster, lighting=light, object_seeds=seeds)
+
+    return Plan(
+        world="city", settings=asdict(settings), seed=seed, shots=shots(seed, settings),
+        stage=once(stage), samples=settings.samples, kinds={"": world.kinds}, features=600,
+        facts={"unseen": "views in the folder unseen are no training views: low oblique and facades"},
+    )  # fmt: skip
