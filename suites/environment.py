@@ -75,4 +75,4 @@ def simd_level() -> str:
         from splatbench import _ext
     except ImportError:
         return ""
-    return getattr(_ext, "simd_level", str)()
+    return _ext.simd_level()

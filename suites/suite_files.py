@@ -17,6 +17,8 @@ from splatbench.suites.typed_toml import build, read_toml, unknown
 
 FOLDER = Path(__file__).parent
 """Where the suites that ship with the package lie."""
+PATH = ("/", "./", "../")
+"""What starts so is a path; everything else is a name, which may hold slashes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,10 +26,10 @@ class Block:
     """Cases that are a full product: every scene with every method, protocol and seed."""
 
     scenes: tuple[str, ...]
-    """Registered names or folders (relative to the suite file)."""
+    """Registered names, or folders as "/...", "./..." or "../..." relative to the suite file."""
     methods: tuple[str, ...]
     protocols: tuple[str, ...]
-    """Names, or protocol files relative to the suite file."""
+    """Names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
     seeds: tuple[int, ...] = (0,)
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
     """Method name to the settings that differ from its defaults."""
@@ -48,7 +50,7 @@ class Case:
     """One thing to run. Everything that its numbers depend on is here, apart from the data."""
 
     scene: str
-    """As `open_scene` takes it: a registered name or a folder."""
+    """As `open_scene` takes it: a registered name or an absolute folder."""
     method: str
     settings: Any
     """Instance of the method's settings dataclass."""
@@ -58,7 +60,7 @@ class Case:
     @property
     def scene_name(self) -> str:
         """What results call the scene: its registered name or its folder's."""
-        return Path(self.scene).name
+        return Path(self.scene).name if self.scene.startswith(PATH) else self.scene
 
     @property
     def folder(self) -> Path:
@@ -108,7 +110,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
         name=path.stem,
         description=file.description,
         cases=tuple(cases),
-        optional_scenes=tuple(_scene(name, path) for name in file.optional_scenes),
+        optional_scenes=tuple(_beside(name, path) for name in file.optional_scenes),
     )
 
 
@@ -163,7 +165,7 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
         for name in block.methods
     }
     protocols = [load_protocol(_beside(name, path)) for name in block.protocols]
-    scenes = [_scene(name, path) for name in block.scenes]
+    scenes = [_beside(name, path) for name in block.scenes]
     product = itertools.product(scenes, block.methods, protocols, block.seeds)
     return [
         Case(scene=scene, method=method, settings=settings[method], seed=seed, protocol=protocol)
@@ -171,13 +173,9 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
     ]
 
 
-def _scene(name: str, path: Path) -> str:
-    return str(_beside(name, path))
-
-
-def _beside(name: str, path: Path) -> str | Path:
-    """A name as it is; a path (it has a separator or ends in .toml) relative to the suite file."""
-    return path.parent / name if "/" in name or name.endswith(".toml") else name
+def _beside(name: str, path: Path) -> str:
+    """A path (it starts with "/", "./" or "../") relative to the suite file; a name as it is."""
+    return str((path.parent / name).resolve()) if name.startswith(PATH) else name
 
 
 def _check_distinct(cases: list[Case], path: Path) -> None:

@@ -45,7 +45,7 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
         worker.join()
     finally:
         ours.close()
-        worker.terminate()
+        worker.kill()  # nothing to say good-bye to: what it writes is written whole
         worker.join()
     if not (job.folder / RECORD_NAME).exists():
         write_record(job.folder, failed_result(job, _cause(worker.exitcode)))

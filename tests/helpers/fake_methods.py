@@ -13,7 +13,7 @@ from splatbench.methods.files import write_text
 from splatbench.methods.reconstruction import ExplicitModel
 from splatbench.methods.registry import METHODS, Method
 from splatbench.methods.run import Run
-from splatbench.reference.errors import DataError
+from splatbench.reference.errors import DataError, UsageError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
 from splatbench.suites import cases
@@ -40,6 +40,11 @@ class FakeSettings:
     crash: bool = False
     """End the process without a word at the middle step."""
     inner: Inner = field(default_factory=Inner)
+
+    def __post_init__(self) -> None:
+        """Refuse a run of no steps."""
+        if self.iterations < 1:
+            raise UsageError(f"iterations is {self.iterations}, expected 1 or more")
 
 
 def fit(scene: Scene, settings: FakeSettings, run: Run) -> ExplicitModel:

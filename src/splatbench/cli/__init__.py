@@ -86,6 +86,9 @@ COMMANDS = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run `bench` with these arguments (default: the process's) and return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
+    # Threads that spin while they wait make training ten times slower on a machine that is shared;
+    # read when torch is first imported, here or in a worker.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         return _told(lambda: _run(arguments))
     except BrokenPipeError:

@@ -1,0 +1,164 @@
+"""`bench run SUITE`: all cases of a suite, then the tracking store and the leaderboard."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Self
+
+import tyro
+
+from splatbench.cli import output
+
+if TYPE_CHECKING:
+    from splatbench.suites.runner import Outcome, Progress
+    from splatbench.suites.suite_files import Suite
+
+
+def run(
+    suite: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SUITE")],
+    *,
+    out: Path = Path("runs"),
+    only: str | None = None,
+    seeds: int | None = None,
+    dry_run: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    resume: bool = True,
+    backend: str = "cpu",
+    threads: int | None = None,
+) -> int:
+    """Run every scene x method x protocol x seed of a suite, and print the leaderboard.
+
+    A finished case is never repeated unless its settings, protocol or backend have changed; an
+    unfinished one continues from its last checkpoint, however it was stopped. With --json each case is
+    a line: suite, scene, method, protocol, seed, status (kept, finished, failed), error, folder, every
+    metric by its name, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
+
+    Args:
+        suite: Name of a suite, or the path of a .toml file.
+        out: Folder for the results; each case has its own in OUT/SUITE/scene/method/protocol/seed.
+        only: Run the cases that match this pattern on scene/method/protocol/seed, e.g. "town/*/seed0".
+        seeds: Run the seeds 0 to N - 1 instead of the suite's.
+        dry_run: Print the cases with estimated time and memory, and run nothing.
+        resume: Keep what is there (--no-resume: start the chosen cases over).
+        backend: Rasterizer: cpu, reference or cuda.
+        threads: Threads to use; None: as many as torch does.
+    """
+    from splatbench.methods.backends import get_backend
+    from splatbench.reports.mlflow_client import default_uri
+    from splatbench.suites.runner import run_suite, select
+    from splatbench.suites.scenes import without_absent
+    from splatbench.suites.suite_files import load_suite
+
+    uri = default_uri(out)
+    whole = load_suite(suite)
+    get_backend(backend)
+    chosen, absent = without_absent(select(whole, only=only, seeds=seeds))
+    for reason in absent:
+        output.log(f"left out: {reason}")
+    if dry_run:
+        return _print_plan(chosen, out, backend)
+    with _Screen() as screen:
+        outcomes = run_suite(
+            chosen, out, backend=backend, threads=threads, resume=resume,
+            on_progress=screen.progress, on_result=screen.result,
+        )  # fmt: skip
+    _store(out, whole.name, uri)
+    return int(any(outcome.status == "failed" for outcome in outcomes))
+
+
+class _Screen:
+    """What a person sees while cases run, on stderr; with --json also a line a case on stdout."""
+
+    def __enter__(self) -> Self:
+        self._bar = output.progress()
+        self._bar.__enter__()
+        self._task = self._bar.add_task("", total=None, values="")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def progress(self, at: "Progress") -> None:
+        """Show where the case is."""
+        if at.stage == "start":
+            note = f" {at.note}" if at.note else ""
+            output.log(f"[{at.index + 1}/{at.count}] {at.case.label}{note}")
+            self._bar.reset(self._task, total=None, description=at.case.label, values="")
+        values = "  ".join(f"{name} {value:.4g}" for name, value in (at.values or {}).items())
+        self._bar.update(
+            self._task,
+            completed=at.step,
+            total=at.total or None,
+            description=f"{at.case.label} {at.stage}",
+            values=values,
+        )
+
+    def result(self, outcome: "Outcome") -> None:
+        """Tell what became of the case."""
+        result, case = outcome.result, outcome.case
+        if output.wants_json():
+            output.print_record(_record(outcome))
+        if result.error:
+            output.warn(f"{case.label} failed: {result.error} (folder {outcome.folder})")
+            return
+        shown = "  ".join(f"{name} {result.metrics[name]:.4g}" for name in case.protocol.metrics)
+        spent = sum(result.stages.values())
+        output.log(f"{outcome.status}: {case.label}  {shown}  {spent:.1f} s")
+
+
+def _record(outcome: "Outcome") -> dict[str, object]:
+    result = outcome.result
+    return {
+        "suite": result.suite,
+        "scene": result.scene,
+        "method": result.method,
+        "protocol": result.protocol,
+        "seed": result.seed,
+        "status": outcome.status,
+        "error": result.error,
+        "folder": str(outcome.folder),
+        **result.metrics,
+        "seconds": result.stages,
+        "primitives": result.primitives,
+        "bytes_on_disk": result.bytes_on_disk,
+        "peak_memory_mb": result.peak_memory_mb,
+        "render_ms": result.render_ms,
+    }
+
+
+def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
+    """Print each case with its estimates and their sum."""
+    from splatbench.suites.estimate import estimate_case
+
+    total = 0.0
+    for case in suite.cases:
+        guess = estimate_case(case, out / suite.name, backend)
+        total += guess.seconds
+        record = {
+            "suite": suite.name,
+            "scene": case.scene_name,
+            "method": case.method,
+            "protocol": case.protocol.name,
+            "seed": case.seed,
+            "estimated_seconds": guess.seconds,
+            "estimated_memory_mb": guess.memory_mb,
+            "basis": guess.basis,
+        }
+        text = f"{guess.seconds:8.0f} s {guess.memory_mb:8.0f} MB  {case.label}  ({guess.basis})"
+        output.emit(record, text)
+    output.log(f"{len(suite.cases)} cases, about {total:.0f} s one after the other")
+    return 0
+
+
+def _store(out: Path, suite: str, uri: str) -> None:
+    """Log the finished cases to the tracking store and print the suite's leaderboard from it."""
+    from splatbench.reports.store import find_cases, sync
+
+    with output.progress() as bar:
+        task = bar.add_task("tracking store", total=None, values="")
+        failures = sync(
+            find_cases(out / suite),
+            uri,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    for failure in failures:
+        output.warn(f"{failure.folder}: not logged: {failure.reason}")
+    if failures:
+        output.warn("the records are on disk; the next `bench run` or `bench report` logs them")

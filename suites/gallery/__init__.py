@@ -1,0 +1,1 @@
+"""One picture a component, drawn from the code itself on a small scene."""

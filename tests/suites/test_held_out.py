@@ -1,0 +1,66 @@
+"""Pictures and scores of the held-out views."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from helpers.fake_methods import fake_scene, model_of
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.reference.errors import DataError
+from splatbench.suites.held_out import error_picture, picture_name, score_views, to_8_bit
+
+PROTOCOL = load_protocol("default")
+MODEL = model_of(0.3, "reference")
+
+
+def test_bytes_are_rounded_half_up_and_clamped():
+    image = torch.tensor([[[-1.0, 0.5 / 255, 0.4999 / 255], [1.0, 2.0, 254.5 / 255]]])
+    assert to_8_bit(image).tolist() == [[[0, 1, 0], [255, 255, 255]]]
+
+
+def test_error_picture_is_black_where_equal_or_not_scored_and_bright_where_not():
+    truth = torch.full((16, 24, 3), 128 / 255)
+    render = truth.clone()
+    render[:, 12:] = torch.tensor([1.0, 0.0, 0.0])
+    bright = error_picture("a", render, truth, PROTOCOL, None).astype(int).sum(axis=2)
+    assert bright[:, -4:].min() > 200
+    assert error_picture("a", truth, truth, PROTOCOL, None).max() <= 4  # magma starts at (0, 0, 4)
+    mask = torch.zeros(16, 24, dtype=torch.bool)
+    mask[:, :4] = True
+    assert error_picture("a", render, truth, PROTOCOL, mask)[:, 12:].max() <= 4
+    half = replace(PROTOCOL, region="right_half")
+    left = error_picture("a", truth.flip(1), render.flip(1), half, None)
+    assert left[:, :12].max() <= 4
+
+
+def test_pictures_have_the_views_names_and_the_truths_size(tmp_path):
+    scene = fake_scene("town", PROTOCOL)
+    images, milliseconds = score_views(scene, MODEL, PROTOCOL, tmp_path)
+    assert [image.name for image in images] == ["0.png", "3.png"]
+    assert milliseconds > 0
+    for kind in ("renders", "truth", "errors"):
+        for image in images:
+            picture = cv2.imread(str(tmp_path / kind / picture_name(image.name)))
+            assert picture is not None
+            assert picture.shape == (18, 24, 3)
+    truth = cv2.imread(str(tmp_path / "truth" / "0.png"))
+    assert truth is not None
+    want = to_8_bit(scene.test_views[0].load())
+    assert np.array_equal(truth[..., ::-1], want)
+
+
+def test_scenes_that_cannot_be_scored_leave_nothing(tmp_path):
+    scene = fake_scene("town", PROTOCOL)
+    with pytest.raises(DataError, match="no test view under protocol 'default'"):
+        score_views(replace(scene, test=()), MODEL, PROTOCOL, tmp_path)
+    views = list(scene.views)
+    views[3] = replace(views[3], name="other/0.jpg")
+    with pytest.raises(DataError, match="two test views have the same name but for"):
+        score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
+    views[3] = replace(scene.views[3], load=lambda: torch.full((18, 24, 3), 2.0))
+    with pytest.raises(DataError):
+        score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
+    assert not list(tmp_path.iterdir())

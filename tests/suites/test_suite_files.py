@@ -1,0 +1,156 @@
+"""Suite files: the product of their blocks, and one-line errors that name file, key and nearest."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from helpers import fake_methods
+from helpers.fake_methods import FakeSettings, fake_scene
+from splatbench.methods.registry import METHODS
+from splatbench.reference.errors import UsageError
+from splatbench.suites import cases
+from splatbench.suites.suite_files import FOLDER, case_key, load_suite
+
+GOOD = """
+description = "For tests"
+[[blocks]]
+scenes = ["town", "village"]
+methods = ["fake"]
+protocols = ["default", "quick"]
+seeds = [0, 3]
+[blocks.settings.fake]
+iterations = 7
+inner.rate = 1
+"""
+
+
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch):
+    monkeypatch.setitem(METHODS, "fake", None)
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    fake_methods.register()
+
+
+def written(folder: Path, text: str, name: str = "mine.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def test_cases_are_the_product_with_all_settings(tmp_path):
+    suite = load_suite(written(tmp_path, GOOD))
+    assert suite.name == "mine"
+    assert suite.scenes == ("town", "village")
+    assert len({case.label for case in suite.cases}) == len(suite.cases) == 8
+    assert suite.cases[0].label == "town/fake/default/seed0"
+    assert suite.cases[0].settings == FakeSettings(iterations=7, inner=fake_methods.Inner(rate=1.0))
+    assert isinstance(suite.cases[0].settings.inner.rate, float)
+
+
+def test_scene_folders_and_protocol_files_are_relative_to_the_suite_file(tmp_path):
+    written(tmp_path, 'source = "ours"\nwidth = 64\n', "small.toml")
+    text = GOOD.replace('"town"', '"./data/town"').replace('"quick"', '"./small.toml"')
+    suite = load_suite(written(tmp_path, text))
+    assert suite.cases[0].scene == str((tmp_path / "data/town").resolve())
+    assert {case.protocol.name for case in suite.cases} == {"default", "small"}
+    assert suite.cases[2].protocol.width == 64
+    assert suite.cases[0].label == "town/fake/default/seed0"
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_suite_that_ships_loads(path):
+    assert load_suite(path.stem).cases
+
+
+def test_the_key_depends_on_everything_that_a_number_depends_on(tmp_path):
+    case = load_suite(written(tmp_path, GOOD)).cases[0]
+    others = [
+        replace(case, seed=1),
+        replace(case, scene="x"),
+        replace(case, method="x"),
+        replace(case, settings=replace(case.settings, iterations=8)),
+        replace(case, settings=replace(case.settings, inner=fake_methods.Inner(cap=3))),
+        replace(case, protocol=replace(case.protocol, width=9)),
+    ]
+    keys = {case_key(other, "cpu") for other in [case, *others]} | {case_key(case, "cuda")}
+    assert len(keys) == 8
+    # A folder moved elsewhere is still the same scene.
+    assert case_key(replace(case, scene="/data/town"), "cpu") == case_key(case, "cpu")
+
+
+def changed(old: str, new: str) -> str:
+    assert old in GOOD
+    return GOOD.replace(old, new)
+
+
+BAD = {
+    "not TOML": (GOOD + "[[", "not TOML"),
+    "empty": ("", "description is missing"),
+    "no blocks": ('description = "x"', "blocks is missing"),
+    "unknown key": (
+        changed("[[blocks]]", "[[blocks]]\nseed = [1]"),
+        r"blocks.0: unknown 'seed', did you mean 'seeds'",
+    ),
+    "unknown top key": ('title = 1\ndescription = "x"\nblocks = []', "unknown 'title'"),
+    "unknown method": (
+        changed('["fake"]', '["fkae"]'),
+        r"blocks\[0\].methods: unknown 'fkae', did you mean 'fake'",
+    ),
+    "unknown protocol": (changed('"quick"', '"qiuck"'), "'qiuck', nearest is 'quick'"),
+    "unknown setting": (
+        changed("iterations", "iteratons"),
+        "settings.fake: unknown 'iteratons', did you mean 'iterations'",
+    ),
+    "unknown inner setting": (
+        changed("inner.rate", "inner.rato"),
+        "settings.fake.inner: unknown 'rato', did you mean 'rate'",
+    ),
+    "settings of no method here": (
+        changed("settings.fake", "settings.fake2"),
+        "settings: unknown 'fake2', did you mean 'fake'",
+    ),
+    "text for a number": (changed("iterations = 7", 'iterations = "7"'), "iterations: .*'7'"),
+    "fraction for a whole number": (changed("iterations = 7", "iterations = 7.5"), "iterations: "),
+    "truth for a number": (changed("inner.rate = 1", "inner.rate = true"), "inner.rate: .*True"),
+    "value the method refuses": (
+        changed("iterations = 7", "iterations = 0"),
+        "iterations is 0, expected",
+    ),
+    "text for a list": (changed('["fake"]', '"fake"'), "blocks.0.methods: .*'fake'"),
+    "no scene": (changed('["town", "village"]', "[]"), "scenes: empty"),
+    "no seed": (changed("[0, 3]", "[]"), "seeds: empty"),
+    "negative seed": (changed("[0, 3]", "[-1]"), "seeds: .*-1"),
+    "a seed twice": (
+        changed("[0, 3]", "[3, 3]"),
+        "the case town/fake/default/seed3 is there twice",
+    ),
+    "optional scene that is not there": (
+        changed("description", 'optional_scenes = ["tonw"]\ndescription'),
+        "optional_scenes: no block has tonw",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_files_are_named_in_one_line(tmp_path, name):
+    text, message = BAD[name]
+    path = written(tmp_path, text)
+    with pytest.raises(UsageError, match=message) as error:
+        load_suite(path)
+    assert "\n" not in str(error.value)
+    assert error.value.exit_code == 2
+    if name != "unknown protocol":
+        assert str(path) in str(error.value)
+
+
+def test_a_missing_file_a_wrong_name_and_a_name_that_is_no_folder(tmp_path):
+    with pytest.raises(UsageError, match="no such suite file"):
+        load_suite(tmp_path / "none.toml")
+    with pytest.raises(UsageError, match="unknown 'qick', did you mean 'quick'"):
+        load_suite("qick")
+    with pytest.raises(UsageError, match="the file's name becomes a folder"):
+        load_suite(written(tmp_path, GOOD, "a b.toml"))
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="not TOML"):
+        load_suite(tmp_path / "binary.toml")
