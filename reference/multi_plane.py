@@ -64,7 +64,9 @@ def plane_normal(points: Float[Tensor, "n 3"], up: Float[Tensor, "3"]) -> Float[
     Source: StratoSplat, Sec. 3.3, "Plane-Based Gaussian Generation".
     """
     centred = points - points.mean(dim=0) if len(points) else points.new_zeros(1, 3)
-    _, values, axes = torch.linalg.svd(torch.cat([centred, points.new_zeros(3, 3)]))
+    _, values, axes = torch.linalg.svd(
+        torch.cat([centred, points.new_zeros(3, 3)]), full_matrices=False
+    )
     if not values[1] - values[2] > UNIQUE * values[0]:
         raise ValueError(
             f"no unique direction of least variance: singular values {values.tolist()}"
