@@ -50,8 +50,9 @@ def check_uri(uri: str) -> None:
 
 def shown_uri(uri: str) -> str:
     """The URI without user name and password, for messages and pages."""
-    parts = urllib.parse.urlsplit(uri)
-    return parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()
+    scheme, mark, rest = uri.partition("://")
+    server, slash, path = rest.partition("/")
+    return scheme + mark + server.rpartition("@")[2] + slash + path
 
 
 def sqlite_file(uri: str) -> Path | None:

@@ -17,6 +17,7 @@ from splatbench.reference.result_json import result_from_json
 from splatbench.reports import run_data
 from splatbench.reports.mlflow_client import (
     artifact_root,
+    check_uri,
     one_line,
     open_client,
     shown_uri,
@@ -26,6 +27,7 @@ from splatbench.reports.mlflow_client import (
 
 if TYPE_CHECKING:
     from mlflow.entities import Run
+    from mlflow.store.artifact.artifact_repo import ArtifactRepository
     from mlflow.tracking import MlflowClient
 
 EXPERIMENTS = "splatbench/"
@@ -56,7 +58,8 @@ class StoredResult:
 
     result: Result
     uri: str
-    run_id: str
+    artifact_uri: str
+    """Where the run's files are, as MLflow tells it."""
 
     def picture(self, kind: Picture, image: str) -> bytes | None:
         """The PNG of a test image as it was logged.
@@ -67,7 +70,7 @@ class StoredResult:
         Returns: The file's bytes; None where the case has no such picture.
         """
         path = f"{FOLDERS[kind]}/{PurePosixPath(image).stem}.png"
-        return _artifact(open_client(self.uri), self.run_id, path)
+        return _artifact(self.artifact_uri, self.uri, path)
 
 
 def find_cases(out: Path) -> list[Path]:
@@ -104,6 +107,9 @@ def sync(
     """
     waiting, failures = list(case_folders), []
     total = len(waiting)
+    check_uri(uri)
+    if not waiting:
+        return []  # and make no store
     try:
         client = open_client(uri)
         while waiting:
@@ -136,18 +142,19 @@ def read_results(uri: str) -> list[StoredResult]:
     client = open_client(uri)
     newest: dict[tuple[str, str], tuple[int, StoredResult]] = {}
     for run in _runs(client, f"tags.`{STATE}` = 'complete'"):
-        text = _artifact(client, run.info.run_id, "record.json")
+        files = run.info.artifact_uri or ""
+        text = _artifact(files, uri, "record.json")
         if text is None:
             raise MissingError(
                 f"tracking store {shown_uri(uri)}: the files of run {run.info.run_id} "
-                f"({run.info.run_name}) are not at {run.info.artifact_uri}; if the "
+                f"({run.info.run_name}) are not at {files}; if the "
                 "folder was moved, delete its mlflow.db and run `bench report` again"
             )
         result = result_from_json(text.decode(), f"{shown_uri(uri)} run {run.info.run_id}")
         case = (run_data.case_name(result), run_data.case_key(result))
         ended = run.info.end_time or 0
         if case not in newest or newest[case][0] < ended:
-            newest[case] = (ended, StoredResult(result, uri, run.info.run_id))
+            newest[case] = (ended, StoredResult(result, uri, files))
     return [newest[case][1] for case in sorted(newest)]
 
 
@@ -240,20 +247,24 @@ def _pages(search: Callable[..., Any], **query: object) -> list[Any]:
 
 def _delete(client: "MlflowClient", run: "Run", uri: str) -> None:
     """Remove a half-logged run and its files."""
-    from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
-
-    if run.info.artifact_uri:
-        get_artifact_repository(run.info.artifact_uri, tracking_uri=uri).delete_artifacts()
+    _repository(run.info.artifact_uri or "", uri).delete_artifacts()
     client.delete_run(run.info.run_id)
 
 
-def _artifact(client: "MlflowClient", run_id: str, path: str) -> bytes | None:
+def _artifact(artifact_uri: str, uri: str, path: str) -> bytes | None:
     """The bytes of a logged file; None where there is none of that name."""
+    repository = _repository(artifact_uri, uri)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            return Path(client.download_artifacts(run_id, path, folder)).read_bytes()
+            return Path(repository.download_artifacts(path, folder)).read_bytes()
         except store_errors():
             folder_of = path.rpartition("/")[0] or None
-            if any(file.path == path for file in client.list_artifacts(run_id, folder_of)):
+            if any(file.path == path for file in repository.list_artifacts(folder_of)):
                 raise  # it is there and did not arrive
             return None
+
+
+def _repository(artifact_uri: str, uri: str) -> "ArtifactRepository":
+    from mlflow.store.artifact.artifact_repository_registry import get_artifact_repository
+
+    return get_artifact_repository(artifact_uri, tracking_uri=uri)

@@ -27,14 +27,6 @@ KINDS: tuple[Picture, ...] = ("truth", "render", "error")
 REFUSING = "http://127.0.0.1:9"  # the discard port: nothing listens there
 
 
-@pytest.fixture(scope="module")
-def migrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty store whose tables exist: making them takes a second, copying them nothing."""
-    file = tmp_path_factory.mktemp("empty") / "mlflow.db"
-    open_client(f"sqlite:///{file}")
-    return file
-
-
 @pytest.fixture
 def uri(migrated: Path, tmp_path: Path) -> str:
     shutil.copy(migrated, tmp_path / "mlflow.db")
@@ -247,8 +239,9 @@ def test_files_that_were_moved_away_are_named(tmp_path: Path, uri: str):
         read_results(uri)
 
 
-def test_reading_makes_no_store(tmp_path: Path):
+def test_without_cases_no_store_is_made(tmp_path: Path):
     assert read_results(f"sqlite:///{tmp_path / 'mlflow.db'}") == []
+    assert sync([], f"sqlite:///{tmp_path / 'mlflow.db'}") == []
     assert list(tmp_path.iterdir()) == []
 
 
@@ -282,6 +275,7 @@ def test_a_store_whose_scheme_is_unknown_is_missing():
 
 def test_passwords_are_not_shown():
     assert shown_uri("https://user:secret@host:5000/p") == "https://host:5000/p"
+    assert shown_uri("sqlite:////runs/a@b/mlflow.db") == "sqlite:////runs/a@b/mlflow.db"
 
 
 def test_the_key_of_a_case_sees_settings_and_rules_but_not_scores():
