@@ -66,7 +66,7 @@ def test_nothing_to_report_is_a_usage_error_and_leaves_nothing(tmp_path: Path, c
 def test_a_damaged_case_is_told_and_the_rest_is_reported(runs: Path, tmp_path: Path, capsys):
     out = tmp_path / "runs"
     shutil.copytree(runs / "quick", out / "quick")
-    damaged = sorted(out.rglob("record.json"))[0]
+    damaged = min(out.rglob("record.json"))
     damaged.write_text("{")
     assert main(["report", "--out", str(out), "--json"]) == 1
     shown = capsys.readouterr()
