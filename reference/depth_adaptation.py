@@ -45,7 +45,7 @@ class AdaptationSettings:
     """lambda_vis (paper, Sec. 4)."""
     guidance_steps: int = 20
     """Optimiser steps at each denoising step (ours; the paper names none)."""
-    learning_rate: float = 0.05
+    learning_rate: float = 0.2
     """Adam, for the latent, a and b."""
 
 
@@ -67,14 +67,20 @@ def sparse_depths(camera: Camera, points: Float[Tensor, "n 3"]) -> SparseDepths:
     return SparseDepths(rows=row, columns=column, depths=z[inside])
 
 
+TRUSTED = 0.3
+"""Correlation of prediction and sparse depths from which a fitted scale is believed."""
+
+
 def align(
     prediction: Float[Tensor, "h w"], sparse: SparseDepths
 ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Least-squares scale and shift (a, b) that take the prediction to the sparse depths.
+    """Scale and shift (a, b) that take the prediction in [0, 1] to the sparse depths.
 
-    With fewer than two points, or a prediction that does not vary over them, a cannot be found:
-    it is then 1 and b the mean difference; without any point (1, 0). A negative a would turn the
-    depth inside out, and is replaced the same way.
+    Least squares, where prediction and depths agree at all (correlation >= 0.3). A prediction that
+    does not vary over the points, or contradicts them, says nothing about the scale: it is then
+    given the points' own range, b = min and a = max - min; with fewer than two distinct depths a
+    is 1 and b the mean difference; without any point (1, 0). So a is never negative: that would
+    turn the depth inside out.
 
     Source: StratoSplat, Sec. 3.2 (learnable scale-shift); the start and its fallbacks: ours.
     """
@@ -83,12 +89,16 @@ def align(
         return one, prediction.new_zeros(())
     here = prediction[sparse.rows, sparse.columns]
     depths = sparse.depths.to(prediction)
-    spread = (here - here.mean()).square().sum()
-    covariance = ((here - here.mean()) * (depths - depths.mean())).sum()
-    known = spread > 1e-12 * len(here)
-    a = torch.where(known, covariance / torch.where(known, spread, one), one)
-    a = torch.where(a > 0, a, one)
-    return a, depths.mean() - a * here.mean()
+    x, y = here - here.mean(), depths - depths.mean()
+    power = (x * x).sum() * (y * y).sum()
+    varies = power > 1e-24 * len(here) ** 2
+    if varies and (x * y).sum() >= TRUSTED * power.sqrt():
+        a = (x * y).sum() / (x * x).sum()
+        return a, depths.mean() - a * here.mean()
+    spread = depths.amax() - depths.amin()
+    if spread > 0:
+        return spread, depths.amin()
+    return one, depths.mean() - here.mean()
 
 
 def guidance_loss(

@@ -14,7 +14,7 @@ class EdgeDiffusion:
     Source: ours; weights after Perona and Malik 1990, "Scale-space and edge detection", Eq. 9.
     """
 
-    def __init__(self, steps: int = 4, sweeps: int = 30, contrast: float = 0.05) -> None:
+    def __init__(self, steps: int = 3, sweeps: int = 60, contrast: float = 0.1) -> None:
         """Choose how far values travel.
 
         Args:

@@ -17,6 +17,7 @@ from splatbench.reference import (
 from splatbench.reference.edge_diffusion import EdgeDiffusion
 from splatbench.reference.layered_depth import LayeredDepth
 from splatbench.reference.scene import Scene, View
+from splatbench.reference.spiral_path import SpiralSettings, spiral_path
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
 
 
@@ -79,8 +80,8 @@ def draw_adaptation(scene: Scene, path: Path) -> None:
     nothing = torch.zeros(image.shape[:2], dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
     adapted = depth_adaptation.adapt_view(
-        EdgeDiffusion(steps=3), image, sparse, nothing, nothing.bool(),
-        depth_adaptation.AdaptationSettings(guidance_steps=30), generator,
+        EdgeDiffusion(), image, sparse, nothing, nothing.bool(),
+        depth_adaptation.AdaptationSettings(), generator,
     )  # fmt: skip
     truth = view.load_depth().double()
     error = (adapted - truth).abs() / truth
@@ -105,7 +106,8 @@ def _tracks_of(scene: Scene, view: int) -> Tensor:
 
 def draw_planes(scene: Scene, path: Path) -> None:
     """The plane stack in a side view, and where the rays of one camera meet it."""
-    cloud, colours = _truth(scene.views[_most_downward(scene)])
+    memory = filled_memory(scene)
+    cloud, colours = memory.positions, memory.colours
     normal = multi_plane.plane_normal(cloud, scene.up)
     stack = multi_plane.plane_stack(cloud, normal, 6)
     camera = scene.views[0].camera
@@ -136,8 +138,6 @@ def draw_planes(scene: Scene, path: Path) -> None:
 
 def draw_spiral(scene: Scene, path: Path) -> None:
     """The descent around the scene, from above and from the side."""
-    from splatbench.reference.spiral_path import SpiralSettings, spiral_path
-
     cloud = scene.points.positions
     heights = cloud @ scene.up
     ground = float(heights.quantile(0.05))

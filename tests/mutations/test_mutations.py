@@ -40,8 +40,11 @@ def test_fault_is_seen(module, tests, fault, tmp_path):
     copy = tmp_path / Path(module).name
     copy.write_text(faulty(module, fault))
     name = "splatbench." + module.removesuffix(".py").replace("/", ".")
+    # Without the type-checking import hook: it would load the module past ours, and the fault is
+    # to be seen by the tests, not by the annotations.
+    options = ["-x", "-q", "-o", "addopts=--import-mode=importlib", "-p", "helpers.mutant"]
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-x", "-q", "-p", "helpers.mutant", *tests],
+        [sys.executable, "-m", "pytest", *options, *tests],
         cwd=ROOT,
         env={**os.environ, "SPLATBENCH_MUTANT": f"{name}={copy}", "PYTHONPATH": "tests",
              "PYTHONSAFEPATH": "1"},
