@@ -89,14 +89,14 @@ def mountain(seed: int) -> World:
     rng = np.random.Generator(np.random.PCG64((seed, 12)))
     world = Builder()
     shape = grounds.Mountain(seed)
-    _ground(world, shape, shape.height, 2.0)
+    _ground(world, shape, shape.height, 1.5)
     at = shape.height(np.array([26.0]), np.array([-20.0]))[0]
     world.add("building", things.moved(things.house(8.0, 6.0, 3.0, 2.4, Facade(tones=("8f6f4f",))),
                                        (26.0, -20.0, float(at) - 0.5), 0.6))  # fmt: skip
-    for _ in range(170):
+    for _ in range(260):
         x, y = rng.uniform(-80, 80, 2)
         z = float(shape.height(np.array([x]), np.array([y]))[0])
-        if z < 9 and rng.random() < 0.85:
+        if z < 15 and rng.random() < 0.85:
             parts = things.conifer(rng.uniform(4, 8), rng.uniform(2.4, 3.8), int(rng.integers(1 << 30)), 2)
             world.add("tree", things.moved(parts, (x, y, z - 0.3), rng.uniform(0, 6)))
     return world.build()

@@ -83,18 +83,20 @@ class Mountain:
         rough = fbm(p, 44.0, 6, 403 + self.seed).numpy().reshape(np.shape(x)).astype(float)
         ridge = np.exp(-(((x + 0.25 * y) / 46) ** 2) - (y / 62) ** 2)
         crest = 1 - np.abs(2 * rough - 1)
-        return 25 * ridge * (0.35 + 0.85 * crest) + 8 * (rough - 0.5)
+        crags = fbm(p, 15.0, 4, 415 + self.seed).numpy().reshape(np.shape(x)).astype(float)
+        steep = 9 * ridge * (1 - np.abs(2 * crags - 1) * 2.5)
+        return 24 * ridge * (0.35 + 0.85 * crest) + steep + 8 * (rough - 0.5)
 
     def __call__(self, surface: Surface) -> Paint:
         """Colour."""
         p, z, foot = surface.points, surface.points[:, 2], surface.footprint
         slope = surface.normals[:, 2]
         edge = fbm(p[:, :2], 9.0, 5, 404, foot) - 0.5
-        grass = step(0.70, 0.86, slope + 0.35 * edge) * step(14.0, 8.0, z + 8 * edge)
-        snow = step(16.5, 18.5, z + 16 * edge) * step(0.72, 0.86, slope)
-        scree = step(0.62, 0.8, slope + 0.3 * edge)
+        grass = step(0.66, 0.80, slope + 0.4 * edge) * step(19.0, 14.0, z + 12 * edge)
+        snow = step(24.0, 25.0, z + 22 * edge) * step(0.72, 0.82, slope)
+        scree = step(0.80, 0.9, slope + 0.5 * edge)
         return Paint(albedo=layered(surface, [
-            (None, rock_colour), (0.8 * scree, gravel_colour), (grass, grass_colour),
+            (None, rock_colour), (0.7 * scree, gravel_colour), (grass, grass_colour),
             (0.92 * snow, snow_colour),
         ]))  # fmt: skip
 

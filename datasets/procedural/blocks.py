@@ -96,11 +96,13 @@ BLOCKS = {"slabs": slabs, "old town": old_town, "offices": offices, "park": park
           "parking": car_park, "villas": villas}  # fmt: skip
 
 
-def tree(world: Builder, x: float, y: float, rng: np.random.Generator, z: float = 0.0) -> None:
+def tree(
+    world: Builder, x: float, y: float, rng: np.random.Generator, z: float = 0.0, detail: int = 2
+) -> None:
     """A tree of random kind and size that stands at (x, y, z)."""
     tall, seed = rng.uniform(5.5, 10.0), int(rng.integers(1 << 30))
     make = things.conifer if rng.random() < 0.18 else things.tree
-    parts = make(tall, tall * rng.uniform(0.55, 0.8), seed, 2)
+    parts = make(tall, tall * rng.uniform(0.55, 0.8), seed, detail)
     world.add("tree", things.moved(parts, (x, y, z - 0.1), rng.uniform(0, 6)))
 
 

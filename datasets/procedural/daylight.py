@@ -1,5 +1,6 @@
 """Sun and sky: shadow rays for the sun, a volume of precomputed sky light for the rest."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +77,12 @@ class Daylight:
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         moments, valid = _look_around(caster, sky, centres)
         self.volume = _filled(moments.reshape(*shape, 12), valid.reshape(tuple(shape)))
+
+    def seen_by(self, caster: Caster) -> "Daylight":
+        """The same light with the shadows of another world, say with moving things in it."""
+        other = copy(self)
+        other.caster = caster
+        return other
 
     def background(self, directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Radiance of rays that meet nothing."""

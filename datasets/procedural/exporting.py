@@ -53,6 +53,8 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
         _make_views(plan, work, report)
     finally:
         torch.set_num_threads(threads)
+    if plan.extras is not None:
+        plan.extras(work)
     for group in sorted({shot.group for shot in plan.shots}):
         shots = [shot for shot in plan.shots if shot.group == group]
         _write_model(plan, work / group, shots)

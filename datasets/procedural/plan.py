@@ -61,6 +61,9 @@ class Plan:
     kinds: Mapping[str, tuple[str, ...]]
     """What each object is, by object id, for each group of shots; "" stands for all not named."""
 
+    extras: Callable[[Path], None] | None = None
+    """Writes further truth into the scene folder once the views are there."""
+
     def kinds_of(self, group: str) -> tuple[str, ...]:
         """What each object is that the shots of a group see."""
         return self.kinds[group if group in self.kinds else ""]

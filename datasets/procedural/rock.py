@@ -27,12 +27,13 @@ def tunnel_rock(surface: Surface) -> Paint:
     base = mix(rgb("7a746b"), rgb("9a9388"), fbm(p, 3.0, 4, 511, foot))
     rich = step(0.44, 0.60, fbm(p, 9.0, 2, 512))  # elsewhere there is hardly any texture
     grain = fbm(p, 0.5, 5, 513, foot) - 0.5
-    colour = base * (1 + (0.12 + 1.1 * rich) * grain)[:, None]
+    fine = fbm(p, 0.12, 3, 520, foot) - 0.5
+    colour = base * (1 + (0.55 + 1.3 * rich) * grain + (0.45 + 0.6 * rich) * fine)[:, None]
     vein = 1 - step(0.0, 0.035, (fbm(p, 4.0, 4, 514, foot) - 0.5).abs())
     colour = mix(colour, rgb("c9c0ae"), 0.65 * vein * rich)
     damp = step(0.58, 0.66, fbm(p * torch.tensor([1.0, 1.0, 0.3]), 3.5, 4, 515, foot))
     colour = mix(colour, colour * 0.45, damp)
     rust = step(0.66, 0.72, fbm(p, 2.2, 4, 516, foot)) * rich
-    lean = [fbm(p, 0.7, 4, 517 + axis, foot) - 0.5 for axis in range(3)]
+    lean = [fbm(p, 0.5, 5, 517 + axis, foot) - 0.5 for axis in range(3)]
     return Paint(albedo=mix(colour, rgb("7d4f30"), 0.6 * rust), gloss=0.25 * damp,
-                 bump=0.9 * torch.stack(lean, dim=1))  # fmt: skip
+                 bump=1.5 * torch.stack(lean, dim=1))  # fmt: skip

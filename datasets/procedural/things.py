@@ -162,8 +162,9 @@ def _strip(low: list[float], high: list[float], wide: Number) -> Shape:
 def _wheel(x: Number, y: Number) -> Shape:
     """A wheel that stands across the car."""
     disc = cylinder(0.33, 0.22, 14)
-    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)
-    vertices = disc.vertices @ turn.T - np.array([0, 0.11, 0]) + np.array([x, y, 0.33])
+    out = np.sign(y)  # the lid looks away from the car
+    turn = np.array([[1, 0, 0], [0, 0, out], [0, -out, 0]], dtype=float)
+    vertices = disc.vertices @ turn.T + np.array([x, y - out * 0.16, 0.33])
     return Shape(
         vertices=vertices, faces=disc.faces, normals=disc.normals @ turn.T, coords=disc.coords
     )

@@ -1,7 +1,7 @@
 """A world: triangles with materials and objects, ready to be ray-cast."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -48,6 +48,10 @@ class Builder:
             self.face_materials.append(np.full(count, self.materials.index(material)))
             self.face_objects.append(np.full(count, len(self.kinds) - 1))
         return len(self.kinds) - 1
+
+    def copy(self) -> "Builder":
+        """Another builder with the same objects so far."""
+        return Builder(*(list(getattr(self, f.name)) for f in fields(self)))
 
     def build(self) -> World:
         """The world of everything added so far."""

@@ -12,6 +12,8 @@ WORLDS = {
     "courtyard": "courtyard",
     "city": "city",
     "aerial-sparse": "aerial",
+    "tunnel": "tunnel",
+    "street": "street",
 }
 """World name to module of this package; each has PRESETS (name to Settings) and plan(seed, settings)."""
 
