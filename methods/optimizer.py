@@ -6,19 +6,20 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-BETAS = (0.9, 0.999)
-EPSILON = 1e-15
+from splatbench.methods.kernels import adam as kernels
 
 
 class Adam:
     """Adam, one learning rate a tensor; rows can be gathered and zeroed with their moments.
 
-    Source: Kingma and Ba 2015, "Adam", Algorithm 1; epsilon of the 3DGS release.
+    Source: Kingma and Ba 2015, "Adam", Algorithm 1; betas and epsilon of the 3DGS release.
     """
 
     def __init__(self, parameters: Mapping[str, Tensor]) -> None:
         """Start with zero moments."""
-        self.parameters = {name: value.detach().clone() for name, value in parameters.items()}
+        self.parameters = {
+            name: value.detach().clone().contiguous() for name, value in parameters.items()
+        }
         self.first = {name: torch.zeros_like(value) for name, value in self.parameters.items()}
         self.second = {name: torch.zeros_like(value) for name, value in self.parameters.items()}
         self.steps = 0
@@ -27,7 +28,6 @@ class Adam:
         """The parameters as fresh leaves that collect gradients."""
         return {name: value.requires_grad_() for name, value in self.parameters.items()}
 
-    @torch.no_grad()
     def step(self, rates: Mapping[str, float]) -> None:
         """One update with each parameter's .grad, which is cleared; without .grad nothing moves.
 
@@ -35,17 +35,17 @@ class Adam:
             rates: Learning rate of each parameter.
         """
         self.steps += 1
-        first_part = 1 - BETAS[0] ** self.steps
-        second_part = 1 - BETAS[1] ** self.steps
-        for name, value in self.parameters.items():
-            if value.grad is None:
-                continue
-            first, second = self.first[name], self.second[name]
-            first.lerp_(value.grad, 1 - BETAS[0])
-            second.mul_(BETAS[1]).addcmul_(value.grad, value.grad, value=1 - BETAS[1])
-            spread = (second.sqrt() / second_part**0.5).add_(EPSILON)
-            value.addcdiv_(first, spread, value=-rates[name] / first_part)
-            value.grad = None
+        gradients = {n: v.grad for n, v in self.parameters.items() if v.grad is not None}
+        kernels.step(
+            [self.parameters[name].detach() for name in gradients],
+            [gradient.contiguous() for gradient in gradients.values()],
+            [self.first[name] for name in gradients],
+            [self.second[name] for name in gradients],
+            [rates[name] for name in gradients],
+            self.steps,
+        )
+        for name in gradients:
+            self.parameters[name].grad = None
 
     @torch.no_grad()
     def gather(self, parents: Int[Tensor, " m"], fresh: Bool[Tensor, " m"]) -> None:
@@ -65,7 +65,7 @@ class Adam:
             value: Of the same shape.
             forget: Whether its moments start again at zero.
         """
-        self.parameters[name] = value.detach().clone()
+        self.parameters[name] = value.detach().clone().contiguous()
         if forget:
             self.first[name].zero_()
             self.second[name].zero_()

@@ -40,6 +40,10 @@ class Rates:
     """Of log scales."""
     quaternions: float = 1e-3
     """Of unnormalised quaternions."""
+    settle: float = 1.0
+    """Factor on all rates but that of positions at the last step, reached log-linearly from the
+    middle of the run on; 1: constant, as in the release. Single views pull on colours, opacities
+    and scales until the end; smaller last steps average their pulls."""
 
     def __post_init__(self) -> None:
         """Refuse rates that are not finite and >= 0."""
@@ -67,6 +71,14 @@ def means_rate(rates: Rates, step: int, total: int) -> float:
         return rates.means
     share = min(max(step / total, 0.0), 1.0)
     return math.exp((1 - share) * math.log(rates.means) + share * math.log(rates.means_final))
+
+
+def settling(rates: Rates, step: int, total: int) -> float:
+    """Factor on the rates that have no schedule: 1 to the middle, then log-linear to `settle`.
+
+    Source: ours.
+    """
+    return rates.settle ** max(0.0, 2 * step / total - 1)
 
 
 def active_degree(step: int, every: float, highest: int) -> int:

@@ -16,13 +16,13 @@ from splatbench.methods import initialise
 from splatbench.methods.backends import Backend, get_backend
 from splatbench.methods.density import Density, DensityControl, reset_opacity
 from splatbench.methods.files import read_tensors, write_tensors
+from splatbench.methods.kernels.loss import photometric
 from splatbench.methods.optimizer import Adam
 from splatbench.methods.reconstruction import ExplicitModel
 from splatbench.methods.run import Run
-from splatbench.methods.schedules import Rates, active_degree, means_rate, require, shrink
+from splatbench.methods.schedules import Rates, active_degree, means_rate, require, settling, shrink
 from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.losses import photometric
 from splatbench.reference.scene import Scene, View
 from splatbench.reference.screen_gradient import ScreenProbe
 
@@ -196,13 +196,14 @@ class Trainer:
     def learning_rates(self) -> dict[str, float]:
         """Adam's rate of each tensor at this step."""
         rates, total = self.settings.rates, self.settings.iterations
+        factor = settling(rates, self.step, total)
         return {
             "means": means_rate(rates, self.step, total) * self.extent,
-            "sh_dc": rates.sh_dc,
-            "sh_rest": rates.sh_rest,
-            "opacity": rates.opacity,
-            "scales": rates.scales,
-            "quaternions": rates.quaternions,
+            "sh_dc": rates.sh_dc * factor,
+            "sh_rest": rates.sh_rest * factor,
+            "opacity": rates.opacity * factor,
+            "scales": rates.scales * factor,
+            "quaternions": rates.quaternions * factor,
         }
 
     @property
