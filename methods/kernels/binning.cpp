@@ -1,7 +1,6 @@
 #include "binning.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <cstring>
 #include <stdexcept>
 #include <vector>
@@ -47,39 +46,38 @@ void sort(Buffer<Keyed>& items, Buffer<Keyed>& spare) {
   if (from != items.data()) std::memcpy(items.data(), from, n * sizeof(Keyed));
 }
 
-// Calls visit(tile) for each tile whose pixel centres may meet the support, in the order of tile numbers.
-// Within a row of tiles the support covers an interval of x, so this is exact but for a rounding margin.
+// Calls visit(tile) for each tile that a Gaussian touches, in the order of tile numbers.
 template <class Visit>
-void visit_tiles(const float* g, int across, int down, Visit visit) {
-  const float half_y = g[HALF_Y] * 1.0001f + 1e-3f, reach2 = g[LIMIT] * 1.0001f + 1e-4f;
-  const double mx = (double)g[X_WHOLE] + g[X_PART], my = (double)g[Y_WHOLE] + g[Y_PART];
-  const double limit = 1e9;  // keeps the conversions to int defined
-  const int first = std::max(0, (int)std::floor((std::max(my - half_y, -limit) - 0.5) / TILE));
-  const int last = std::min(down - 1, (int)std::floor((std::min(my + half_y, limit) - 0.5) / TILE));
-  for (int row = first; row <= last; ++row) {
-    const float d0 = (float)(row * TILE + 0.5 - my), d1 = d0 + (TILE - 1);
-    if (d1 < -half_y || d0 > half_y) continue;
-    const float right = std::min(std::max(g[TIP], d0), d1), left = std::min(std::max(-g[TIP], d0), d1);
-    const float vr = g[L22] * right, vl = g[L22] * left;
-    const float slack = 1e-3f + 1e-6f * (std::fabs(g[SLOPE]) * (std::fabs(right) + std::fabs(left)));
-    const float to = std::sqrt(std::max(reach2 - vr * vr, 0.0f)) * g[INV_L11] - g[SLOPE] * right + slack;
-    const float from = -std::sqrt(std::max(reach2 - vl * vl, 0.0f)) * g[INV_L11] - g[SLOPE] * left - slack;
-    const double x0 = std::max(mx + from, -limit), x1 = std::min(mx + to, limit);
-    // tile c holds the centres 16 c + 0.5 to 16 c + 15.5
-    const int c0 = std::max(0, (int)std::ceil((x0 - 0.5 - (TILE - 1)) / TILE));
-    const int c1 = std::min(across - 1, (int)std::floor((x1 - 0.5) / TILE));
-    for (int c = c0; c <= c1; ++c) visit(row * across + c);
+void visit_tiles(const Footprint& footprint, const Span* spans, int across, Visit visit) {
+  for (int r = 0; r < footprint.rows; ++r) {
+    const int row = (footprint.first_row + r) * across;
+    for (int c = spans[r].from; c <= spans[r].to; ++c) visit(row + c);
   }
 }
 
 }  // namespace
 
-void bin(const Camera& camera, const float* geo, const uint8_t* drawn, int64_t count, int threads, Bins& out) {
+void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, int64_t count, int threads, Bins& out) {
   const int across = (camera.width + TILE - 1) / TILE, down = (camera.height + TILE - 1) / TILE;
   const int tiles = across * down;
   const size_t n = (size_t)count;
-  static thread_local Buffer<Keyed> order, spare;
-  order.resize(n);
+  Buffer<Footprint> footprints(n);
+  Buffer<uint32_t> span_start(n + 1);
+  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
+    kernels.footprints(geo, drawn, down, footprints.data(), first, last);
+  });
+  uint64_t rows = 0;
+  for (size_t i = 0; i < n; ++i) {
+    span_start[i] = (uint32_t)rows;
+    rows += footprints[i].rows;
+  }
+  if (rows >> 32) throw std::length_error("more than 2^32 rows of tiles; render a smaller image or fewer Gaussians");
+  Buffer<Span> spans(rows);
+  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
+    kernels.spans(geo, footprints.data(), span_start.data(), across, spans.data(), first, last);
+  });
+
+  Buffer<Keyed> order(n), spare;
   size_t visible = 0;
   for (size_t i = 0; i < n; ++i)
     if (drawn[i]) order[visible++] = {sortable(geo[i * GEO + DEPTH]), (uint32_t)i};
@@ -100,7 +98,7 @@ void bin(const Camera& camera, const float* geo, const uint8_t* drawn, int64_t c
     for (size_t i = piece_start(p); i < piece_start(p + 1); ++i) {
       const uint32_t id = sorted[i].id;
       uint32_t touched = 0;
-      visit_tiles(geo + (size_t)id * GEO, across, down, [&](int tile) {
+      visit_tiles(footprints[id], spans.data() + span_start[id], across, [&](int tile) {
         ++mine[tile];
         ++touched;
       });
@@ -127,7 +125,7 @@ void bin(const Camera& camera, const float* geo, const uint8_t* drawn, int64_t c
     for (size_t i = piece_start(p); i < piece_start(p + 1); ++i) {
       const uint32_t id = sorted[i].id;
       uint32_t slot = slot_start[id];
-      visit_tiles(geo + (size_t)id * GEO, across, down, [&](int tile) {
+      visit_tiles(footprints[id], spans.data() + span_start[id], across, [&](int tile) {
         out.entries[next[tile]] = id;
         out.slots[slot++] = next[tile]++;
       });

@@ -1,10 +1,14 @@
-// Memory without initialisation, aligned for vectors.
+// Memory without initialisation, aligned for vectors. What is given back is kept for the next request of that
+// size for a while, because fresh pages from the system cost more than most of what is computed in them.
 #pragma once
 #include <cstddef>
-#include <cstdlib>
 #include <new>
 
 namespace splat {
+
+void* take_memory(size_t bytes);  // throws std::bad_alloc
+void give_memory(void* memory, size_t bytes);
+size_t idle_memory();             // bytes kept for later
 
 template <class T>
 class Buffer {
@@ -13,15 +17,15 @@ class Buffer {
   explicit Buffer(size_t count) { resize(count); }
   Buffer(const Buffer&) = delete;
   Buffer& operator=(const Buffer&) = delete;
-  ~Buffer() { std::free(data_); }
+  ~Buffer() { give_memory(data_, capacity_ * sizeof(T)); }
 
   // Contents are lost when it grows.
   void resize(size_t count) {
     if (count > capacity_) {
-      std::free(data_);
+      give_memory(data_, capacity_ * sizeof(T));
+      data_ = nullptr;
       capacity_ = 0;
-      data_ = static_cast<T*>(std::aligned_alloc(64, (count * sizeof(T) + 63) / 64 * 64));
-      if (!data_) throw std::bad_alloc();
+      data_ = static_cast<T*>(take_memory(count * sizeof(T)));
       capacity_ = count;
     }
     count_ = count;

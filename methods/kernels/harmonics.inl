@@ -52,7 +52,7 @@ INLINE void basis_gradient(int count, float x, float y, float z, const float a[1
 }
 
 // Coefficients of up to sixteen Gaussians as out[3 k + c][lane]; lanes past `count` repeat the last.
-INLINE void gather_sh(const Model& model, int64_t first, int count, float out[48][LANES]) {
+STAGE void gather_sh(const Model& model, int64_t first, int count, float out[48][LANES]) {
   const int used = 3 * model.sh_used, stored = 3 * model.sh_stored;
   if (count == LANES && used == 48) {
     for (int j = 0; j < 48; j += LANES)
@@ -65,7 +65,7 @@ INLINE void gather_sh(const Model& model, int64_t first, int count, float out[48
   }
 }
 
-INLINE void sh_colour(const Model& model, int64_t first, int count, const float dir[3][LANES],
+STAGE void sh_colour(const Model& model, int64_t first, int count, const float dir[3][LANES],
                       float colour[3][LANES]) {
   float sh[48][LANES], b[16][LANES];
   gather_sh(model, first, count, sh);
@@ -82,7 +82,7 @@ INLINE void sh_colour(const Model& model, int64_t first, int count, const float 
 }
 
 // d loss / d coefficients (written in full, zero past the used degree) and d loss / d direction.
-INLINE void sh_backward(const Model& model, int64_t first, int count, const float dir[3][LANES],
+STAGE void sh_backward(const Model& model, int64_t first, int count, const float dir[3][LANES],
                         const float gradient[3][LANES], float* sh_gradient, float dir_gradient[3][LANES]) {
   const int used = model.sh_used, stored = 3 * model.sh_stored;
   float sh[48][LANES], d[48][LANES];

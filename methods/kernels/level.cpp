@@ -6,6 +6,7 @@
 #include "projection.inl"
 #include "projection_backward.inl"
 #include "raster.inl"
+#include "footprint.inl"
 #include "raster_backward.inl"
 #include "loss.inl"
 #include "adam.inl"
@@ -29,5 +30,5 @@ void exp2_many(const float* x, float* y, int64_t count) {
 #define STRING(a) STRING2(a)
 
 extern const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL);
-const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, render_tile, backward_tile,
+const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, footprints, spans, render_tile, backward_tile,
                                                          backward_project, loss_maps, loss_gradient, adam, exp2_many};

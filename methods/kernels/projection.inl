@@ -24,82 +24,58 @@ INLINE void gather(const Model& model, int64_t first, int count, Lane16& in) {
   gather_rows(model.opacities, 1, first, count, in.opacity);
 }
 
-INLINE double pick(bool condition, double a, double b) { return condition ? a : b; }
-INLINE double clamp(double x, double low, double high) {
-  x = x < low ? low : x;
-  return x > high ? high : x;
+INLINE vd clamp(vd x, double low, double high) {
+  x = select(x < low, alld(low), x);
+  return select(x > high, alld(high), x);
 }
+INLINE vd larger(vd a, vd b) { return select(a > b, a, b); }
 
-// e^x, relative error below 1e-13: 2^whole times a Taylor sum on [-ln 2 / 2, ln 2 / 2].
-INLINE double exponential(double x) {
+// e^x, relative error below 1e-12: 2^whole times a Taylor sum on [-ln 2 / 2, ln 2 / 2].
+INLINE vd exponential(vd x) {
   x = clamp(x, -700, 700);
-  const double shifted = x * 1.4426950408889634 + 6755399441055744.0;
-  const double whole = shifted - 6755399441055744.0;
-  const double f = (x - whole * 0.693147180369123816) - whole * 1.90821492927058770e-10;
-  double p = 1.0 / 39916800;
-  p = p * f + 1.0 / 3628800;
-  p = p * f + 1.0 / 362880;
-  p = p * f + 1.0 / 40320;
-  p = p * f + 1.0 / 5040;
-  p = p * f + 1.0 / 720;
-  p = p * f + 1.0 / 120;
-  p = p * f + 1.0 / 24;
-  p = p * f + 1.0 / 6;
-  p = p * f + 0.5;
-  p = p * f + 1;
-  p = p * f + 1;
-  int64_t n, bits;
-  __builtin_memcpy(&n, &shifted, 8);
-  __builtin_memcpy(&bits, &p, 8);
-  bits += n << 52;
-  __builtin_memcpy(&p, &bits, 8);
-  return p;
+  const vd shifted = x * 1.4426950408889634 + 6755399441055744.0;
+  const vd whole = shifted - 6755399441055744.0;
+  const vd f = (x - whole * 0.693147180369123816) - whole * 1.90821492927058770e-10;
+  vd p = alld(1.0 / 3628800);
+  constexpr double factors[] = {1.0 / 362880, 1.0 / 40320, 1.0 / 5040, 1.0 / 720, 1.0 / 120, 1.0 / 24, 1.0 / 6, 0.5, 1, 1};
+  for (double factor : factors) p = p * f + factor;
+  return scale_by(p, shifted);
 }
 
 // log2 of x in [2^-1000, 2^1000], absolute error below 1e-9.
-INLINE double logarithm2(double x) {
-  int64_t bits;
-  __builtin_memcpy(&bits, &x, 8);
-  const int64_t shift = (bits - 0x3fe6a09e667f3bcdLL) & (0xfffLL << 52);  // mantissa in [sqrt(1/2), sqrt(2))
-  bits -= shift;
-  double m, exponent;
-  __builtin_memcpy(&m, &bits, 8);
-  // to a double without an integer conversion: the bits of 2^52 + exponent + 1024
-  const uint64_t biased = ((uint64_t)shift + (1024ULL << 52)) >> 52 | 0x4330000000000000ULL;
-  __builtin_memcpy(&exponent, &biased, 8);
-  exponent -= 4503599627370496.0 + 1024;
-  const double s = (m - 1) / (m + 1), q = s * s;
-  double p = 2.0 / 11;
-  p = p * q + 2.0 / 9;
-  p = p * q + 2.0 / 7;
-  p = p * q + 2.0 / 5;
-  p = p * q + 2.0 / 3;
-  p = p * q + 2;
+INLINE vd logarithm2(vd x) {
+  vd m, exponent;
+  split_exponent(x, m, exponent);
+  const vd s = (m - 1) / (m + 1), q = s * s;
+  vd p = alld(2.0 / 11);
+  constexpr double factors[] = {2.0 / 9, 2.0 / 7, 2.0 / 5, 2.0 / 3, 2};
+  for (double factor : factors) p = p * q + factor;
   return exponent + 1.4426950408889634 * s * p;
 }
 
-// Everything that the forward and the backward pass need of one Gaussian.
+// Everything that the forward and the backward pass need of eight Gaussians.
 struct Ewa {
-  bool front, inside_x, inside_y, identity;
-  double x, y, z, iz, u, v, uc, vc;  // camera space; uc, vc clamped
-  double px, py;
-  double qw, qx, qy, qz, iq;         // unit quaternion, 1 / norm
-  double s[3], o;                    // standard deviations, opacity before compensation
-  double r[3][3];
-  double jw[2][3], p[2][3], m[2][3]; // J W, J W R, J W R S
-  double n[3], sharp, det;           // minors of M, det(M M^T), det(M M^T + 0.3 I)
-  double cxx, cxy, cyy, compensation;
+  maskd front, inside_x, inside_y, identity;
+  vd x, y, z, iz, u, v, uc, vc;  // camera space; uc, vc clamped
+  vd px, py;
+  vd qw, qx, qy, qz, iq;         // unit quaternion, 1 / norm
+  vd s[3], o;                    // standard deviations, opacity before compensation
+  vd r[3][3];
+  vd jw[2][3], p[2][3], m[2][3]; // J W, J W R, J W R S
+  vd n[3], sharp, det;           // minors of M, det(M M^T), det(M M^T + 0.3 I)
+  vd cxx, cxy, cyy, compensation;
 };
 
 INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, Ewa& e) {
-  const double mx = in.mean[0][l], my = in.mean[1][l], mz = in.mean[2][l];
+  const vd mx = widen(in.mean[0] + l), my = widen(in.mean[1] + l), mz = widen(in.mean[2] + l);
   const double* R = cam.rotation;
+  const vd zero = alld(0), one = alld(1);
   e.z = R[6] * mx + R[7] * my + R[8] * mz + cam.translation[2];
   e.front = e.z > cam.near;
-  e.x = pick(e.front, R[0] * mx + R[1] * my + R[2] * mz + cam.translation[0], 0);
-  e.y = pick(e.front, R[3] * mx + R[4] * my + R[5] * mz + cam.translation[1], 0);
-  e.z = pick(e.front, e.z, 1);
-  e.iz = 1 / e.z;
+  e.x = select(e.front, R[0] * mx + R[1] * my + R[2] * mz + cam.translation[0], zero);
+  e.y = select(e.front, R[3] * mx + R[4] * my + R[5] * mz + cam.translation[1], zero);
+  e.z = select(e.front, e.z, one);
+  e.iz = one / e.z;
   e.u = e.x * e.iz;
   e.v = e.y * e.iz;
   e.px = cam.k[0] * e.u + cam.k[1] * e.v + cam.k[2];
@@ -109,12 +85,12 @@ INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, 
   e.inside_x = e.uc == e.u;
   e.inside_y = e.vc == e.v;
 
-  const double w = in.quaternion[0][l], x = in.quaternion[1][l], y = in.quaternion[2][l],
-               z = in.quaternion[3][l];
-  const double norm2 = w * w + x * x + y * y + z * z;
-  e.identity = norm2 == 0;
-  e.iq = 1 / __builtin_sqrt(pick(e.identity, 1, norm2));
-  e.qw = pick(e.identity, 1, w * e.iq);
+  const vd w = widen(in.quaternion[0] + l), x = widen(in.quaternion[1] + l), y = widen(in.quaternion[2] + l),
+           z = widen(in.quaternion[3] + l);
+  const vd norm2 = w * w + x * x + y * y + z * z;
+  e.identity = norm2 == zero;
+  e.iq = one / square_root(select(e.identity, one, norm2));
+  e.qw = select(e.identity, one, w * e.iq);
   e.qx = x * e.iq;
   e.qy = y * e.iq;
   e.qz = z * e.iq;
@@ -128,14 +104,14 @@ INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, 
   e.r[2][1] = 2 * (e.qy * e.qz + e.qw * e.qx);
   e.r[2][2] = 1 - 2 * (e.qx * e.qx + e.qy * e.qy);
 
-  for (int k = 0; k < 3; ++k) {
-    const double s = in.scale[k][l];
-    e.s[k] = model.raw ? exponential(s) : s;
+  for (int k = 0; k < 3; ++k) e.s[k] = widen(in.scale[k] + l);
+  e.o = widen(in.opacity[0] + l);
+  if (model.raw) {
+    for (int k = 0; k < 3; ++k) e.s[k] = exponential(e.s[k]);
+    e.o = one / (1 + exponential(zero - e.o));
   }
-  const double o = in.opacity[0][l];
-  e.o = model.raw ? 1 / (1 + exponential(-o)) : o;
 
-  const double fx = cam.k[0] * e.iz, fy = cam.k[4] * e.iz;
+  const vd fx = cam.k[0] * e.iz, fy = cam.k[4] * e.iz;
   for (int i = 0; i < 3; ++i) {
     e.jw[0][i] = fx * (R[i] - e.uc * R[6 + i]);
     e.jw[1][i] = fy * (R[3 + i] - e.vc * R[6 + i]);
@@ -145,10 +121,10 @@ INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, 
       e.p[a][k] = e.jw[a][0] * e.r[0][k] + e.jw[a][1] * e.r[1][k] + e.jw[a][2] * e.r[2][k];
       e.m[a][k] = e.p[a][k] * e.s[k];
     }
-  const double* a = e.m[0];
-  const double* b = e.m[1];
-  const double aa = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
-  const double bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2];
+  const vd* a = e.m[0];
+  const vd* b = e.m[1];
+  const vd aa = a[0] * a[0] + a[1] * a[1] + a[2] * a[2];
+  const vd bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2];
   // det(M M^T) is the sum of the squared minors of M (Cauchy-Binet): exact for needles and discs,
   // where cxx cyy - cxy^2 would cancel.
   e.n[0] = a[1] * b[2] - a[2] * b[1];
@@ -159,30 +135,39 @@ INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, 
   e.cxx = aa + BLUR;
   e.cyy = bb + BLUR;
   e.cxy = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-  e.compensation = model.antialiased ? __builtin_sqrt(e.sharp / e.det) : 1;
+  e.compensation = model.antialiased ? square_root(e.sharp / e.det) : one;
 }
 
 struct Whitening {
-  double l11, l12, l22;
+  vd l11, l12, l22;
 };
 
 INLINE Whitening whiten(const Ewa& e) {
-  const double l11 = WHITEN * __builtin_sqrt(e.cyy / e.det);
-  return {l11, -l11 * e.cxy / e.cyy, WHITEN / __builtin_sqrt(e.cyy)};
+  const vd l11 = WHITEN * square_root(e.cyy / e.det);
+  return {l11, alld(0) - l11 * e.cxy / e.cyy, WHITEN / square_root(e.cyy)};
 }
 
 // Distance to the camera centre and the unit direction; all zero where they meet.
 struct Ray {
-  double x, y, z, distance, inverse;
+  vd x, y, z, distance, inverse;
 };
 
 INLINE Ray ray_to(const Camera& cam, const Lane16& in, int l) {
-  const double x = in.mean[0][l] - cam.centre[0], y = in.mean[1][l] - cam.centre[1],
-               z = in.mean[2][l] - cam.centre[2];
-  const double d2 = x * x + y * y + z * z;
-  const double distance = __builtin_sqrt(d2);
-  const double inverse = pick(d2 > 0, 1 / pick(d2 > 0, distance, 1), 0);
+  const vd x = widen(in.mean[0] + l) - cam.centre[0], y = widen(in.mean[1] + l) - cam.centre[1],
+           z = widen(in.mean[2] + l) - cam.centre[2];
+  const vd d2 = x * x + y * y + z * z, distance = square_root(d2);
+  const maskd apart = d2 > 0;
+  const vd inverse = keep(apart, 1 / select(apart, distance, alld(1)));
   return {x * inverse, y * inverse, z * inverse, distance, inverse};
+}
+
+template <int N>
+INLINE V<double, N> round_down(V<double, N> x) {
+  if constexpr (leaf<double, N>) {
+    V<double, N> r;
+    for (int l = 0; l < N; ++l) r.v[l] = __builtin_floor(x.v[l]);
+    return r;
+  } else return {round_down(x.lo), round_down(x.hi)};
 }
 
 void project(const Camera& cam, const Model& model, const Projection& out, int64_t first, int64_t last) {
@@ -190,50 +175,50 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
     const int count = last - i < L ? (int)(last - i) : L;
     Lane16 in;
     gather(model, i, count, in);
-    float geo[GEO][L], radius[L], dir[3][L];
-    int drawn[L];
-    for (int l = 0; l < L; ++l) {
+    alignas(64) float geo[GEO][L], radius[L], dir[3][L];
+    unsigned drawn = 0;
+    for (int l = 0; l < L; l += HALF) {
       Ewa e;
       ewa(cam, model, in, l, e);
       const Whitening w = whiten(e);
-      const double o = e.o * e.compensation;
-      const double limit = logarithm2(255 * (o > 1e-6 ? o : 1e-6));
-      const double reach2 = (limit > 0 ? limit : 0) / (WHITEN * WHITEN);
-      const double hx = __builtin_sqrt(reach2 * e.cxx), hy = __builtin_sqrt(reach2 * e.cyy);
-      const bool meets = (e.px + hx > 0) & (e.px - hx < cam.width) & (e.py + hy > 0) & (e.py - hy < cam.height);
-      const bool finite = (e.det < 1e200) & (e.det > 0) & (o <= 1e30);
-      const bool seen = e.front & meets & finite;
-      radius[l] = (float)pick(seen & (255 * o > 1), hx > hy ? hx : hy, 0);
-      drawn[l] = seen & (255 * o >= 1);
-      const float xw = (float)__builtin_floor(e.px), yw = (float)__builtin_floor(e.py);
+      const vd o = e.o * e.compensation, zero = alld(0);
+      const vd limit = logarithm2(255 * select((o > 1e-6) & (o < 1e30), o, alld(1e-6)));
+      const vd reach2 = larger(limit, zero) * (1 / (WHITEN * WHITEN));
+      const vd hx = square_root(reach2 * e.cxx), hy = square_root(reach2 * e.cyy);
+      const maskd meets = (e.px + hx > 0) & (e.px - hx < cam.width) & (e.py + hy > 0) & (e.py - hy < cam.height);
+      const maskd finite = (e.det < 1e200) & (e.det > 0) & (o < 1e30);
+      const maskd seen = e.front & meets & finite;
+      narrow(radius + l, keep(seen & (255 * o > 1), larger(hx, hy)));
+      drawn |= bits(seen & (255 * o >= 1)) << l;
       const Ray ray = ray_to(cam, in, l);
-      dir[0][l] = (float)ray.x;
-      dir[1][l] = (float)ray.y;
-      dir[2][l] = (float)ray.z;
-      geo[X_WHOLE][l] = xw;
-      geo[X_PART][l] = (float)(e.px - xw);
-      geo[Y_WHOLE][l] = yw;
-      geo[Y_PART][l] = (float)(e.py - yw);
-      geo[L11][l] = (float)w.l11;
-      geo[L12][l] = (float)w.l12;
-      geo[L22][l] = (float)w.l22;
-      geo[OPACITY][l] = (float)o;
-      geo[LIMIT][l] = (float)limit;
-      geo[SLOPE][l] = (float)(-e.cxy / e.cyy);
-      geo[TIP][l] = (float)(e.cxy * __builtin_sqrt(reach2 / e.cxx));
-      geo[INV_L11][l] = (float)(1 / w.l11);
-      geo[HALF_X][l] = (float)hx;
-      geo[HALF_Y][l] = (float)hy;
-      geo[DEPTH][l] = (float)e.z;
-      geo[DISTANCE][l] = (float)ray.distance;
+      narrow(dir[0] + l, ray.x);
+      narrow(dir[1] + l, ray.y);
+      narrow(dir[2] + l, ray.z);
+      for (int axis = 0; axis < 2; ++axis) {
+        const vd position = axis ? e.py : e.px;
+        float* whole = geo[axis ? Y_WHOLE : X_WHOLE] + l;
+        narrow(whole, round_down(position));
+        narrow(geo[axis ? Y_PART : X_PART] + l, position - widen(whole));
+      }
+      narrow(geo[L11] + l, w.l11);
+      narrow(geo[L12] + l, w.l12);
+      narrow(geo[L22] + l, w.l22);
+      narrow(geo[OPACITY] + l, o);
+      narrow(geo[LIMIT] + l, limit);
+      narrow(geo[SLOPE] + l, zero - e.cxy / e.cyy);
+      narrow(geo[TIP] + l, e.cxy * square_root(reach2 / e.cxx));
+      narrow(geo[INV_L11] + l, 1 / w.l11);
+      narrow(geo[HALF_X] + l, hx);
+      narrow(geo[HALF_Y] + l, hy);
+      narrow(geo[DEPTH] + l, e.z);
+      narrow(geo[DISTANCE] + l, ray.distance);
     }
-    int some = 0;
+    if (count < L) drawn &= (1u << count) - 1;
     for (int l = 0; l < count; ++l) {
       out.radii[i + l] = radius[l];
-      out.drawn[i + l] = (uint8_t)drawn[l];
-      some |= drawn[l];
+      out.drawn[i + l] = (uint8_t)(drawn >> l & 1);
     }
-    if (!some) continue;
+    if (!drawn) continue;
     if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
     else
       for (int l = 0; l < count; ++l)

@@ -2,37 +2,33 @@
 
 namespace {
 
-struct Sums16 {
-  float geometry[S_FEATURES][L];
-  float colour[MAX_CHANNELS][L];
-  float depth[L], distance[L];
-};
+constexpr int MOST_SUMS = (S_FEATURES + MAX_CHANNELS + 2 + L - 1) / L * L;
 
-// Add up the rows that tiles left for sixteen Gaussians, in the order of the tiles.
-INLINE void collect(const float* sums, int stride, int channels, int features, const uint32_t* slot_start,
-                    const uint32_t* slots, int64_t first, int count, Sums16& out) {
-  for (int l = 0; l < L; ++l) {
-    float row[S_FEATURES + MAX_CHANNELS + 2 + L];
-    const int width = S_FEATURES + features;
-    for (int j = 0; j < S_FEATURES + channels + 2; ++j) row[j] = 0;
-    if (l < count)
-      for (uint32_t k = slot_start[first + l]; k < slot_start[first + l + 1]; ++k) {
-        if (k + 4 < slot_start[first + count]) __builtin_prefetch(sums + (size_t)slots[k + 4] * stride);
-        const float* part = sums + (size_t)slots[k] * stride;
-        for (int j = 0; j < width; ++j) row[j] += part[j];
-      }
-    for (int j = 0; j < S_FEATURES; ++j) out.geometry[j][l] = row[j];
-    for (int c = 0; c < channels; ++c) out.colour[c][l] = row[S_FEATURES + c];
-    out.depth[l] = row[S_FEATURES + channels];
-    out.distance[l] = row[S_FEATURES + channels + 1];
+// Add up the rows that tiles left for sixteen Gaussians, in the order of the tiles: out[sum][lane].
+STAGE void collect(const float* sums, int stride, const uint32_t* slot_start, const uint32_t* slots, int64_t first,
+                   int count, float out[MOST_SUMS][L]) {
+  alignas(64) float rows[L][L];
+  const uint32_t end = slot_start[first + count];
+  for (int part = 0; part < stride; part += L) {
+    for (int l = 0; l < L; ++l) {
+      vf row = all(0);
+      if (l < count)
+        for (uint32_t k = slot_start[first + l]; k < slot_start[first + l + 1]; ++k) {
+          if (k + 8 < end) __builtin_prefetch(sums + (size_t)slots[k + 8] * stride + part);
+          row = row + load(sums + (size_t)slots[k] * stride + part);
+        }
+      store(rows[l], row);
+    }
+    transpose(rows[0], L, out[part], L);
   }
+  for (int j = stride; j < MOST_SUMS; ++j) store(out[j], all(0));
 }
 
-// Largest float32 rather than infinity, as for a quaternion of norm 1e-40.
-INLINE float finite(double x) { return (float)clamp(x, -3.4e38, 3.4e38); }
+// As float32, the largest one rather than infinity, as for a quaternion of norm 1e-40.
+INLINE void put(float* p, vd x) { narrow(p, clamp(x, -3.4e38, 3.4e38)); }
 
 void backward_project(const Camera& cam, const Model& model, const Projection& drawn, const float* sums,
-                      int sums_stride, int features, const uint32_t* slot_start, const uint32_t* slots,
+                      int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
                       const ModelGradients& out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
@@ -46,53 +42,60 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
     } else {
       Lane16 in;
       gather(model, i, count, in);
-      Sums16 g;
-      collect(sums, sums_stride, channels, features, slot_start, slots, i, count, g);
+      alignas(64) float g[MOST_SUMS][L];
+      collect(sums, sums_stride, slot_start, slots, i, count, g);
       int visible[L];
       for (int l = 0; l < L; ++l)
         visible[l] = l < count && slot_start[i + l] < slot_start[i + l + 1];
       float towards[3][L] = {}, dir[3][L];
       if (model.sh) {
         float colour[3][L];
-        for (int l = 0; l < L; ++l) {
+        for (int l = 0; l < L; l += HALF) {
           const Ray ray = ray_to(cam, in, l);
-          dir[0][l] = visible[l] ? (float)ray.x : 0;
-          dir[1][l] = visible[l] ? (float)ray.y : 0;
-          dir[2][l] = visible[l] ? (float)ray.z : 0;
+          narrow(dir[0] + l, ray.x);
+          narrow(dir[1] + l, ray.y);
+          narrow(dir[2] + l, ray.z);
+        }
+        for (int l = 0; l < L; ++l) {
           const float* value = drawn.features + (i + (l < count ? l : 0)) * drawn.stride;
-          for (int c = 0; c < 3; ++c)  // no gradient where the colour is clamped at 0
-            colour[c][l] = visible[l] && value[c] > 0 ? g.colour[c][l] : 0;
+          for (int c = 0; c < 3; ++c) {
+            // no gradient where the colour is clamped at 0
+            colour[c][l] = visible[l] && value[c] > 0 ? g[S_FEATURES + c][l] : 0;
+            dir[c][l] = visible[l] ? dir[c][l] : 0;
+          }
         }
         sh_backward(model, i, count, dir, colour, out.sh, towards);
       } else if (out.colours) {
         for (int l = 0; l < count; ++l)
-          for (int c = 0; c < channels; ++c) out.colours[(i + l) * channels + c] = g.colour[c][l];
+          for (int c = 0; c < channels; ++c) out.colours[(i + l) * channels + c] = g[S_FEATURES + c][l];
       }
-      for (int l = 0; l < L; ++l) {
+      for (int l = 0; l < L; l += HALF) {
         Ewa e;
         ewa(cam, model, in, l, e);
         const Whitening w = whiten(e);
         const double* R = cam.rotation;
         const double back = 1 / (WHITEN * WHITEN);
-        const double su = g.geometry[S_GU][l], sv = g.geometry[S_GV][l];
-        const double dpx = back * w.l11 * su, dpy = back * (w.l12 * su + w.l22 * sv);
-        screen[0][l] = (float)dpx;
-        screen[1][l] = (float)dpy;
-        screen[2][l] = (float)(back * w.l11 * g.geometry[S_ABS_X][l]);
-        screen[3][l] = (float)(back * g.geometry[S_ABS_Y][l]);
+        const vd zero = alld(0), one = alld(1);
+        const vd su = widen(g[S_GU] + l), sv = widen(g[S_GV] + l);
+        const vd dpx = back * w.l11 * su, dpy = back * (w.l12 * su + w.l22 * sv);
+        narrow(screen[0] + l, dpx);
+        narrow(screen[1] + l, dpy);
+        narrow(screen[2] + l, back * w.l11 * widen(g[S_ABS_X] + l));
+        narrow(screen[3] + l, back * widen(g[S_ABS_Y] + l));
 
         // covariance: d ln(alpha) / d Sigma2 = (Sigma2^-1 d)(Sigma2^-1 d)^T / 2
-        const double suu = g.geometry[S_GUU][l], suv = g.geometry[S_GUV][l], svv = g.geometry[S_GVV][l];
+        const vd suu = widen(g[S_GUU] + l), suv = widen(g[S_GUV] + l), svv = widen(g[S_GVV] + l);
         const double half = 0.5 * back * back;
-        const double gxx = half * w.l11 * w.l11 * suu;
-        const double gxy = half * w.l11 * (w.l12 * suu + w.l22 * suv);
-        const double gyy = half * (w.l12 * w.l12 * suu + 2 * w.l12 * w.l22 * suv + w.l22 * w.l22 * svv);
-        double dm[2][3], dn[3];
-        const double o = e.o * e.compensation;
-        const double d_drawn = g.geometry[S_G][l] / pick(o > 0, o, 1);
-        const double d_comp = model.antialiased ? d_drawn * e.o : 0;
-        const double root = pick(e.sharp > 0, 1 / __builtin_sqrt(pick(e.sharp > 0, e.sharp, 1) * e.det), 0);
-        const double ratio = e.compensation / e.det;
+        const vd gxx = half * w.l11 * w.l11 * suu;
+        const vd gxy = half * w.l11 * (w.l12 * suu + w.l22 * suv);
+        const vd gyy = half * (w.l12 * w.l12 * suu + 2 * w.l12 * w.l22 * suv + w.l22 * w.l22 * svv);
+        vd dm[2][3], dn[3];
+        const vd o = e.o * e.compensation;
+        const vd d_drawn = widen(g[S_G] + l) / select(o > 0, o, one);
+        const vd d_comp = model.antialiased ? d_drawn * e.o : zero;
+        const maskd flat = e.sharp > 0;
+        const vd root = keep(flat, 1 / square_root(select(flat, e.sharp, one) * e.det));
+        const vd ratio = e.compensation / e.det;
         for (int k = 0; k < 3; ++k) {
           dm[0][k] = 2 * (gxx * e.m[0][k] + gxy * e.m[1][k]) - d_comp * ratio * BLUR * e.m[0][k];
           dm[1][k] = 2 * (gxy * e.m[0][k] + gyy * e.m[1][k]) - d_comp * ratio * BLUR * e.m[1][k];
@@ -100,60 +103,61 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
         }
         for (int k = 0; k < 3; ++k) {
           const int a = (k + 1) % 3, b = (k + 2) % 3;
-          dm[0][k] += e.m[1][a] * dn[b] - e.m[1][b] * dn[a];
-          dm[1][k] += dn[a] * e.m[0][b] - dn[b] * e.m[0][a];
+          dm[0][k] = dm[0][k] + (e.m[1][a] * dn[b] - e.m[1][b] * dn[a]);
+          dm[1][k] = dm[1][k] + (dn[a] * e.m[0][b] - dn[b] * e.m[0][a]);
         }
 
-        double dr[3][3], ds[3], djw[2][3] = {};
+        vd dr[3][3], ds[3], djw[2][3] = {{zero, zero, zero}, {zero, zero, zero}};
         for (int k = 0; k < 3; ++k) {
           ds[k] = dm[0][k] * e.p[0][k] + dm[1][k] * e.p[1][k];
-          const double dp0 = dm[0][k] * e.s[k], dp1 = dm[1][k] * e.s[k];
+          const vd dp0 = dm[0][k] * e.s[k], dp1 = dm[1][k] * e.s[k];
           for (int j = 0; j < 3; ++j) {
             dr[j][k] = e.jw[0][j] * dp0 + e.jw[1][j] * dp1;
-            djw[0][j] += dp0 * e.r[j][k];
-            djw[1][j] += dp1 * e.r[j][k];
+            djw[0][j] = djw[0][j] + (dp0 * e.r[j][k]);
+            djw[1][j] = djw[1][j] + (dp1 * e.r[j][k]);
           }
         }
-        const double x = e.qx, y = e.qy, z = e.qz, q = e.qw;
-        double dq[4];
-        dq[0] = 2 * (-z * dr[0][1] + y * dr[0][2] + z * dr[1][0] - x * dr[1][2] - y * dr[2][0] + x * dr[2][1]);
+        const vd x = e.qx, y = e.qy, z = e.qz, q = e.qw;
+        vd dq[4];
+        dq[0] = 2 * ((zero - z) * dr[0][1] + y * dr[0][2] + z * dr[1][0] - x * dr[1][2] - y * dr[2][0] + x * dr[2][1]);
         dq[1] = 2 * (y * dr[0][1] + z * dr[0][2] + y * dr[1][0] - 2 * x * dr[1][1] - q * dr[1][2] +
                      z * dr[2][0] + q * dr[2][1] - 2 * x * dr[2][2]);
         dq[2] = 2 * (-2 * y * dr[0][0] + x * dr[0][1] + q * dr[0][2] + x * dr[1][0] + z * dr[1][2] -
                      q * dr[2][0] + z * dr[2][1] - 2 * y * dr[2][2]);
         dq[3] = 2 * (-2 * z * dr[0][0] - q * dr[0][1] + x * dr[0][2] + q * dr[1][0] - 2 * z * dr[1][1] +
                      y * dr[1][2] + x * dr[2][0] + y * dr[2][1]);
-        const double along = q * dq[0] + x * dq[1] + y * dq[2] + z * dq[3];
-        const double iq = pick(e.identity, 0, e.iq);
-        quaternion[0][l] = finite(iq * (dq[0] - q * along));
-        quaternion[1][l] = finite(iq * (dq[1] - x * along));
-        quaternion[2][l] = finite(iq * (dq[2] - y * along));
-        quaternion[3][l] = finite(iq * (dq[3] - z * along));
-        for (int k = 0; k < 3; ++k) scale[k][l] = finite(ds[k] * (model.raw ? e.s[k] : 1));
-        opacity[l] = finite(d_drawn * e.compensation * (model.raw ? e.o * (1 - e.o) : 1));
+        const vd along = q * dq[0] + x * dq[1] + y * dq[2] + z * dq[3];
+        const vd iq = select(e.identity, zero, e.iq);
+        put(quaternion[0] + l, iq * (dq[0] - q * along));
+        put(quaternion[1] + l, iq * (dq[1] - x * along));
+        put(quaternion[2] + l, iq * (dq[2] - y * along));
+        put(quaternion[3] + l, iq * (dq[3] - z * along));
+        for (int k = 0; k < 3; ++k) put(scale[k] + l, model.raw ? ds[k] * e.s[k] : ds[k]);
+        const vd by_opacity = d_drawn * e.compensation;
+        put(opacity + l, model.raw ? by_opacity * e.o * (1 - e.o) : by_opacity);
 
         // camera-space mean: through J, the pixel position and the depth
-        double by_w0 = 0, by_wx = 0, by_w1 = 0, by_wy = 0;
+        vd by_w0 = zero, by_wx = zero, by_w1 = zero, by_wy = zero;
         for (int j = 0; j < 3; ++j) {
-          by_w0 += djw[0][j] * R[j];
-          by_wx += djw[0][j] * R[6 + j];
-          by_w1 += djw[1][j] * R[3 + j];
-          by_wy += djw[1][j] * R[6 + j];
+          by_w0 = by_w0 + djw[0][j] * R[j];
+          by_wx = by_wx + djw[0][j] * R[6 + j];
+          by_w1 = by_w1 + djw[1][j] * R[3 + j];
+          by_wy = by_wy + djw[1][j] * R[6 + j];
         }
         const double fx = cam.k[0], fy = cam.k[4];
-        double diz = fx * (by_w0 - e.uc * by_wx) + fy * (by_w1 - e.vc * by_wy);
-        double du = cam.k[0] * dpx + cam.k[3] * dpy - pick(e.inside_x, fx * e.iz * by_wx, 0);
-        double dv = cam.k[1] * dpx + cam.k[4] * dpy - pick(e.inside_y, fy * e.iz * by_wy, 0);
-        diz += du * e.x + dv * e.y;
-        const double dx = du * e.iz, dy = dv * e.iz, dz = g.depth[l] - diz * e.iz * e.iz;
+        vd diz = fx * (by_w0 - e.uc * by_wx) + fy * (by_w1 - e.vc * by_wy);
+        vd du = cam.k[0] * dpx + cam.k[3] * dpy - keep(e.inside_x, fx * e.iz * by_wx);
+        vd dv = cam.k[1] * dpx + cam.k[4] * dpy - keep(e.inside_y, fy * e.iz * by_wy);
+        diz = diz + (du * e.x + dv * e.y);
+        const vd dx = du * e.iz, dy = dv * e.iz, dz = widen(g[S_FEATURES + channels] + l) - diz * e.iz * e.iz;
 
         // world mean: also through the viewing direction and the distance
         const Ray ray = ray_to(cam, in, l);
-        const double tx = towards[0][l], ty = towards[1][l], tz = towards[2][l];
-        const double radial = g.distance[l] - ray.inverse * (tx * ray.x + ty * ray.y + tz * ray.z);
-        mean[0][l] = finite(R[0] * dx + R[3] * dy + R[6] * dz + ray.inverse * tx + radial * ray.x);
-        mean[1][l] = finite(R[1] * dx + R[4] * dy + R[7] * dz + ray.inverse * ty + radial * ray.y);
-        mean[2][l] = finite(R[2] * dx + R[5] * dy + R[8] * dz + ray.inverse * tz + radial * ray.z);
+        const vd tx = widen(towards[0] + l), ty = widen(towards[1] + l), tz = widen(towards[2] + l);
+        const vd radial = widen(g[S_FEATURES + channels + 1] + l) - ray.inverse * (tx * ray.x + ty * ray.y + tz * ray.z);
+        put(mean[0] + l, R[0] * dx + R[3] * dy + R[6] * dz + ray.inverse * tx + radial * ray.x);
+        put(mean[1] + l, R[1] * dx + R[4] * dy + R[7] * dz + ray.inverse * ty + radial * ray.y);
+        put(mean[2] + l, R[2] * dx + R[5] * dy + R[8] * dz + ray.inverse * tz + radial * ray.z);
       }
       for (int l = 0; l < L; ++l) {
         if (visible[l]) continue;

@@ -2,80 +2,71 @@
 
 namespace {
 
-INLINE void prefetch_geo(const Tiles& tiles, uint32_t id) {
+INLINE void prefetch(const Tiles& tiles, uint32_t id) {
   __builtin_prefetch(tiles.geo + (size_t)id * GEO);
   __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
 }
 
-// Fill recs and masks for entries [first, first + count) of a tile whose corner is (left, top).
-// Bit 4 * row + column of a mask is set where the support may meet the pixel centres of that block.
-INLINE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int left, int top, uint32_t first,
-                    int count) {
-  const int stride = rec_stride(features);
-  const uint32_t* ids = tiles.entries + first;
-  for (int k = 0; k < count; k += L) {
-    alignas(64) float rows[L][GEO], g[GEO][L], rec[8][L];
-    alignas(64) int masks[L] = {};
-    for (int l = 0; l < L; ++l) {
-      const uint32_t id = ids[k + l < count ? k + l : count - 1];
-      if (k + l + 8 < count) prefetch_geo(tiles, ids[k + l + 8]);
-      __builtin_memcpy(rows[l], tiles.geo + (size_t)id * GEO, sizeof rows[l]);
-    }
-    transpose(rows[0], GEO, g[0], L);
-    for (int l = 0; l < L; ++l) {
-      // mean relative to the tile's corner
-      const float mx = (g[X_WHOLE][l] - left) + g[X_PART][l], my = (g[Y_WHOLE][l] - top) + g[Y_PART][l];
-      rec[R_U0][l] = -(g[L11][l] * mx + g[L12][l] * my);
-      rec[R_V0][l] = -(g[L22][l] * my);
-      rec[R_L11][l] = g[L11][l];
-      rec[R_L12][l] = g[L12][l];
-      rec[R_L22][l] = g[L22][l];
-      rec[R_OPACITY][l] = g[OPACITY][l];
-      rec[R_LIMIT][l] = g[LIMIT][l];
-      rec[R_UNUSED][l] = 0;
-      // a little more than the support, so that rounding never cuts a contribution off
-      const float reach2 = g[LIMIT][l] * 1.0001f + 1e-4f, top_half = g[HALF_Y][l] * 1.0001f + 1e-3f;
-      for (int row = 0; row < 4; ++row) {
-        const float d0 = BLOCK * row + 0.5f - my, d1 = d0 + (BLOCK - 1);
-        const float tip = g[TIP][l], slope = g[SLOPE][l];
-        float right = tip < d0 ? d0 : tip, lefty = -tip < d0 ? d0 : -tip;
-        right = right > d1 ? d1 : right;
-        lefty = lefty > d1 ? d1 : lefty;
-        const float vr = g[L22][l] * right, vl = g[L22][l] * lefty;
-        const float rr = reach2 - vr * vr, rl = reach2 - vl * vl;
-        const float slack = 1e-3f + 1e-6f * (__builtin_fabsf(slope) * (__builtin_fabsf(right) + __builtin_fabsf(lefty)));
-        const float x1 = mx - slope * right + __builtin_sqrtf(rr > 0 ? rr : 0) * g[INV_L11][l] + slack;
-        const float x0 = mx - slope * lefty - __builtin_sqrtf(rl > 0 ? rl : 0) * g[INV_L11][l] - slack;
-        // block column c covers pixel centres [4c + 0.5, 4c + 3.5]
-        const bool hit = (d1 >= -top_half) & (d0 <= top_half);
-        for (int c = 0; c < 4; ++c) {
-          const bool in = hit & (x1 >= BLOCK * c + 0.5f) & (x0 <= BLOCK * c + 3.5f);
-          masks[l] |= (int)in << (4 * row + c);
-        }
-      }
-    }
-    const int n = count - k < L ? count - k : L;
-    alignas(64) float out[L][8];
-    for (int l = 0; l < L; ++l)
-      for (int j = 0; j < 8; ++j) out[l][j] = rec[j][l];
-    for (int l = 0; l < n; ++l) {
-      float* r = scratch.recs + (size_t)(k + l) * stride;
-      __builtin_memcpy(r, out[l], sizeof out[l]);
-      const float* f = tiles.features + (size_t)ids[k + l] * tiles.stride;
-      for (int j = 0; j < features; ++j) r[R_FEATURES + j] = f[j];
-      scratch.masks[k + l] = (uint16_t)masks[l];
-    }
-  }
+// The interval of x, relative to `mx`, that a support covers between dy = d0 and dy = d1 relative to its mean;
+// a little more, so that rounding never cuts a contribution off.
+INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to) {
+  const vf tip = load(g[TIP]), slope = load(g[SLOPE]), l22 = load(g[L22]), zero = all(0);
+  const vf right = minimum(maximum(tip, d0), d1), left = minimum(maximum(zero - tip, d0), d1);
+  const vf vr = l22 * right, vl = l22 * left, inv = load(g[INV_L11]);
+  const vf slack = all(1e-3f) + all(1e-6f) * absolute(slope) * (absolute(right) + absolute(left));
+  to = square_root(maximum(reach2 - vr * vr, zero)) * inv - slope * right + slack;
+  from = zero - square_root(maximum(reach2 - vl * vl, zero)) * inv - slope * left - slack;
 }
 
-// lists[b] = indices of the entries whose mask has bit b.
-INLINE void make_lists(const uint16_t* masks, int count, uint32_t* lists, size_t capacity, int lengths[BLOCKS]) {
+INLINE vf wider_reach(const float (*g)[L]) { return load(g[LIMIT]) * all(1.0001f) + all(1e-4f); }
+INLINE vf wider_half(const float (*g)[L]) { return load(g[HALF_Y]) * all(1.0001f) + all(1e-3f); }
+
+// Fill recs for entries [first, first + count) of a tile whose corner is (left, top), and list, for each
+// block, the entries whose support may meet its pixel centres.
+STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int left, int top, uint32_t first,
+                   int count, size_t capacity, int lengths[BLOCKS]) {
+  const int stride = rec_stride(features);
+  const uint32_t* ids = tiles.entries + first;
   for (int b = 0; b < BLOCKS; ++b) lengths[b] = 0;
-  for (int k = 0; k < count; ++k)
-    for (unsigned m = masks[k]; m; m &= m - 1) {
-      const int b = __builtin_ctz(m);
-      lists[b * capacity + lengths[b]++] = (uint32_t)k;
+  for (int k = 0; k < count && k < L; ++k) prefetch(tiles, ids[k]);
+  for (int k = 0; k < count; k += L) {
+    alignas(64) float g[GEO][L], rec[L][L];
+    const int n = count - k < L ? count - k : L;
+    for (int l = k + L; l < k + 2 * L && l < count; ++l) prefetch(tiles, ids[l]);
+    transpose_rows([=](int r) { return tiles.geo + (size_t)ids[k + (r < n ? r : 0)] * GEO; }, g[0], L);
+    // mean relative to the tile's corner
+    const vf mx = (load(g[X_WHOLE]) - all((float)left)) + load(g[X_PART]);
+    const vf my = (load(g[Y_WHOLE]) - all((float)top)) + load(g[Y_PART]);
+    store(rec[R_U0], all(0) - (load(g[L11]) * mx + load(g[L12]) * my));
+    store(rec[R_V0], all(0) - load(g[L22]) * my);
+    store(rec[R_L11], load(g[L11]));
+    store(rec[R_L12], load(g[L12]));
+    store(rec[R_L22], load(g[L22]));
+    store(rec[R_OPACITY], load(g[OPACITY]));
+    store(rec[R_LIMIT], load(g[LIMIT]));
+    for (int j = R_UNUSED; j < L; ++j) store(rec[j], all(0));
+    const vf reach2 = wider_reach(g), half = wider_half(g);
+    const unsigned present = (1u << n) - 1;
+    for (int row = 0; row < 4; ++row) {
+      const vf d0 = all(BLOCK * row + 0.5f) - my, d1 = d0 + all(BLOCK - 1);
+      vf from, to;
+      span(g, reach2, d0, d1, from, to);
+      const unsigned hit = bits((d1 >= all(0) - half) & (d0 <= half)) & present;
+      from = from + mx;
+      to = to + mx;
+      for (int c = 0; c < 4; ++c) {  // the centres of this block are at 4c + 0.5 to 4c + 3.5
+        const unsigned in = hit & bits((to >= all(BLOCK * c + 0.5f)) & (from <= all(BLOCK * c + 3.5f)));
+        const int b = 4 * row + c;
+        lengths[b] = append(scratch.lists + b * capacity, lengths[b], (uint32_t)k, in);
+      }
     }
+    float* recs = scratch.recs + (size_t)k * stride;  // room for 16 rows
+    transpose(rec[0], L, recs, stride);
+    for (int l = 0; l < n; ++l) {
+      const float* f = tiles.features + (size_t)ids[k + l] * tiles.stride;
+      for (int j = 0; j < features; ++j) recs[l * stride + R_FEATURES + j] = f[j];
+    }
+  }
 }
 
 struct Block {
@@ -120,7 +111,7 @@ INLINE bool contribute(const float* rec, const Block& block, Light& light, Contr
 // Weighted sums of N features of each listed Gaussian. Stops at the end of the list or when the block is full;
 // returns how many entries were looked at.
 template <int N, bool STORE>
-INLINE int blend(const float* recs, int stride, const uint32_t* list, int length, const Block& block, Light& light,
+STAGE int blend(const float* recs, int stride, const uint32_t* list, int length, const Block& block, Light& light,
                  vf* sums, float* weights) {
   Light now = light;
   vf acc[N ? N : 1];
@@ -141,7 +132,7 @@ INLINE int blend(const float* recs, int stride, const uint32_t* list, int length
 }
 
 // sums[f] += sum_k weights[k] feature f of list[k], for features [first, last) by fours.
-INLINE void blend_stored(const float* recs, int stride, const uint32_t* list, int length, const float* weights,
+STAGE void blend_stored(const float* recs, int stride, const uint32_t* list, int length, const float* weights,
                          int features, float* sums) {
   for (int f = 0; f < features; f += 4) {
     vf acc[4];
@@ -190,7 +181,7 @@ struct Window {
   int left, top;
 };
 
-INLINE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int b, const float* state) {
+STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int b, const float* state) {
   for (int l = 0; l < L; ++l) {
     const int x = tile.left + (b % 4) * BLOCK + l % BLOCK, y = tile.top + (b / 4) * BLOCK + l / BLOCK;
     if (x >= tiles.width || y >= tiles.height) continue;
@@ -231,13 +222,12 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
   bool busy = true;
   for (uint32_t done = 0; busy && done < total; done += CHUNK) {
     const int count = total - done < (uint32_t)CHUNK ? (int)(total - done) : CHUNK;
-    prepare(tiles, scratch, features, window.left, window.top, first + done, count);
     int lengths[BLOCKS];
-    make_lists(scratch.masks, count, scratch.lists, CHUNK, lengths);
+    prepare(tiles, scratch, features, window.left, window.top, first + done, count, CHUNK + L, lengths);
     busy = false;
     for (int b = 0; b < BLOCKS; ++b) {
       if (full[b]) continue;
-      const uint32_t* list = scratch.lists + (size_t)b * CHUNK;
+      const uint32_t* list = scratch.lists + (size_t)b * (CHUNK + L);
       float* state = scratch.state + (size_t)b * rows * L;
       const Block block = block_pixels(b);
       Light light = {load(state + ST_ALL * L), load(state + ST_LEFT * L), load(state + ST_SUM * L)};

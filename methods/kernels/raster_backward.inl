@@ -11,10 +11,23 @@ struct PixelGradients {
   float median[L];
 };
 
-INLINE void read_block(const Tiles& tiles, const PictureGradients& in, int features, int left, int top, int b,
+STAGE void read_block(const Tiles& tiles, const PictureGradients& in, int features, int left, int top, int b,
                        PixelGradients& out) {
+  const int x0 = left + (b % 4) * BLOCK, y0 = top + (b / 4) * BLOCK;
+  const bool only_colour = in.colour && in.channels == 3 && !in.alpha && !in.depth && !in.distance && !in.median;
+  if (only_colour && x0 + BLOCK <= tiles.width && y0 + BLOCK <= tiles.height) {  // the usual case, without branches
+    for (int j = 0; j < BLOCK; ++j) {
+      const float* row = in.colour + ((size_t)(y0 + j) * tiles.width + x0) * 3;
+      for (int i = 0; i < BLOCK; ++i)
+        for (int c = 0; c < 3; ++c) out.feature[c][BLOCK * j + i] = row[3 * i + c];
+    }
+    vf by_left = all(0);
+    for (int c = 0; c < 3 && in.background; ++c) by_left = by_left + load(out.feature[c]) * all(in.background[c]);
+    store(out.left, by_left);
+    return;
+  }
   for (int l = 0; l < L; ++l) {
-    const int x = left + (b % 4) * BLOCK + l % BLOCK, y = top + (b / 4) * BLOCK + l / BLOCK;
+    const int x = x0 + l % BLOCK, y = y0 + l / BLOCK;
     const bool inside = x < tiles.width && y < tiles.height;
     const size_t pixel = inside ? (size_t)y * tiles.width + x : 0;
     float by_left = 0;
@@ -37,10 +50,23 @@ INLINE void read_block(const Tiles& tiles, const PictureGradients& in, int featu
   }
 }
 
+// The contributions of a block again. Returns how many entries were drawn.
+STAGE int repeat(const float* recs, int stride, const uint32_t* list, int length, const Block& block, Light light,
+                 float* weights, float* alphas) {
+  for (int k = 0; k < length; ++k) {
+    Contribution c;
+    const bool live = contribute(recs + (size_t)list[k] * stride, block, light, c);
+    store(alphas + (size_t)k * L, c.alpha);
+    store(weights + (size_t)k * L, c.weight);
+    if (!live) return k;  // this one contributes nothing
+  }
+  return length;
+}
+
 // d loss / d ln(alpha) of each listed Gaussian at each pixel, back to front, over `alphas` in place.
 // `behind` is the gradient-weighted colour of what lies behind, so no division is needed.
 template <int N>
-INLINE void exponents(const float* recs, int stride, const uint32_t* list, int length, int features,
+STAGE void exponents(const float* recs, int stride, const uint32_t* list, int length, int features,
                       const PixelGradients& pixel, const float* weights, float* alphas) {
   vf v[N ? N : 1];
   for (int f = 0; f < N; ++f) v[f] = load(pixel.feature[f]);
@@ -63,7 +89,7 @@ INLINE void exponents(const float* recs, int stride, const uint32_t* list, int l
 }
 
 // Sums over the pixels of a block for sixteen listed Gaussians as lanes; rows are added to `sums`.
-INLINE void reduce(const float* recs, int stride, const uint32_t* list, int count, int b, int features,
+STAGE void reduce(const float* recs, int stride, const uint32_t* list, int count, int b, int features,
                    const PixelGradients& pixel, const float* weights, const float* gradients, float* sums,
                    int sums_stride) {
   alignas(64) float rows[L][8], r[8][L], g[L][L], w[L][L];
@@ -146,13 +172,13 @@ void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch
   const int count = (int)tiles.processed[tile];
   for (size_t j = 0; j < (size_t)total * sums_stride; ++j) sums[j] = 0;
   if (count == 0) return;
-  prepare(tiles, scratch, features, left, top, first, count);
   int lengths[BLOCKS];
-  make_lists(scratch.masks, count, scratch.lists, (size_t)count, lengths);
+  const size_t capacity = (size_t)count + L;
+  prepare(tiles, scratch, features, left, top, first, count, capacity, lengths);
   for (int b = 0; b < BLOCKS; ++b) {
     const int x = left + (b % 4) * BLOCK, y = top + (b / 4) * BLOCK;
     if (lengths[b] == 0 || x >= tiles.width || y >= tiles.height) continue;
-    const uint32_t* list = scratch.lists + (size_t)b * count;
+    const uint32_t* list = scratch.lists + (size_t)b * capacity;
     PixelGradients pixel;
     read_block(tiles, in, features, left, top, b, pixel);
     const Block block = block_pixels(b);
@@ -160,14 +186,7 @@ void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch
     for (int l = 0; l < L; ++l)
       ones[l] = x + l % BLOCK < tiles.width && y + l / BLOCK < tiles.height ? 1 : 0;
     Light light = {load(ones), load(ones), all(0)};
-    int k = 0;
-    for (; k < lengths[b]; ++k) {
-      Contribution c;
-      const bool live = contribute(scratch.recs + (size_t)list[k] * stride, block, light, c);
-      store(scratch.alphas + (size_t)k * L, c.alpha);
-      store(scratch.weights + (size_t)k * L, c.weight);
-      if (!live) break;  // this one contributes nothing
-    }
+    const int k = repeat(scratch.recs, stride, list, lengths[b], block, light, scratch.weights, scratch.alphas);
     if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, sums, sums_stride);
     if (features == 3) exponents<3>(scratch.recs, stride, list, k, 3, pixel, scratch.weights, scratch.alphas);
     else if (features == 4) exponents<4>(scratch.recs, stride, list, k, 4, pixel, scratch.weights, scratch.alphas);

@@ -8,16 +8,14 @@
 namespace splat {
 namespace {
 
-constexpr int64_t GAUSSIANS_A_TASK = 512;
-
 // Scratch of all threads for at most `rows` Gaussians of a tile at once.
 class Scratches {
  public:
   Scratches(int threads, size_t rows, int features) {
     rows = (rows + LANES - 1) / LANES * LANES;
     const size_t recs = rows * rec_stride(features), rows16 = rows * LANES;
-    const size_t state = (size_t)BLOCKS * (8 + features) * LANES, lists = (size_t)BLOCKS * rows;
-    const size_t each = recs + 2 * rows16 + state + lists + rows;
+    const size_t state = (size_t)BLOCKS * (8 + features) * LANES, lists = (size_t)BLOCKS * (rows + LANES);
+    const size_t each = recs + 2 * rows16 + state + lists;
     memory_.resize(each * threads);
     std::fill(memory_.data(), memory_.data() + each * threads, 0.0f);
     for (int t = 0; t < threads; ++t) {
@@ -28,7 +26,6 @@ class Scratches {
       s.alphas = s.weights + rows16;
       s.state = s.alphas + rows16;
       s.lists = reinterpret_cast<uint32_t*>(s.state + state);
-      s.masks = reinterpret_cast<uint16_t*>(s.lists + lists);
       each_.push_back(s);
     }
   }
@@ -38,14 +35,6 @@ class Scratches {
   Buffer<float> memory_;
   std::vector<Scratch> each_;
 };
-
-template <class Task>
-void over_gaussians(int threads, int64_t count, Task task) {
-  parallel(threads, (int)((count + GAUSSIANS_A_TASK - 1) / GAUSSIANS_A_TASK), [&](int i, int) {
-    const int64_t first = i * GAUSSIANS_A_TASK;
-    task(first, std::min(count, first + GAUSSIANS_A_TASK));
-  });
-}
 
 }  // namespace
 
@@ -75,7 +64,7 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   const Projection projection = state.projection(radii);
   over_gaussians(threads, model.count,
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
-  bin(camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
+  bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
 
   const size_t pixels = (size_t)camera.width * camera.height;
   for (size_t i = 0; i < pixels * pictures.contributors; ++i) {
@@ -105,7 +94,7 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   });
   const Projection projection = state.projection(nullptr);
   over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
-    k.backward_project(state.camera, model, projection, sums.data(), stride, features, state.bins.slot_start.data(),
+    k.backward_project(state.camera, model, projection, sums.data(), stride, state.bins.slot_start.data(),
                        state.bins.slots.data(), out, first, last);
   });
 }

@@ -1,4 +1,4 @@
-// Sixteen floats as one value, whatever the width of the machine's registers.
+// Sixteen floats, or eight doubles, as one value, whatever the width of the machine's registers.
 //
 // A value is a tree of native vectors (GCC/Clang vector extensions). Only comparisons, square roots and
 // 2^x have per-machine forms. Everything lives in an unnamed namespace: each SIMD level has its own copy.
@@ -10,133 +10,184 @@
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
+#define STAGE static __attribute__((noinline))  // large enough to be seen by its name in a profile
 
 using namespace splat;
 
 namespace {
 
 #if defined(__AVX512F__)
-constexpr int WIDTH = 16;
+constexpr int BYTES = 64;
 #elif defined(__AVX2__)
-constexpr int WIDTH = 8;
+constexpr int BYTES = 32;
 #else
-constexpr int WIDTH = 4;
+constexpr int BYTES = 16;
 #endif
+constexpr int WIDTH = BYTES / 4;  // floats in a register
 
-template <int W>
-struct Native {
-  typedef float f __attribute__((vector_size(W * 4)));
-  typedef int i __attribute__((vector_size(W * 4)));
-};
-typedef Native<WIDTH>::f NF;
-typedef Native<WIDTH>::i NI;
+template <class T> struct Integer;
+template <> struct Integer<float> { typedef int32_t type; };
+template <> struct Integer<double> { typedef int64_t type; };
 
-template <int N>
+template <class T, int N, bool LEAF = (N * sizeof(T) <= BYTES)>
 struct V {
-  V<N / 2> lo, hi;
+  V<T, N / 2> lo, hi;
 };
-template <>
-struct V<WIDTH> {
-  NF v;
+template <class T, int N>
+struct V<T, N, true> {
+  typedef T Values __attribute__((vector_size(N * sizeof(T))));
+  typedef typename Integer<T>::type Int;
+  typedef Int Bits __attribute__((vector_size(N * sizeof(T))));
+  Values v;
 };
-typedef V<LANES> vf;
+typedef V<float, WIDTH>::Values NF;
+typedef V<float, WIDTH>::Bits NI;
 
-template <int N>
+// True or false in each lane.
+template <class T, int N, bool LEAF = (N * sizeof(T) <= BYTES)>
 struct M {
-  M<N / 2> lo, hi;
+  M<T, N / 2> lo, hi;
 };
-template <>
-struct M<WIDTH> {
+template <class T, int N>
+struct M<T, N, true> {
+  typename V<T, N>::Bits m;
+};
 #if defined(__AVX512F__)
+template <>
+struct M<float, 16, true> {
   __mmask16 m;
-#else
-  NI m;
-#endif
 };
-typedef M<LANES> mask;
+#endif
 
-template <int N>
-INLINE V<N> broadcast(float x) {
-  if constexpr (N == WIDTH) return {NF{} + x};
-  else return {broadcast<N / 2>(x), broadcast<N / 2>(x)};
+typedef V<float, LANES> vf;
+typedef M<float, LANES> mask;
+constexpr int HALF = LANES / 2;
+typedef V<double, HALF> vd;
+typedef M<double, HALF> maskd;
+
+template <class T, int N>
+constexpr bool leaf = N * sizeof(T) <= BYTES;
+
+template <class T, int N>
+INLINE V<T, N> broadcast(T x) {
+  if constexpr (leaf<T, N>) return {typename V<T, N>::Values{} + x};
+  else return {broadcast<T, N / 2>(x), broadcast<T, N / 2>(x)};
 }
-INLINE vf all(float x) { return broadcast<LANES>(x); }
+INLINE vf all(float x) { return broadcast<float, LANES>(x); }
+INLINE vd alld(double x) { return broadcast<double, HALF>(x); }
 
-template <int N>
-INLINE V<N> read(const float* p) {
-  if constexpr (N == WIDTH) {
-    V<N> r;
+template <class T, int N>
+INLINE V<T, N> read(const T* p) {
+  if constexpr (leaf<T, N>) {
+    V<T, N> r;
     __builtin_memcpy(&r.v, p, sizeof r.v);
     return r;
-  } else return {read<N / 2>(p), read<N / 2>(p + N / 2)};
+  } else return {read<T, N / 2>(p), read<T, N / 2>(p + N / 2)};
 }
-INLINE vf load(const float* p) { return read<LANES>(p); }
+INLINE vf load(const float* p) { return read<float, LANES>(p); }
 
-template <int N>
-INLINE void store(float* p, V<N> a) {
-  if constexpr (N == WIDTH) __builtin_memcpy(p, &a.v, sizeof a.v);
+template <class T, int N>
+INLINE void store(T* p, V<T, N> a) {
+  if constexpr (leaf<T, N>) __builtin_memcpy(p, &a.v, sizeof a.v);
   else { store(p, a.lo); store(p + N / 2, a.hi); }
 }
 
-#define SPLAT_BINARY(op)                                                    \
-  template <int N>                                                          \
-  INLINE V<N> operator op(V<N> a, V<N> b) {                                 \
-    if constexpr (N == WIDTH) return {a.v op b.v};                          \
-    else return {a.lo op b.lo, a.hi op b.hi};                               \
-  }
+// Doubles from and to floats in memory.
+template <int N = HALF>
+INLINE V<double, N> widen(const float* p) {
+  if constexpr (leaf<double, N>) {
+    typedef float Floats __attribute__((vector_size(N * 4)));
+    Floats f;
+    __builtin_memcpy(&f, p, sizeof f);
+    return {__builtin_convertvector(f, typename V<double, N>::Values)};
+  } else return {widen<N / 2>(p), widen<N / 2>(p + N / 2)};
+}
+template <int N>
+INLINE void narrow(float* p, V<double, N> a) {
+  if constexpr (leaf<double, N>) {
+    typedef float Floats __attribute__((vector_size(N * 4)));
+    const Floats f = __builtin_convertvector(a.v, Floats);
+    __builtin_memcpy(p, &f, sizeof f);
+  } else { narrow(p, a.lo); narrow(p + N / 2, a.hi); }
+}
+
+#define SPLAT_BINARY(op)                                                                           \
+  template <class T, int N>                                                                        \
+  INLINE V<T, N> operator op(V<T, N> a, V<T, N> b) {                                               \
+    if constexpr (leaf<T, N>) return {a.v op b.v};                                                 \
+    else return {a.lo op b.lo, a.hi op b.hi};                                                      \
+  }                                                                                                \
+  INLINE vd operator op(vd a, double b) { return a op alld(b); }                                   \
+  INLINE vd operator op(double a, vd b) { return alld(a) op b; }
 SPLAT_BINARY(+)
 SPLAT_BINARY(-)
 SPLAT_BINARY(*)
 SPLAT_BINARY(/)
 #undef SPLAT_BINARY
 
+#define SPLAT_COMPARE(op)                                                                          \
+  template <class T, int N>                                                                        \
+  INLINE M<T, N> operator op(V<T, N> a, V<T, N> b) {                                               \
+    if constexpr (leaf<T, N>) return {a.v op b.v};                                                 \
+    else return {a.lo op b.lo, a.hi op b.hi};                                                      \
+  }                                                                                                \
+  INLINE maskd operator op(vd a, double b) { return a op alld(b); }
+SPLAT_COMPARE(<=)
+SPLAT_COMPARE(>=)
+SPLAT_COMPARE(<)
+SPLAT_COMPARE(>)
+SPLAT_COMPARE(==)
+#undef SPLAT_COMPARE
+
+template <class T, int N>
+INLINE M<T, N> operator&(M<T, N> a, M<T, N> b) {
+  if constexpr (leaf<T, N>) return {(decltype(a.m))(a.m & b.m)};
+  else return {a.lo & b.lo, a.hi & b.hi};
+}
+
+template <class T, int N>
+INLINE V<T, N> select(M<T, N> m, V<T, N> a, V<T, N> b) {
+  if constexpr (leaf<T, N>) return {m.m ? a.v : b.v};
+  else return {select(m.lo, a.lo, b.lo), select(m.hi, a.hi, b.hi)};
+}
+
+// a where m, else 0.
+template <class T, int N>
+INLINE V<T, N> keep(M<T, N> m, V<T, N> a) {
+  typedef V<T, N> Value;
+  if constexpr (leaf<T, N>) return {(typename Value::Values)((typename Value::Bits)a.v & m.m)};
+  else return {keep(m.lo, a.lo), keep(m.hi, a.hi)};
+}
+
+// Lane l in bit l.
+template <class T, int N>
+INLINE unsigned bits(M<T, N> m) {
+  if constexpr (leaf<T, N>) {
+    unsigned r = 0;
+#if defined(__AVX2__)
+    if constexpr (sizeof m.m == 32 && sizeof(T) == 4) return (unsigned)_mm256_movemask_ps((__m256)m.m);
+#elif defined(__SSE2__)
+    if constexpr (sizeof(T) == 4) return (unsigned)_mm_movemask_ps((__m128)m.m);
+#endif
+    for (int l = 0; l < N; ++l) r |= (unsigned)(m.m[l] & 1) << l;
+    return r;
+  } else return bits(m.lo) | bits(m.hi) << (N / 2);
+}
+
 #if defined(__AVX512F__)
+// Comparisons straight into mask registers: these overloads win over the templates.
 #define SPLAT_COMPARE(op, code) \
   INLINE mask operator op(vf a, vf b) { return {_mm512_cmp_ps_mask((__m512)a.v, (__m512)b.v, code)}; }
 SPLAT_COMPARE(<=, _CMP_LE_OQ)
 SPLAT_COMPARE(>=, _CMP_GE_OQ)
 SPLAT_COMPARE(<, _CMP_LT_OQ)
+SPLAT_COMPARE(>, _CMP_GT_OQ)
+#undef SPLAT_COMPARE
 INLINE vf keep(mask m, vf a) { return {(NF)_mm512_maskz_mov_ps(m.m, (__m512)a.v)}; }
 INLINE vf select(mask m, vf a, vf b) { return {(NF)_mm512_mask_mov_ps((__m512)b.v, m.m, (__m512)a.v)}; }
-INLINE bool any(mask m) { return m.m != 0; }
 INLINE unsigned bits(mask m) { return m.m; }
-#else
-#define SPLAT_COMPARE(op, code)                                   \
-  template <int N>                                                \
-  INLINE M<N> operator op(V<N> a, V<N> b) {                       \
-    if constexpr (N == WIDTH) return {a.v op b.v};                \
-    else return {a.lo op b.lo, a.hi op b.hi};                     \
-  }
-SPLAT_COMPARE(<=, )
-SPLAT_COMPARE(>=, )
-SPLAT_COMPARE(<, )
-template <int N>
-INLINE V<N> select(M<N> m, V<N> a, V<N> b) {
-  if constexpr (N == WIDTH) return {m.m ? a.v : b.v};
-  else return {select(m.lo, a.lo, b.lo), select(m.hi, a.hi, b.hi)};
-}
-template <int N>
-INLINE V<N> keep(M<N> m, V<N> a) {
-  if constexpr (N == WIDTH) return {(NF)((NI)a.v & m.m)};
-  else return {keep(m.lo, a.lo), keep(m.hi, a.hi)};
-}
-template <int N>
-INLINE unsigned bits(M<N> m) {
-  if constexpr (N == WIDTH) {
-#if defined(__AVX2__)
-    return (unsigned)_mm256_movemask_ps((__m256)m.m);
-#elif defined(__SSE2__)
-    return (unsigned)_mm_movemask_ps((__m128)m.m);
-#else
-    unsigned r = 0;
-    for (int l = 0; l < N; ++l) r |= (unsigned)(m.m[l] & 1) << l;
-    return r;
 #endif
-  } else return bits(m.lo) | bits(m.hi) << (N / 2);
-}
 INLINE bool any(mask m) { return bits(m) != 0; }
-#endif
-#undef SPLAT_COMPARE
 
 INLINE vf minimum(vf a, vf b) {
 #if defined(__AVX512F__)
@@ -155,23 +206,35 @@ INLINE vf maximum(vf a, vf b) {
 }
 
 template <int N>
-INLINE V<N> absolute(V<N> a) {
-  if constexpr (N == WIDTH) return {(NF)((NI)a.v & 0x7fffffff)};
+INLINE V<float, N> absolute(V<float, N> a) {
+  if constexpr (leaf<float, N>) return {(NF)((NI)a.v & 0x7fffffff)};
   else return {absolute(a.lo), absolute(a.hi)};
 }
 
-template <int N>
-INLINE V<N> square_root(V<N> a) {
-  if constexpr (N == WIDTH) {
+template <class T, int N>
+INLINE V<T, N> square_root(V<T, N> a) {
+  if constexpr (leaf<T, N>) {
+    typedef typename V<T, N>::Values Values;
+    if constexpr (sizeof(T) == 4) {
 #if defined(__AVX512F__)
-    return {(NF)_mm512_sqrt_ps((__m512)a.v)};
+      return {(Values)_mm512_sqrt_ps((__m512)a.v)};
 #elif defined(__AVX2__)
-    return {(NF)_mm256_sqrt_ps((__m256)a.v)};
+      return {(Values)_mm256_sqrt_ps((__m256)a.v)};
 #elif defined(__SSE2__)
-    return {(NF)_mm_sqrt_ps((__m128)a.v)};
-#else
-    V<N> r;
-    for (int l = 0; l < N; ++l) r.v[l] = __builtin_sqrtf(a.v[l]);
+      return {(Values)_mm_sqrt_ps((__m128)a.v)};
+#endif
+    } else {
+#if defined(__AVX512F__)
+      return {(Values)_mm512_sqrt_pd((__m512d)a.v)};
+#elif defined(__AVX2__)
+      return {(Values)_mm256_sqrt_pd((__m256d)a.v)};
+#elif defined(__SSE2__)
+      return {(Values)_mm_sqrt_pd((__m128d)a.v)};
+#endif
+    }
+#if !defined(__SSE2__)
+    V<T, N> r;
+    for (int l = 0; l < N; ++l) r.v[l] = sizeof(T) == 4 ? (T)__builtin_sqrtf((float)a.v[l]) : (T)__builtin_sqrt(a.v[l]);
     return r;
 #endif
   } else return {square_root(a.lo), square_root(a.hi)};
@@ -180,8 +243,8 @@ INLINE V<N> square_root(V<N> a) {
 // 2^-s for 0 <= s <= 100, relative error below 2.5e-7; any bits for other s (callers mask those lanes).
 // 2^f on [-1/2, 1/2] is a minimax polynomial with value 1 at 0.
 template <int N>
-INLINE V<N> exp2_negative(V<N> s) {
-  if constexpr (N == WIDTH) {
+INLINE V<float, N> exp2_negative(V<float, N> s) {
+  if constexpr (leaf<float, N>) {
     const NF t = -s.v;
 #if defined(__AVX512F__)
     const NF whole = (NF)_mm512_roundscale_ps((__m512)t, 0);
@@ -199,10 +262,33 @@ INLINE V<N> exp2_negative(V<N> s) {
 #if defined(__AVX512F__)
     return {(NF)_mm512_scalef_ps((__m512)p, (__m512)whole)};
 #else
-    typedef Native<WIDTH>::i I;
-    return {(NF)((I)p + ((I)shifted << 23))};
+    return {(NF)((NI)p + ((NI)shifted << 23))};
 #endif
   } else return {exp2_negative(s.lo), exp2_negative(s.hi)};
+}
+
+// The exponent field of doubles: p 2^n for n in the low bits of `shifted` = n + 2^52 + 2^51.
+template <int N>
+INLINE V<double, N> scale_by(V<double, N> p, V<double, N> shifted) {
+  typedef V<double, N> Value;
+  if constexpr (leaf<double, N>)
+    return {(typename Value::Values)((typename Value::Bits)p.v + ((typename Value::Bits)shifted.v << 52))};
+  else return {scale_by(p.lo, shifted.lo), scale_by(p.hi, shifted.hi)};
+}
+
+// x = m 2^e with m in [sqrt(1/2), sqrt(2)), for x in [2^-1000, 2^1000].
+template <int N>
+INLINE void split_exponent(V<double, N> x, V<double, N>& m, V<double, N>& e) {
+  if constexpr (leaf<double, N>) {
+    typedef typename V<double, N>::Bits Bits;
+    typedef typename V<double, N>::Values Values;
+    const Bits raw = (Bits)x.v, shift = (raw - 0x3fe6a09e667f3bcdLL) & (Bits{} + (int64_t)(0xfffULL << 52));
+    m.v = (Values)(raw - shift);
+    // to a double without an integer conversion: the bits of 2^52 + e + 1024
+    typedef uint64_t Unsigned __attribute__((vector_size(N * 8)));
+    const Unsigned biased = ((Unsigned)shift + (1024ULL << 52)) >> 52;
+    e.v = (Values)((Bits)biased | 0x4330000000000000LL) - (4503599627370496.0 + 1024);
+  } else { split_exponent(x.lo, m.lo, e.lo); split_exponent(x.hi, m.hi, e.hi); }
 }
 
 // Lane numbers 0, 1, ..., WIDTH - 1 as template arguments.
@@ -233,17 +319,35 @@ INLINE void butterflies(NF* rows) {
   }
 }
 
-// out[c][r] = in[r][c] for 16 rows that lie `stride` floats apart; both need no alignment.
-INLINE void transpose(const float* in, ptrdiff_t stride, float* out, ptrdiff_t out_stride) {
+// out[c][r] = row(r)[c] for 16 rows.
+template <class Row>
+INLINE void transpose_rows(Row row, float* out, ptrdiff_t out_stride) {
   for (int i = 0; i < LANES; i += WIDTH)
     for (int j = 0; j < LANES; j += WIDTH) {
       NF rows[WIDTH];
 #pragma GCC unroll 16
-      for (int r = 0; r < WIDTH; ++r) __builtin_memcpy(&rows[r], in + (i + r) * stride + j, sizeof(NF));
+      for (int r = 0; r < WIDTH; ++r) __builtin_memcpy(&rows[r], row(i + r) + j, sizeof(NF));
       butterflies<WIDTH / 2>(rows);
 #pragma GCC unroll 16
       for (int r = 0; r < WIDTH; ++r) __builtin_memcpy(out + (j + r) * out_stride + i, &rows[r], sizeof(NF));
     }
+}
+
+// out[c][r] = in[r][c] for 16 rows that lie `stride` floats apart; both need no alignment.
+INLINE void transpose(const float* in, ptrdiff_t stride, float* out, ptrdiff_t out_stride) {
+  transpose_rows([=](int r) { return in + r * stride; }, out, out_stride);
+}
+
+// Append first + l for each set bit l of `chosen`. May write 16 numbers, so leave room for them.
+INLINE int append(uint32_t* list, int length, uint32_t first, unsigned chosen) {
+#if defined(__AVX512F__)
+  const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32((int)first), _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0));
+  _mm512_storeu_si512(list + length, _mm512_maskz_compress_epi32((__mmask16)chosen, lanes));
+  return length + __builtin_popcount(chosen);
+#else
+  for (; chosen; chosen &= chosen - 1) list[length++] = first + (uint32_t)__builtin_ctz(chosen);
+  return length;
+#endif
 }
 
 }  // namespace

@@ -65,6 +65,14 @@ struct Projection {  // what projecting writes, per Gaussian
   uint8_t* drawn;    // [n]
 };
 
+// Which tiles a Gaussian touches: `rows` rows of tiles from `first_row` on; in each, columns [from, to].
+struct Footprint {
+  uint16_t first_row, rows;
+};
+struct Span {
+  int16_t from, to;  // empty if to < from
+};
+
 struct Tiles {
   const float* geo;
   const float* features;
@@ -100,8 +108,7 @@ struct ModelGradients {  // all written in full; null where not asked for
 
 struct Scratch {  // one a thread; grown by the caller before each use
   float* recs;        // [rows, rec stride]
-  uint16_t* masks;    // [rows]
-  uint32_t* lists;    // [BLOCKS, rows]
+  uint32_t* lists;    // [BLOCKS, rows + LANES]
   float* state;       // [BLOCKS, 4 + features, LANES]
   float* weights;     // [rows, LANES]
   float* alphas;      // [rows, LANES]
@@ -137,11 +144,14 @@ struct AdamRate {
 struct Kernels {
   const char* name;
   void (*project)(const Camera&, const Model&, const Projection&, int64_t first, int64_t last);
+  void (*footprints)(const float* geo, const uint8_t* drawn, int down, Footprint*, int64_t first, int64_t last);
+  void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, Span*, int64_t first,
+                int64_t last);
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
                         float* sums, int sums_stride);
   void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,
-                           int sums_stride, int features, const uint32_t* slot_start, const uint32_t* slots,
+                           int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
                            const ModelGradients&, int64_t first, int64_t last);
   void (*loss_maps)(const Loss&, float* scratch, int first, int last);
   void (*loss_gradient)(const Loss&, float* scratch, int first, int last);

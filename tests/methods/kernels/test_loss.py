@@ -61,7 +61,7 @@ def test_the_signature_is_the_references():
     masked=st.booleans(),
 )
 def test_value_and_gradient_are_the_references(simd_level, size, channels, seed, dssim, masked):
-    image, truth, mask = pair(*size, channels, seed)
+    image, truth, mask = pair(size[0], size[1], channels, seed)
     (true, true_gradient), (value, gradient) = both(
         image, truth, mask if masked else None, dssim, scale=2.5
     )

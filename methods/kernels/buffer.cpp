@@ -1,0 +1,70 @@
+#include "buffer.hpp"
+
+#include <cstdlib>
+#include <mutex>
+#include <vector>
+
+namespace splat {
+namespace {
+
+constexpr size_t SMALL = 1 << 14;  // below this malloc is as good
+constexpr unsigned KEEP = 200;     // requests after which a block that nobody wanted goes back to the system
+
+struct Idle {
+  void* memory;
+  size_t bytes;
+  unsigned since;
+};
+
+std::mutex mutex;
+std::vector<Idle> idle;
+unsigned requests = 0;
+
+// Sizes in steps of an eighth, so that a model that grows a little finds its old blocks.
+size_t rounded(size_t bytes) {
+  size_t step = 64;
+  while (step * 16 <= bytes) step *= 2;
+  return (bytes + step - 1) / step * step;
+}
+
+}  // namespace
+
+void* take_memory(size_t bytes) {
+  bytes = rounded(bytes ? bytes : 1);
+  if (bytes >= SMALL) {
+    std::lock_guard<std::mutex> lock(mutex);
+    ++requests;
+    void* found = nullptr;
+    size_t kept = 0;
+    for (const Idle& block : idle) {
+      if (!found && block.bytes == bytes) found = block.memory;
+      else if (requests - block.since > KEEP) std::free(block.memory);
+      else idle[kept++] = block;
+    }
+    idle.resize(kept);
+    if (found) return found;
+  }
+  void* memory = std::aligned_alloc(64, bytes);
+  if (!memory) throw std::bad_alloc();
+  return memory;
+}
+
+void give_memory(void* memory, size_t bytes) {
+  if (!memory) return;
+  bytes = rounded(bytes ? bytes : 1);
+  if (bytes < SMALL) {
+    std::free(memory);
+    return;
+  }
+  std::lock_guard<std::mutex> lock(mutex);
+  idle.push_back({memory, bytes, requests});
+}
+
+size_t idle_memory() {
+  std::lock_guard<std::mutex> lock(mutex);
+  size_t sum = 0;
+  for (const Idle& block : idle) sum += block.bytes;
+  return sum;
+}
+
+}  // namespace splat
