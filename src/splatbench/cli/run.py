@@ -125,11 +125,10 @@ def _record(outcome: "Outcome") -> dict[str, object]:
 
 def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
     """Print each case with its estimates and their sum."""
-    from splatbench.suites.estimate import estimate_case
+    from splatbench.suites.estimate import estimate_suite
 
     total = 0.0
-    for case in suite.cases:
-        guess = estimate_case(case, out / suite.name, backend)
+    for case, guess in zip(suite.cases, estimate_suite(suite, out, backend), strict=True):
         total += guess.seconds
         record = {
             "suite": suite.name,

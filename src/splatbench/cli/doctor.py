@@ -1,0 +1,162 @@
+"""`bench doctor`: what this machine has, what is missing and how to get it."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from splatbench.cli import output
+from splatbench.reference.errors import SplatbenchError
+
+LEAST_FREE_GB = 2.0
+"""Free disk below which results and made scenes may not fit; in 2^30 bytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing that was looked at."""
+
+    topic: str
+    name: str
+    status: Literal["ok", "absent", "fault"]
+    """absent: something optional is not there; fault: something essential is not."""
+    found: str
+    fix: str = ""
+    """What to do about it."""
+
+
+def doctor(*, out: Path = Path("runs")) -> int:
+    """Say what this machine has, what is missing and how to get it; exit code 3 on a fault.
+
+    With --json each finding is a line: topic, name, status (ok, absent, fault), found, fix.
+
+    Args:
+        out: Folder of the runs, for the tracking store.
+    """
+    faults, topic = 0, ""
+    for finding in findings(out):
+        faults += finding.status == "fault"
+        if not output.wants_json() and finding.topic != topic:
+            topic = finding.topic
+            output.print_text(topic)
+        mark = {"ok": " ", "absent": "-", "fault": "!"}[finding.status]
+        text = f" {mark} {finding.name:<18} {finding.found}"
+        output.emit(asdict(finding), text + (f"; {finding.fix}" if finding.fix else ""))
+    if faults:
+        output.warn(f"{faults} fault{'s' if faults > 1 else ''} above, marked with !")
+    return 3 if faults else 0
+
+
+def findings(out: Path) -> Iterator[Finding]:
+    """Everything that is looked at, topic by topic."""
+    yield from _versions()
+    yield from _processor()
+    yield from _backends()
+    yield from _scenes()
+    yield from _folders(out)
+
+
+def _versions() -> Iterator[Finding]:
+    from splatbench.suites.environment import environment
+
+    said = environment("")
+    for name in ("splatbench", "commit", "python", "torch", "numpy", "pycolmap", "platform"):
+        yield Finding(topic="versions", name=name, status="ok", found=said[name] or "unknown")
+
+
+def _processor() -> Iterator[Finding]:
+    import torch
+
+    from splatbench.suites.environment import cpu_model, simd_level, usable_cores
+
+    said = {"cpu": cpu_model(), "cores": usable_cores(), "threads": torch.get_num_threads()}
+    for name, value in said.items():
+        yield Finding(topic="processor", name=name, status="ok", found=str(value))
+    level = simd_level()
+    yield Finding(
+        topic="processor",
+        name="simd",
+        status="ok" if level else "fault",
+        found=level or "the native kernels are not built",
+        fix="" if level else "install a C++ compiler and run `pip install .`",
+    )
+
+
+def _backends() -> Iterator[Finding]:
+    from splatbench.methods.backends import describe_backends
+
+    for backend in describe_backends():
+        absent = "fault" if backend.name == "cpu" else "absent"
+        yield Finding(
+            topic="backends",
+            name=backend.name,
+            status=absent if backend.missing else "ok",
+            found="missing" if backend.missing else ", ".join(sorted(backend.capabilities)),
+            fix=backend.missing,
+        )
+
+
+def _scenes() -> Iterator[Finding]:
+    from splatbench.datasets.registry import data_roots, list_scenes, locate
+
+    for root in data_roots():
+        there = root.is_dir()
+        yield Finding(
+            topic="data roots",
+            name=str(root),
+            status="ok" if there else "absent",
+            found=str(root.resolve()) if there else "no such folder",
+            fix="" if there else "set SPLATBENCH_DATA to the folders that hold your data",
+        )
+    for entry in list_scenes():
+        path = locate(entry)
+        if path is not None or entry.kind != "public":
+            found = str(path or ("is made when first used" if entry.kind == "made" else "not here"))
+            absent = path is None and entry.kind != "made"
+            yield Finding(
+                topic="scenes",
+                name=entry.name,
+                status="absent" if absent else "ok",
+                found=found,
+                fix=f"`bench scenes show {entry.name}` says how to get it" if absent else "",
+            )
+
+
+def _folders(out: Path) -> Iterator[Finding]:
+    from splatbench.datasets.cache import cache_folder
+
+    yield _writable("cache", cache_folder(), "set SPLATBENCH_CACHE to a folder that can be written")
+    yield _writable("runs", out, "use --out with a folder that can be written")
+    yield _store(out)
+
+
+def _writable(name: str, folder: Path, fix: str) -> Finding:
+    """Whether a folder, or the nearest one above that exists, can be written and has room."""
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    free = shutil.disk_usage(there).free / 2**30
+    good = there.is_dir() and os.access(there, os.W_OK)
+    found = f"{folder.absolute()}, {free:.0f} GB free" if good else f"{there}: cannot be written"
+    if good and free < LEAST_FREE_GB:
+        good, fix = False, f"make room: less than {LEAST_FREE_GB:.0f} GB are free"
+    status = "ok" if good else "fault"
+    return Finding(topic="folders", name=name, status=status, found=found, fix="" if good else fix)
+
+
+def _store(out: Path) -> Finding:
+    """Whether the tracking store answers; a file that is not there yet is made by the first run."""
+    from splatbench.reports.mlflow_client import default_uri, open_client, shown_uri, sqlite_file
+
+    try:
+        uri = default_uri(out)
+        file = sqlite_file(uri)
+        if file is None or file.exists():
+            open_client(uri)
+    except SplatbenchError as error:
+        # Runs go on without it and keep their records on disk, so this is no fault.
+        return Finding(
+            topic="folders", name="tracking store", status="absent", found=str(error),
+            fix="results stay on disk; `bench report` logs them later",
+        )  # fmt: skip
+    return Finding(topic="folders", name="tracking store", status="ok", found=shown_uri(uri))
