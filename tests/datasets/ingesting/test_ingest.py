@@ -1,0 +1,258 @@
+"""`ingest_photos` on self-made photos of known places, and every way photos can be unfit."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+
+from helpers.aerial_photos import (
+    PLACES,
+    aerial_photo,
+    save_photo,
+    texture,
+    write_flight,
+)
+from helpers.real_scenes import real_scene
+from splatbench.cli.ingest import ingest
+from splatbench.datasets.ingesting.ingest import Ingested, ingest_photos
+from splatbench.datasets.opening import open_scene
+from splatbench.reference.camera import project_points
+from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
+
+PROTOCOL = Protocol(name="test", source="test", hold=3)
+
+
+def run(photos: Path, out: Path, said: list[str] | None = None, **changes) -> Ingested:
+    settings = {"max_image_size": 1600, "threads": 2, "seed": 0} | changes
+    return ingest_photos(
+        photos,
+        out,
+        report=lambda step, done, total: None,
+        say=(said if said is not None else []).append,
+        **settings,
+    )
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory) -> tuple[Ingested, list[str]]:
+    """A flight with everything that a real one has: damaged, foreign and differently sized photos."""
+    root = tmp_path_factory.mktemp("flown")
+    photos = write_flight(root / "photos")
+    other = aerial_photo(texture(0), 4.0, -2.0, (320, 240))
+    save_photo(photos / "small one.jpg", other, (4.0, -2.0, 40.0))
+    save_photo(photos / "elsewhere.jpg", aerial_photo(texture(9), 0, 0, (400, 300)), (2, 3, 40.0))
+    Image.new("RGB", (400, 300), (90, 120, 90)).save(photos / "blank.png")
+    whole = (photos / "air_0.jpg").read_bytes()
+    (photos / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    (photos / "notes.txt").write_text("not a photo")
+    said: list[str] = []
+    return run(photos, root / "scene", said), said
+
+
+def test_the_scene_opens_and_is_metric(flown):
+    made, _ = flown
+    scene = open_scene(made.folder, PROTOCOL)
+    places = {f"air_{i}.jpg": place for i, place in enumerate(PLACES)}
+    assert [view.name for view in scene.views] == [*sorted(places), "small_one.jpg"]
+    assert scene.units == "metres"
+    assert scene.up.tolist() == [0, 0, 1]
+    for axis, name in ((0, "east"), (1, "north")):
+        found = np.array([float(view.camera.centre[axis]) for view in scene.views[:6]])
+        expected = np.array([places[view.name][axis] for view in scene.views[:6]])
+        # EXIF keeps 1e-6 seconds = 3e-5 m; what is left is the reconstruction's own error
+        assert np.abs((found - found[0]) - (expected - expected[0])).max() < 0.1, name
+    assert {view.sensor for view in scene.views} == {"camera 1", "camera 3"}  # 2: the blank one
+    points, depth = project_points(scene.views[4].camera, scene.points.positions)
+    assert len(points) > 500
+    assert (depth > 0).all()
+
+
+def test_every_photo_is_accounted_for(flown):
+    made, said = flown
+    reasons = made.scene.left_out
+    assert set(reasons) == {"blank.png", "cut.jpg", "elsewhere.jpg"}
+    assert "no features found" in reasons["blank.png"] or "at most 0 points" in reasons["blank.png"]
+    assert "not a readable image" in reasons["cut.jpg"]
+    assert "shares at most" in reasons["elsewhere.jpg"]
+    assert made.registered == 7
+    assert made.scene.facts["registered"] == "7 of 10"
+    assert dict(open_scene(made.folder, PROTOCOL).left_out) == reasons
+    assert any(line.startswith("cut.jpg: left out: not a readable") for line in said)
+    assert any("photos of 3 cameras, one camera model each: 1 of 320 x 240" in x for x in said)
+
+
+def test_nothing_but_the_scene_is_left(flown):
+    made, _ = flown
+    assert [path.name for path in made.folder.parent.iterdir() if path.name.startswith(".")] == []
+    assert sorted(path.name for path in made.folder.iterdir()) == ["photos", "scene.toml", "sparse"]
+
+
+def blank(folder: Path, count: int = 1, suffix: str = ".jpg") -> Path:
+    folder.mkdir(parents=True)
+    for i in range(count):
+        Image.new("RGB", (64, 48), (i, 100, 200)).save(folder / f"flat_{i}{suffix}")
+    return folder
+
+
+def nothing(folder: Path) -> Path:
+    folder.mkdir()
+    (folder / "readme.txt").write_text("no photos")
+    return folder
+
+
+def damaged(folder: Path) -> Path:
+    blank(folder, 3)
+    for path in list(folder.iterdir())[1:]:
+        path.write_bytes(b"no image")
+    return folder
+
+
+def deep(folder: Path) -> Path:
+    folder.mkdir()
+    for i in range(3):
+        Image.new("I;16", (64, 48)).save(folder / f"deep_{i}.png")
+    return folder
+
+
+def twins(folder: Path) -> Path:
+    blank(folder, 2)
+    (folder / "flat_0.jpg").rename(folder / "a b.jpg")
+    (folder / "flat_1.jpg").rename(folder / "a_b.jpg")
+    return folder
+
+
+def unrelated(folder: Path) -> Path:
+    for i in range(2):
+        save_photo(folder / f"p{i}.jpg", aerial_photo(texture(20 + i), 0, 0, (320, 240)))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("make", "fault"),
+    [
+        (lambda folder: folder, "no such folder; give the folder that has the photos"),
+        (nothing, r"no photo found; looked for \.jpg, \.jpeg, \.png"),
+        (blank, "only one photo can be used; structure from motion needs at least two"),
+        (damaged, r"1 of 3 photos can be used \(flat_\d.jpg is damaged\)"),
+        (deep, "0 of 3 photos can be used"),
+        (twins, "its name becomes 'a_b.jpg', which another photo has"),
+        (lambda folder: blank(folder, 3), "no two of 3 photos could be joined .no pair has common"),
+        (unrelated, "no two of 2 photos could be joined .*; take photos that overlap by 60 to 80"),
+    ],
+    ids=["no folder", "no photo", "one", "damaged", "16 bit", "twins", "blank", "unrelated"],
+)
+def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, make, fault):
+    photos = make(tmp_path / "photos")
+    with pytest.raises(DataError, match=fault) as caught:
+        run(photos, tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert {path.name for path in tmp_path.iterdir()} <= {"photos"}
+
+
+def test_an_existing_folder_is_not_touched(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine").write_text("keep")
+    with pytest.raises(DataError, match="out: exists already; choose another folder or remove it"):
+        run(blank(tmp_path / "photos", 2), out)
+    assert (out / "mine").read_text() == "keep"
+
+
+@pytest.mark.parametrize("changes", [{"max_image_size": 10}, {"threads": 0}])
+def test_senseless_settings_are_refused(tmp_path, changes):
+    with pytest.raises(DataError, match="expected at least 100 and 1"):
+        run(blank(tmp_path / "photos", 2), tmp_path / "out", **changes)
+
+
+def pose_table(folder: Path) -> dict[str, np.ndarray]:
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    return {image.name: image.cam_from_world().matrix() for image in model.images.values()}
+
+
+COMMAND = """
+import sys
+from pathlib import Path
+from splatbench.cli.ingest import ingest
+ingest(Path(sys.argv[1]), Path(sys.argv[2]), threads=2)
+"""
+
+
+@pytest.mark.slow
+def test_killed_runs_go_on_and_give_the_same_scene(tmp_path, flown):
+    """SIGKILL at several moments, then once to the end: equal poses, facts and photos."""
+    photos = write_flight(tmp_path / "photos")
+    undisturbed = run(photos, tmp_path / "undisturbed")
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", COMMAND, str(photos), str(out)]
+    kills = 0
+    for seconds in (2.0, 3.0, 4.0, 4.5, 5.0, 6.0):
+        started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        time.sleep(seconds)
+        if started.poll() is None:
+            os.kill(started.pid, signal.SIGKILL)
+            kills += 1
+        started.communicate()
+        if out.exists():
+            break
+    assert kills >= 2
+    if not out.exists():
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert "going on with the unfinished work" in done.stderr
+        assert done.stdout.startswith(f"{out}: 6 of 6 photos registered, units: metres")
+    first, second = pose_table(undisturbed.folder), pose_table(out)
+    assert first.keys() == second.keys()
+    for name in first:
+        assert np.array_equal(first[name], second[name])
+    assert (out / "scene.toml").read_text() == (undisturbed.folder / "scene.toml").read_text()
+    assert not (tmp_path / ".out.ingest").exists()
+
+
+@pytest.mark.slow
+def test_one_seed_one_scene_whatever_the_threads(tmp_path):
+    photos = write_flight(tmp_path / "photos", gps=False)
+    first = run(photos, tmp_path / "a")
+    second = run(photos, tmp_path / "b", threads=1)
+    assert first.scene == second.scene
+    assert first.scene.units == "sfm"
+    assert first.scene.facts["gps"] == "none of the photos has a position"
+    one, two = pose_table(first.folder), pose_table(second.folder)
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_brighton_beach(tmp_path, capfd):
+    photos = real_scene("brighton_beach") / "photos"
+    start = time.monotonic()
+    assert ingest(photos, tmp_path / "scene", threads=2) == 0
+    seconds = time.monotonic() - start
+    out, _ = capfd.readouterr()
+    assert out.splitlines() == [
+        f"{tmp_path / 'scene'}: 18 of 18 photos registered, units: metres",
+        "GPS: positions and altitudes of 18 photos",
+    ]
+    scene = open_scene(tmp_path / "scene", Protocol(name="test", source="test", width=250))
+    assert len(scene.points) > 3500
+    forward = [float(view.camera.rotation[2, 2]) for view in scene.views]
+    assert max(forward) < -0.99  # nadir photos look down
+    shipped = pose_table(real_scene("brighton_beach"))
+    ours = pose_table(tmp_path / "scene")
+    a, b = (
+        np.stack([-table[name][:, :3].T @ table[name][:, 3] for name in sorted(shipped)])
+        for table in (shipped, ours)
+    )
+    similarity = pycolmap.estimate_sim3d(a, b)
+    assert similarity is not None
+    moved = np.array([similarity * centre for centre in a])
+    assert np.abs(moved - b).max() < 0.2  # metres, over a flight of 90 m
+    assert seconds < 60
+    shutil.rmtree(tmp_path / "scene")
