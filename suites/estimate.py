@@ -57,20 +57,19 @@ def estimate_suite(suite: Suite, folder: Path, backend: str) -> list[Estimate]:
         folder: Of the runs.
         backend: Name of the rasterizer.
     """
-    scenes: dict[tuple[str, str], Scene] = {}
+    rows = {(case.scene, case.protocol.name): case for case in suite.cases}
+    scenes = {key: open_scene(case.scene, case.protocol) for key, case in rows.items()}
     records = _records(folder / suite.name)
     estimates = []
     for case in suite.cases:
-        key = (case.scene, case.protocol.name)
-        if key not in scenes:
-            scenes[key] = open_scene(case.scene, case.protocol)
         ratios = [
             ratio
             for record in records
             if (record.method, record.environment.get("backend")) == (case.method, backend)
             for ratio in _ratio(record, suite, scenes)
         ]
-        estimates.append(estimate(case, scenes[key], backend, ratios))
+        scene = scenes[case.scene, case.protocol.name]
+        estimates.append(estimate(case, scene, backend, ratios))
     return estimates
 
 

@@ -1,9 +1,10 @@
 """Which scenes of a suite are on this machine, before anything is run."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from splatbench.datasets.registry import absence, get_entry, locate
+from splatbench.datasets.registry import absence, find_scene, get_entry, locate
 from splatbench.reference.errors import MissingError, UsageError
 from splatbench.suites.suite_files import PATH, Suite
 
@@ -41,3 +42,15 @@ def check_scene(scene: str) -> None:
     entry = get_entry(scene)
     if entry.kind != "made" and locate(entry) is None:
         raise MissingError(absence(entry))
+
+
+def make_scenes(suite: Suite, report: Callable[[int, int], None]) -> None:
+    """Make the self-made scenes of the suite that are not made yet, so that no case is charged for it.
+
+    Args:
+        suite: Its scenes are known (see `without_absent`).
+        report: Told (views done, views in all).
+    """
+    for scene in dict.fromkeys(case.scene for case in suite.cases):
+        if not scene.startswith(PATH):
+            find_scene(scene, report)

@@ -3,11 +3,15 @@
 import datetime
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from splatbench.cli import output
 from splatbench.reference.errors import UsageError
+
+if TYPE_CHECKING:
+    from splatbench.reports.table import Table
 
 PIPED_WIDTH = 160
 """Characters a line where stdout is no terminal."""
@@ -39,11 +43,11 @@ def report(
     from splatbench.reports.page import render_page
     from splatbench.reports.store import read_results
     from splatbench.reports.text import markdown as as_markdown
-    from splatbench.reports.text import record, terminal
+    from splatbench.reports.text import record
 
     uri = default_uri(out) if uri is None else uri
     check_uri(uri)
-    unlogged = _sync(out, uri)
+    unlogged = sync_cases(out, uri)
     stored = read_results(uri)
     if not stored:
         raise UsageError(
@@ -62,14 +66,21 @@ def report(
             output.print_record(record(result))
         output.log(f"page: {page}")
     else:
-        width = None if sys.stdout.isatty() else PIPED_WIDTH
-        Console(width=width, highlight=False).print(terminal(tables))
+        print_tables(tables)
         output.print_text(f"page: {page.resolve()}")
     return int(unlogged)
 
 
-def _sync(out: Path, uri: str) -> bool:
-    """Log what is not in the store yet; whether any case could not be."""
+def print_tables(tables: "list[Table]") -> None:
+    """Print the leaderboard on stdout."""
+    from splatbench.reports.text import terminal
+
+    width = None if sys.stdout.isatty() else PIPED_WIDTH
+    Console(width=width, highlight=False).print(terminal(tables))
+
+
+def sync_cases(out: Path, uri: str) -> bool:
+    """Log the cases below `out` that are not in the store yet; whether any could not be."""
     from splatbench.reports.store import find_cases, sync
 
     with output.progress() as bar:

@@ -40,10 +40,12 @@ def run(
         backend: Rasterizer: cpu, reference or cuda.
         threads: Threads to use; None: as many as torch does.
     """
+    from splatbench.cli.report import print_tables, sync_cases
     from splatbench.methods.backends import get_backend
+    from splatbench.reports.leaderboard import build_tables
     from splatbench.reports.mlflow_client import default_uri
     from splatbench.suites.runner import run_suite, select
-    from splatbench.suites.scenes import without_absent
+    from splatbench.suites.scenes import make_scenes, without_absent
     from splatbench.suites.suite_files import load_suite
 
     uri = default_uri(out)
@@ -52,6 +54,9 @@ def run(
     chosen, absent = without_absent(select(whole, only=only, seeds=seeds))
     for reason in absent:
         output.log(f"left out: {reason}")
+    with output.progress() as bar:
+        task = bar.add_task("making scenes", total=None, values="")
+        make_scenes(chosen, lambda done, total: bar.update(task, completed=done, total=total))
     if dry_run:
         return _print_plan(chosen, out, backend)
     with _Screen() as screen:
@@ -59,7 +64,11 @@ def run(
             chosen, out, backend=backend, threads=threads, resume=resume,
             on_progress=screen.progress, on_result=screen.result,
         )  # fmt: skip
-    _store(out, whole.name, uri)
+    if sync_cases(out / whole.name, uri):
+        output.warn("the records are on disk; the next `bench run` or `bench report` logs them")
+    if not output.wants_json():
+        print_tables(build_tables(outcome.result for outcome in outcomes))
+        output.log(f"records: {out / whole.name}; page with pictures: bench report --out {out}")
     return int(any(outcome.status == "failed" for outcome in outcomes))
 
 
@@ -144,20 +153,3 @@ def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
         output.emit(record, text)
     output.log(f"{len(suite.cases)} cases, about {total:.0f} s one after the other")
     return 0
-
-
-def _store(out: Path, suite: str, uri: str) -> None:
-    """Log the finished cases to the tracking store and print the suite's leaderboard from it."""
-    from splatbench.reports.store import find_cases, sync
-
-    with output.progress() as bar:
-        task = bar.add_task("tracking store", total=None, values="")
-        failures = sync(
-            find_cases(out / suite),
-            uri,
-            lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    for failure in failures:
-        output.warn(f"{failure.folder}: not logged: {failure.reason}")
-    if failures:
-        output.warn("the records are on disk; the next `bench run` or `bench report` logs them")
