@@ -1,6 +1,7 @@
 """Every per-image metric by its name."""
 
 import difflib
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics import flip, pixel, ssim
+from splatbench.metrics import flip, lpips, pixel, ssim
 from splatbench.reference.errors import UsageError
 
 MetricFunction = Callable[
@@ -28,6 +29,8 @@ class Metric:
     higher_is_better: bool
     range: tuple[float, float]
     source: str
+    weights_sha256: Callable[[], str] | None = None
+    """Hash of the weights on disk, for the record; raises MissingError without. None: needs none."""
 
 
 def find_metric(name: str) -> Metric:
@@ -97,6 +100,22 @@ _ALL = (
         higher_is_better=False,
         range=(0.0, 1.0),
         source="mean absolute difference",
+    ),
+    *(
+        Metric(
+            name=function.__name__,
+            function=function,
+            unit="",
+            higher_is_better=False,
+            range=(0.0, math.inf),
+            source=f"Zhang et al. 2018, LPIPS v0.1, {network}, inputs in {inputs}, by torchmetrics",
+            weights_sha256=functools.partial(lpips.weights_sha256, network),
+        )
+        for function, network, inputs in (
+            (lpips.lpips_vgg_m11, "vgg", "[-1, 1]"),
+            (lpips.lpips_alex_m11, "alex", "[-1, 1]"),
+            (lpips.lpips_vgg_01, "vgg", "[0, 1] as the 3DGS release has them"),
+        )
     ),
 )
 

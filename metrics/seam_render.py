@@ -1,0 +1,72 @@
+"""What the seam metrics look at, rendered from a model whose Gaussians belong to blocks."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from splatbench.metrics.seam import TOP, SeamView, overlap_band, seam_mask
+from splatbench.reference.camera import Camera
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.render import RenderOutput
+
+
+def render_seam_view(
+    rasterize: Callable[..., RenderOutput],
+    camera: Camera,
+    gaussians: Gaussians,
+    blocks: Int[Tensor, " n"],
+    distances: Float[Tensor, " n"],
+    truth: Float[Tensor, "h w 3"],
+    background: Float[Tensor, "3"] | None = None,
+) -> SeamView:
+    """Render the whole model, each block's share of it, and each block alone.
+
+    Args:
+        rasterize: Of any backend, with the signature of splatbench.reference.rasterizer.rasterize.
+        camera: Of the test view.
+        gaussians: The merged model.
+        blocks: Block of each Gaussian, 0 to b - 1.
+        distances: Normalised distance of each Gaussian to the oriented box of its own block.
+        truth: The test image, in [0, 1].
+        background: Colour behind everything, also behind a single block; None is black.
+    Returns: Colours clamped to [0, 1]; depths are 0 where nothing is drawn.
+    """
+    count = int(blocks.max()) + 1 if len(blocks) else 1
+
+    def render(part: Gaussians, **options: object) -> RenderOutput:
+        return rasterize(
+            camera, part.means, part.quaternions, part.scales, part.opacities, **options
+        )
+
+    with torch.no_grad():
+        whole = render(gaussians, sh=gaussians.sh, background=background, contributors=TOP)
+        membership = torch.nn.functional.one_hot(blocks.long(), count).to(gaussians.means)
+        weights = render(gaussians, colours=membership).colour
+        alone = []
+        for block in range(count):
+            part = _select(gaussians, blocks == block)
+            alone.append(render(part, sh=part.sh, background=background))
+    assert whole.contributor_ids is not None
+    return SeamView(
+        image=whole.colour.clamp(0, 1),
+        truth=truth,
+        depth=whole.depth,
+        seam=seam_mask(whole.contributor_ids, overlap_band(distances), blocks),
+        block_weights=weights,
+        block_images=torch.stack([output.colour.clamp(0, 1) for output in alone]),
+        block_depths=torch.stack([output.depth for output in alone]),
+    )
+
+
+def _select(gaussians: Gaussians, chosen: Tensor) -> Gaussians:
+    return replace(
+        gaussians,
+        means=gaussians.means[chosen],
+        quaternions=gaussians.quaternions[chosen],
+        log_scales=gaussians.log_scales[chosen],
+        opacity_logits=gaussians.opacity_logits[chosen],
+        sh=gaussians.sh[chosen],
+    )
