@@ -12,12 +12,13 @@ def cut_graph(
     *,
     imbalance: float,
     seed: int,
+    contiguous: bool = True,
 ) -> Int64[np.ndarray, " v"]:
     """Parts that minimise the cut edges with every load <= (1 + imbalance) of the mean.
 
     METIS bounds loads from above only, and on small graphs may leave a part empty or break the
-    bound: the caller looks. Contiguous parts are asked for; the weights are divided by their
-    greatest common divisor first, so that their unit changes nothing.
+    bound: the caller looks. The weights are divided by their greatest common divisor first, so that
+    their unit changes nothing.
 
     Args:
         weights: Vertex weights >= 0, not all 0.
@@ -25,6 +26,8 @@ def cut_graph(
         parts: Number of parts, 1 to the number of vertices.
         imbalance: epsilon > 0, in steps of 0.001 (METIS' own unit).
         seed: Seed of METIS' generator.
+        contiguous: Ask for connected parts; in graphs of many slender pieces METIS then often fails
+            to balance them.
 
     Returns: Part of each vertex, in [0, parts).
 
@@ -35,7 +38,7 @@ def cut_graph(
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     starts = np.searchsorted(both[:, 0], np.arange(count + 1))
     options = pymetis.Options()
-    options.contig = 1
+    options.contig = int(contiguous)
     options.seed = seed
     options.ufactor = max(1, round(1000 * imbalance))
     graph = pymetis.CSRAdjacency(starts.tolist(), both[:, 1].tolist())

@@ -1,5 +1,6 @@
 """Observation density balanced partitioning: blocks of equal rendering load, cut where it is thin."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from splatbench.reference.metis import cut_graph, cut_size
 from splatbench.reference.voxel_graph import (
     DEEPEST,
     VoxelGraph,
+    components,
     grid_coordinates,
     voxel_centres,
     voxel_graph,
@@ -33,7 +35,7 @@ class OdbpSettings:
     imbalance: float = 0.05
     """epsilon: every block's load is to be within (1 +- epsilon) of the mean (DPGS, Eq. 6)."""
     seeds: int = 10
-    """METIS runs an attempt; the smallest cut among the balanced ones is kept."""
+    """METIS runs an attempt, with and without asking for connected blocks; the best is kept."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,6 +58,8 @@ class OdbpPartition:
     """Largest |load / mean - 1| over the blocks; 0 where all loads are 0."""
     balanced: bool
     """worst <= epsilon. False says that no attempt was: the best one found is what is here."""
+    contiguous: bool
+    """Every block is connected through faces and bridges."""
 
 
 def partition(
@@ -66,9 +70,9 @@ def partition(
     Voxels heavier than (1 + epsilon) of the mean block load make that impossible, so they are
     halved (octree) first. METIS is run with several seeds and the smallest cut whose loads all lie
     within the bound, above and below, is kept. When none does, the voxels over half the
-    heaviest one are halved and METIS is asked again, until nothing is left to halve; the last
-    resort are slabs, which are balanced whenever no voxel is heavier than epsilon of the mean.
-    Where all loads are 0 every voxel counts as 1.
+    heaviest one are halved and METIS is asked again, until none that can be halved is heavier than
+    epsilon of the mean; slabs, the last resort, are then within the bound unless points are
+    heavier than that. Where all loads are 0 every voxel counts as 1.
 
     Args:
         positions: Points in the scene's frame (z up makes voxels stand upright).
@@ -93,15 +97,14 @@ def partition(
         raise DataError(f"{settings.blocks} blocks for {distinct} distinct points: ask for fewer")
 
     levels = np.zeros(len(points), dtype=np.int64)
-    hopeless = (1 + settings.imbalance) * weights.sum() / settings.blocks
-    limit, best = hopeless, None
+    mean = weights.sum() / settings.blocks
+    limit, best = (1 + settings.imbalance) * mean, None
     while True:
         graph, levels, halvable = halve(grid, weights, levels, limit, at_least=settings.blocks)
         found = _summary(graph, smallest_cut(graph, settings), points, settings)
         best = found if best is None or _rank(found) < _rank(best) else best
-        stuck = bool((graph.weights[~halvable] > hopeless).any())
         heaviest = graph.weights[halvable].max(initial=0)
-        if best.balanced or stuck or heaviest == 0:
+        if best.balanced or heaviest <= settings.imbalance * mean:
             break
         limit = heaviest / FINER
     last = _summary(graph, slabs(graph, settings.blocks), points, settings)
@@ -144,22 +147,33 @@ def halve(
 
 
 def smallest_cut(graph: VoxelGraph, settings: OdbpSettings) -> Int64[np.ndarray, " v"]:
-    """Labels of the best METIS run: loads within the bound, then the smallest cut.
+    """Labels of the best METIS run: within the bound, then connected blocks, then the smallest cut.
 
-    Runs that leave a block empty do not count (METIS does that below about four voxels a block);
-    slabs stand in where no run is left.
+    Half of the runs ask for connected blocks. Runs that leave a block empty do not count (METIS
+    does that below about four voxels a block); slabs stand in where no run is left.
     """
     weights, count = graph.weights, settings.blocks
     if count == 1 or len(weights) < 2 * count:
         return slabs(graph, count)
     weights = weights if weights.any() else np.ones_like(weights)
     candidates = []
-    for seed in range(settings.seeds):
-        labels = cut_graph(weights, graph.all_edges, count, imbalance=settings.imbalance, seed=seed)
+    for contiguous, seed in itertools.product((True, False), range(settings.seeds)):
+        labels = cut_graph(
+            weights, graph.all_edges, count,
+            imbalance=settings.imbalance, seed=seed, contiguous=contiguous,
+        )  # fmt: skip
         over = max(worst_deviation(labels, weights, count), settings.imbalance)
+        pieces = connected_pieces(graph, labels)
         if len(np.unique(labels)) == count:
-            candidates.append((over, cut_size(graph.all_edges, labels), seed, labels))
-    return min(candidates, key=lambda row: row[:3])[3] if candidates else slabs(graph, count)
+            rank = (over, pieces > count, cut_size(graph.all_edges, labels))
+            candidates.append((*rank, len(candidates), labels))
+    return min(candidates, key=lambda row: row[:4])[4] if candidates else slabs(graph, count)
+
+
+def connected_pieces(graph: VoxelGraph, labels: Int64[np.ndarray, " v"]) -> int:
+    """Number of pieces the blocks consist of, joined by faces and bridges: K if all are connected."""
+    kept = graph.all_edges[labels[graph.all_edges[:, 0]] == labels[graph.all_edges[:, 1]]]
+    return int(components(len(labels), kept).max(initial=-1)) + 1
 
 
 def slabs(graph: VoxelGraph, count: int) -> Int64[np.ndarray, " v"]:
@@ -242,4 +256,5 @@ def _summary(
         edge_cut=cut_size(graph.all_edges, labels),
         worst=worst,
         balanced=worst <= settings.imbalance,
+        contiguous=connected_pieces(graph, labels) <= settings.blocks,
     )

@@ -145,29 +145,51 @@ def bridges(
 ) -> Int64[np.ndarray, "b 2"]:
     """Fewest, shortest extra edges that connect the graph: a minimum spanning tree of components.
 
-    The length between two components is that of their nearest voxel pair (centre to centre). Prim's
-    algorithm: what is reached grows from the largest component by the nearest one not yet reached.
+    The length between two components is that of their nearest voxel pair (centre to centre).
+    Boruvka's algorithm: in each round every component but the largest takes its shortest way out.
 
     Returns: Pairs (low, high), sorted; none for a connected or empty graph.
 
     Source: ours (spec: ODBP, item 2).
     """
-    component = components(len(centres), edges)
-    rest = np.arange(len(centres))
-    distance = np.full(len(centres), np.inf)  # of each voxel of the rest to what is reached
-    nearest = np.zeros(len(centres), dtype=np.int64)
-    found = []
-    reached = int(np.bincount(component).argmax()) if len(centres) else 0
+    found = np.zeros((0, 2), dtype=np.int64)
     while True:
-        joined = rest[component[rest] == reached]
-        outside = component[rest] != reached
-        rest, distance, nearest = rest[outside], distance[outside], nearest[outside]
-        if len(rest) == 0:
-            return np.array(sorted(found), dtype=np.int64).reshape(-1, 2)
-        far, which = KDTree(centres[joined]).query(centres[rest])
-        nearest = np.where(far < distance, joined[which], nearest)
-        distance = np.minimum(far, distance)
-        pick = int(distance.argmin())
-        reached = int(component[rest[pick]])
-        pair = sorted((int(rest[pick]), int(nearest[pick])))
-        found.append((pair[0], pair[1]))
+        component = components(len(centres), np.concatenate([edges, found]))
+        if component.max(initial=0) == 0:
+            return found[np.lexsort((found[:, 1], found[:, 0]))]
+        inside, outside, length = ways_out(centres, component)
+        order = np.lexsort((outside, inside, length))
+        _, first = np.unique(component[inside[order]], return_index=True)
+        chosen = np.sort(np.stack([inside, outside], axis=1)[order[np.sort(first)]], axis=1)
+        # Of two ways between the same components, or ways in a ring (ties), later ones are left.
+        joined = np.arange(component.max() + 1)
+        for low, high in chosen.tolist():
+            a, b = joined[component[low]], joined[component[high]]
+            if a != b:
+                joined[joined == a] = b
+                found = np.concatenate([found, [[low, high]]])
+
+
+def ways_out(
+    centres: Float64[np.ndarray, "v 3"], component: Int64[np.ndarray, " v"]
+) -> tuple[Int64[np.ndarray, " w"], Int64[np.ndarray, " w"], Float64[np.ndarray, " w"]]:
+    """Voxel pairs out of each component but the largest, its shortest one among them, and lengths.
+
+    Looks at 2, 4, 8, ... nearest neighbours; a voxel is done when one of them lies in another
+    component, or when its component has a way out that is shorter than all of them.
+    """
+    tree = KDTree(centres)
+    best = np.full(component.max() + 1, np.inf)
+    open_ = np.where(component != np.bincount(component).argmax())[0]
+    pairs, count = [], 1
+    while len(open_):
+        count = min(2 * count, len(centres))
+        length, near = map(np.asarray, tree.query(centres[open_], k=count))
+        foreign = component[near] != component[open_, None]
+        out, rank = foreign.any(axis=1), foreign.argmax(axis=1)
+        rows = np.where(out)[0]
+        pairs.append((open_[rows], near[rows, rank[rows]], length[rows, rank[rows]]))
+        np.minimum.at(best, component[open_[rows]], pairs[-1][2])
+        open_ = open_[~out & (length[:, -1] < best[component[open_]])]
+    inside, outside, lengths = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    return inside.astype(np.int64), outside.astype(np.int64), lengths

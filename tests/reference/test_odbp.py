@@ -27,9 +27,11 @@ def load_sums(labels: Tensor, loads: Tensor, blocks: int) -> list[int]:
 
 
 @settings(max_examples=40)
-@given(count=st.integers(0, 120), blocks=st.integers(1, 6), seed=SEEDS)
-def test_every_point_has_one_owner_and_no_block_is_empty(count, blocks, seed):
+@given(count=st.integers(0, 120), blocks=st.integers(1, 6), seed=SEEDS, heavy=st.booleans())
+def test_every_point_has_one_owner_and_no_block_is_empty(count, blocks, seed, heavy):
     positions, loads = cloud(count, seed)
+    if heavy and count:
+        loads[0] = 1000
     if blocks > max(1, len(positions.unique(dim=0))):
         with pytest.raises(DataError, match="distinct"):
             cut(positions, loads, blocks)
@@ -38,6 +40,8 @@ def test_every_point_has_one_owner_and_no_block_is_empty(count, blocks, seed):
     assert found.labels.shape == (count,)
     assert count == 0 or found.labels.unique().tolist() == list(range(blocks))
     assert found.loads.tolist() == load_sums(found.labels, loads, blocks)
+    first = [found.voxel_labels.tolist().index(block) for block in range(blocks) if count]
+    assert first == sorted(first)
     assert found.edge_cut == metis.cut_size(found.graph.all_edges, found.voxel_labels)
     assert torch.equal(odbp.owner(found, positions), found.labels)
 
@@ -60,9 +64,17 @@ def test_blocks_are_connected_through_edges_and_bridges(blocks, seed):
     positions, loads = cloud(1500, seed, cells=12)
     found = cut(positions, loads, blocks)
     graph = networkx.Graph(list(map(tuple, found.graph.all_edges.tolist())))
-    for block in range(blocks):
-        voxels = np.where(found.voxel_labels == block)[0].tolist()
-        assert networkx.is_connected(graph.subgraph(voxels))
+    parts = [np.where(found.voxel_labels == block)[0].tolist() for block in range(blocks)]
+    assert found.contiguous
+    assert all(networkx.is_connected(graph.subgraph(voxels)) for voxels in parts)
+    # A voxel that changes places with one from the far end tears its block apart.
+    torn = found.voxel_labels.copy()
+    torn[[0, -1]] = torn[[-1, 0]]
+    pieces = sum(
+        networkx.number_connected_components(graph.subgraph(np.where(torn == b)[0].tolist()))
+        for b in range(blocks)
+    )
+    assert odbp.connected_pieces(found.graph, torn) == pieces > blocks
 
 
 @settings(max_examples=25)
@@ -120,6 +132,30 @@ def test_metis_finds_the_smallest_cut_of_a_dumbbell():
     assert metis.cut_size(edges, labels) == 1
 
 
+@settings(max_examples=15)
+@given(blocks=st.integers(2, 6), seed=SEEDS)
+def test_the_smallest_cut_of_the_balanced_runs_is_kept(blocks, seed):
+    positions, loads = cloud(1500, seed, cells=12)
+    graph = cut(positions, loads, 1).graph
+    asked = OdbpSettings(blocks=blocks, voxel_size=1.0, imbalance=0.01, seeds=6)
+    found = odbp.smallest_cut(graph, asked)
+
+    def rank(labels: np.ndarray) -> tuple[float, bool, int]:
+        sums = np.bincount(labels, weights=graph.weights, minlength=blocks)
+        over = max(float(np.abs(sums / sums.mean() - 1).max()), 0.01)
+        torn = odbp.connected_pieces(graph, labels) > blocks
+        return over, torn, metis.cut_size(graph.all_edges, labels)
+
+    runs = [
+        metis.cut_graph(
+            graph.weights, graph.all_edges, blocks, imbalance=0.01, seed=run, contiguous=joined
+        )
+        for run in range(6)
+        for joined in (True, False)
+    ]
+    assert rank(found) == min(map(rank, runs))
+
+
 def test_all_points_in_one_voxel_are_split_by_the_octree():
     positions, _ = cloud(400, 1)
     found = cut(positions / 1000, torch.ones(400, dtype=torch.int64), 4, imbalance=0.02)
@@ -173,9 +209,10 @@ def test_points_that_nobody_saw_still_have_owners():
     assert found.balanced
 
 
-def test_more_blocks_than_voxels_halves_the_voxels():
+@pytest.mark.parametrize("load", [0, 1])
+def test_more_blocks_than_voxels_halves_the_voxels(load):
     positions = torch.tensor([[0.0, 0, 0], [0.5, 0, 0], [0, 0.5, 0]], dtype=torch.float64)
-    found = cut(positions, torch.tensor([1, 1, 1]), 3)
+    found = cut(positions, torch.full((3,), load), 3)
     assert found.balanced
     assert sorted(found.labels.tolist()) == [0, 1, 2]
 

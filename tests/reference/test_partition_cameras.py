@@ -209,9 +209,13 @@ def test_the_ground_frame_follows_the_flight():
     assert abs(float(frame[0] @ along)) > 0.999
 
 
-def test_distances_of_airspace_corners():
-    box = cameras.airspace(
-        EYE, torch.tensor([[0.0, 0], [4, 2]], dtype=D), torch.arange(9.0).double()
-    )
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_an_airspace_lies_over_its_cell_in_any_frame(seed):
+    up = normal(3, seed=seed)
+    frame = ground_frame.ground_frame(up / up.norm(), normal(5, 3, seed=seed + 1))
+    heights = torch.linspace(0, 8, 101, dtype=D)  # 1st and 99th percentile: 0.08 and 7.92
+    box = cameras.airspace(frame, torch.tensor([[1.0, 2], [5, 4]], dtype=D), heights)
     assert box is not None
-    assert float(box_distance(box, torch.tensor([[4.0, 1, 4]], dtype=D))) == pytest.approx(1)
+    upright = torch.tensor([[3.0, 3, 4], [5, 3, 4], [3, 2, 4], [7, 3, 4]], dtype=D)
+    assert_close(box_distance(box, upright @ frame), torch.tensor([0.0, 1, 1, 2], dtype=D))

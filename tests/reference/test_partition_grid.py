@@ -96,6 +96,18 @@ def test_a_grown_cell_holds_enough_or_all(count, cells, seed, enough):
     assert held[grid.cell_of(unit, cells) == last].all()
 
 
+@settings(max_examples=30)
+@given(count=st.integers(0, 40), cells=CELLS, seed=SEEDS)
+def test_what_is_strictly_inside_a_cell_is_owned_by_it(count, cells, seed):
+    unit = grid.contract(far_points(count, seed), BOX)
+    owner = grid.cell_of(unit, cells)
+    inside = [grid.strictly_inside(unit, cells, c) for c in range(cells[0] * cells[1] * cells[2])]
+    on_wall = ((unit * torch.tensor(cells)) % 1 == 0).any(dim=1)
+    for cell, held in enumerate(inside):
+        assert torch.equal(held, (owner == cell) & ~on_wall)
+        assert grid.grown_cell(unit, cells, cell, enough=0)[owner == cell].all()
+
+
 def test_views_come_by_position_or_by_change():
     # Cell 0 of two along x is (0, 1/2). On a wall is not inside.
     centres = torch.tensor([[0.2, 0.5, 0.5], [0.5, 0.5, 0.5], [0.9, 0.5, 0.5], [0.9, 0.5, 0.5]])

@@ -43,6 +43,19 @@ def test_larger_shares_take_fewer_views(tracks, low, high):
     assert not (few & ~many).any()
 
 
+def test_a_share_is_reached_by_equality():
+    # View 0 sees 2 points, one of them the block's; the block has 2, one of them seen by view 1.
+    points = tracked([[0, 1], [0, 2], [2]])
+    chosen = torch.tensor([True, False, True])
+    by_view = visibility.covering_views(points, chosen, 3, view_share=0.5, block_share=2.0)
+    by_block = visibility.covering_views(points, chosen, 3, view_share=2.0, block_share=0.5)
+    assert by_view.tolist() == [True, True, True]
+    assert by_block.tolist() == [True, True, True]
+    assert visibility.covering_views(
+        points, chosen, 3, view_share=0.51, block_share=2.0
+    ).tolist() == [False, True, False]
+
+
 def test_track_lengths_and_shared_points_by_hand():
     points = tracked([[0, 1], [], [1, 2, 3], [1]])
     assert visibility.track_lengths(points).tolist() == [2, 0, 3, 1]

@@ -21,8 +21,8 @@ def build(count: int, seed: int, halved: bool) -> vg.VoxelGraph:
     grid = vg.grid_coordinates(positions.numpy(), 1.0)
     levels = np.zeros(count, dtype=np.int64)
     if halved:  # per voxel, not per point: all points of a voxel are halved together
-        x = np.floor(grid[:, 0]).astype(np.int64)
-        levels = np.array([0, 1, 2], dtype=np.int64)[x % 3]
+        voxel = np.floor(grid).astype(np.int64)
+        levels = np.array([0, 1, 2], dtype=np.int64)[(voxel @ [5, 7, 1]) % 3]
     return vg.voxel_graph(grid, loads.numpy(), levels)
 
 
@@ -75,7 +75,7 @@ def test_bridges_are_a_minimum_spanning_tree_of_the_components(count, seed, halv
     real = networkx.Graph(list(map(tuple, graph.edges.tolist())))
     real.add_nodes_from(nodes)
     parts = list(networkx.connected_components(real))
-    centres = vg.voxel_centres(graph.levels, graph.cells)
+    centres = np.mean(boxes(graph), axis=0) / 4
 
     def gap(a: set[int], b: set[int]) -> float:
         return min(float(np.linalg.norm(centres[i] - centres[j])) for i in a for j in b)
@@ -107,9 +107,9 @@ def test_the_graph_does_not_depend_on_the_order_of_the_points(count, seed):
 
 
 def test_two_islands_by_hand():
-    # Voxels of side 1: an L of three at (0,0), (1,0), (1,1); an island of one at (4,0).
-    points = np.array([[0.5, 0.5, 0], [1.5, 0.5, 0], [1.6, 0.5, 0], [1.5, 1.5, 0], [4.5, 0.0, 0]])
-    grid = vg.grid_coordinates(points, 1.0)  # lowest corner (0.5, 0, 0): x becomes 0, 1, 1.1, 1, 4
+    # Voxels of side 2: an L of three at (0,0), (1,0), (1,1); an island of one at (4,0).
+    points = np.array([[3.0, 1, 0], [5.5, 1, 0], [6.9, 1, 0], [5.5, 3, 0], [11.5, 0, 0]])
+    grid = vg.grid_coordinates(points, 2.0)  # from (3, 0, 0): x becomes 0, 1.25, 1.95, 1.25, 4.25
     graph = vg.voxel_graph(grid, np.array([3, 4, 5, 2, 7]), np.zeros(5, dtype=np.int64))
     assert graph.cells.tolist() == [[0, 0, 0], [1, 0, 0], [1, 1, 0], [4, 0, 0]]
     assert graph.weights.tolist() == [3, 9, 2, 7]
