@@ -46,13 +46,20 @@ def test_counts_tracks_and_left_out(name, views, points, left_out):
         assert {names[i] for i in scene.points.track_views[first:last].tolist()} == track
 
 
-@pytest.mark.parametrize("undistort", ["crop", "keep"])
-@pytest.mark.parametrize("name", ["brighton_beach", "caliterra", "seneca"])
+@pytest.mark.parametrize(
+    ("name", "undistort"),
+    [
+        ("brighton_beach", "crop"),
+        ("brighton_beach", "keep"),
+        ("caliterra", "crop"),
+        ("seneca", "keep"),
+    ],
+)
 def test_points_project_to_their_undistorted_observations(name, undistort):
     """The distance from a point to its observation is the model's reprojection error, no more."""
     scene = opened(name, factor=3.0, undistort=undistort)
     model = pycolmap.Reconstruction(real_scene(name) / "sparse/0")
-    for view in scene.views[::20]:
+    for view in scene.views[::40]:
         image = model.find_image_with_name(view.name)
         assert image is not None
         assert image.camera is not None
@@ -66,10 +73,12 @@ def test_points_project_to_their_undistorted_observations(name, undistort):
         projected = project_points(view.camera, torch.from_numpy(world))[0].numpy()
         assert np.abs(projected - there).max() < 1e-6
         observed = np.asarray(image.camera.cam_from_img(pixels)) @ K[:2, :2].T + K[:2, 2]
-        assert np.median(np.linalg.norm(projected - observed, axis=1)) < 0.3 / 3 * 2
+        assert (
+            np.median(np.linalg.norm(projected - observed, axis=1)) < 0.2
+        )  # of a pixel of a third of the size: the model's own residual
 
 
-def test_photos_match_their_points(tmp_path):
+def test_photos_match_their_points():
     """Colours that COLMAP took at the observations are those of the truth at the projections."""
     scene = opened("brighton_beach")
     model = pycolmap.Reconstruction(real_scene("brighton_beach") / "sparse/0")
