@@ -64,6 +64,12 @@ def ingest_photos(
         raise DataError(
             f"max image size {max_image_size}, threads {threads}: expected at least 100 and 1"
         )
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            f"{out}: cannot be made here ({error.strerror}); choose another folder"
+        ) from None
     pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
     try:
         survey = survey_photos(photos, lambda done, total: report("reading", done, total))

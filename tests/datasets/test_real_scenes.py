@@ -78,6 +78,14 @@ def test_points_project_to_their_undistorted_observations(name, undistort):
         )  # of a pixel of a third of the size: the model's own residual
 
 
+def test_a_registered_name_opens_the_same_scene(monkeypatch):
+    folder = real_scene("brighton_beach")
+    monkeypatch.setenv("SPLATBENCH_DATA", str(folder.parent))
+    named = open_scene("brighton_beach", Protocol(name="test", source="test"))
+    assert named.root == folder
+    assert named.facts == opened("brighton_beach").facts
+
+
 def test_photos_match_their_points():
     """Colours that COLMAP took at the observations are those of the truth at the projections."""
     scene = opened("brighton_beach")

@@ -150,12 +150,13 @@ def unrelated(folder: Path) -> Path:
     ],
     ids=["no folder", "no photo", "one", "damaged", "16 bit", "twins", "blank", "unrelated"],
 )
-def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, make, fault):
+def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, capfd, make, fault):
     photos = make(tmp_path / "photos")
     with pytest.raises(DataError, match=fault) as caught:
         run(photos, tmp_path / "out")
     assert "\n" not in str(caught.value)
     assert {path.name for path in tmp_path.iterdir()} <= {"photos"}
+    assert capfd.readouterr().out == ""  # COLMAP writes into the process's own streams
 
 
 def test_an_existing_folder_is_not_touched(tmp_path):
@@ -165,6 +166,12 @@ def test_an_existing_folder_is_not_touched(tmp_path):
     with pytest.raises(DataError, match="out: exists already; choose another folder or remove it"):
         run(blank(tmp_path / "photos", 2), out)
     assert (out / "mine").read_text() == "keep"
+
+
+def test_an_impossible_place_is_refused(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(DataError, match="cannot be made here .*; choose another folder"):
+        run(blank(tmp_path / "photos", 2), tmp_path / "file/out")
 
 
 @pytest.mark.parametrize("changes", [{"max_image_size": 10}, {"threads": 0}])
