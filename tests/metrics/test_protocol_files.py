@@ -14,6 +14,8 @@ def test_each_of_ours_loads_and_says_its_source(name):
     protocol = load_protocol(name)
     assert protocol.name == name
     assert protocol.source
+    assert not protocol.colour_fit  # never in a column that is ranked unless asked for
+    assert protocol.appearance != "oracle"
 
 
 def test_the_default_is_the_default_of_the_type():
