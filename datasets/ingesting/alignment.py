@@ -81,7 +81,8 @@ def align(
     if plane is None:
         return "GPS altitudes do not fit the cameras, and these do not look straight down"
     found = _on_the_map(plane, centres, metres)
-    error = _rms(found.residuals) / math.sqrt(2) / spread[0]
+    # least squares: sigma an axis over the root of the summed squares of both axes
+    error = _rms(found.residuals) / math.sqrt(2) / float(np.linalg.norm(spread))
     if error > STRETCH:
         return f"GPS positions leave the scale uncertain by {100 * error:.0f} %"
     return found
