@@ -51,6 +51,8 @@ class SceneEntry:
     """For made scenes: the procedural world."""
     preset: str = ""
     seed: int = 0
+    part: str = ""
+    """Folder of the scene inside what the world makes; "" for all of it."""
 
 
 def data_roots() -> tuple[Path, ...]:
@@ -74,8 +76,12 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
         if not isinstance(table, dict):
             raise DataError(f"{path}: {name!r} is {table!r}, expected a table [{name}]")
         scenes = table.pop("scenes", None)
-        for scene in [name] if scenes is None else [f"{name}/{part}" for part in scenes]:
-            entries.append(_entry(path, scene, table))
+        if scenes is None:
+            entries.append(_entry(path, name, table))
+            continue
+        for part in scenes:
+            inside = {"part": part} if table.get("kind") == "made" else {}
+            entries.append(_entry(path, f"{name}/{part}", {**inside, **table}))
     return tuple(entries)
 
 
@@ -131,7 +137,7 @@ def locate(entry: SceneEntry) -> Path | None:
     """Folder of a scene that is here already, or None."""
     if entry.kind == "made":
         path = made_folder(entry)
-        return path if path.is_dir() else None
+        return path / entry.part if path.is_dir() else None
     for root in data_roots():
         for folder in entry.folders:
             if (root / folder).is_dir():
@@ -170,11 +176,11 @@ def absence(entry: SceneEntry) -> str:
 
 
 def made_folder(entry: SceneEntry) -> Path:
-    """Folder in the cache of a made scene, named by its content."""
+    """Folder in the cache of what a made scene's world makes, named by its content."""
     from splatbench.datasets.procedural import worlds
 
     content = worlds.content(entry.world, entry.preset, entry.seed)
-    return cache_folder() / "scenes" / content / entry.name
+    return cache_folder() / "scenes" / content / entry.world
 
 
 def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
@@ -182,13 +188,13 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
     from splatbench.datasets.procedural import worlds
 
     folder = made_folder(entry)
-    with locked(folder.with_name(f".{entry.name}.lock")):
-        if folder.is_dir():
-            return folder
-        if report is not None:
-            return worlds.make(entry.world, entry.preset, entry.seed, folder, report)
-        with bar(f"making the scene {entry.name}") as shown:
-            return worlds.make(entry.world, entry.preset, entry.seed, folder, shown)
+    with locked(folder.with_name(f".{entry.world}.lock")):
+        if not folder.is_dir() and report is not None:
+            worlds.make(entry.world, entry.preset, entry.seed, folder, report)
+        elif not folder.is_dir():
+            with bar(f"making the world {entry.world}") as shown:
+                worlds.make(entry.world, entry.preset, entry.seed, folder, shown)
+    return folder / entry.part
 
 
 def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) -> Path:

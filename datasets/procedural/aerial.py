@@ -19,6 +19,7 @@ from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
 from splatbench.datasets.procedural.shapes import cylinder, heightfield, placed
 from splatbench.datasets.procedural.surface import Material
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
 
 TRAINING = (3, 5, 7, 9)
@@ -48,11 +49,15 @@ PRESETS = {
 }
 
 
-def _ground(world: Builder, material: Material, heights: Callable | None = None, step: float = 4.0) -> None:
+def _ground(
+    world: Builder, material: Material, heights: Callable | None = None, step: Number = 4.0
+) -> None:
     xs = np.arange(-GROUND, GROUND + step, step)
     x, y = np.meshgrid(xs, xs)
     bumps = 0.5 * np.sin(0.05 * x) * np.cos(0.06 * y) * np.clip(np.hypot(x, y) / 60 - 0.6, 0, 1)
-    world.add("ground", [(heightfield(xs, xs, bumps if heights is None else heights(x, y)), material)])
+    world.add(
+        "ground", [(heightfield(xs, xs, bumps if heights is None else heights(x, y)), material)]
+    )
 
 
 def church(seed: int) -> World:
@@ -60,21 +65,29 @@ def church(seed: int) -> World:
     rng = np.random.Generator(np.random.PCG64((seed, 11)))
     world = Builder()
     _ground(world, grounds.churchyard)
-    stone = Facade(tones=("b9ad97", "c7bba3"), storey=8.0, bay=4.2, window=(1.3, 4.5), shutters=False)
+    stone = Facade(
+        tones=("b9ad97", "c7bba3"), storey=8.0, bay=4.2, window=(1.3, 4.5), shutters=False
+    )
     slate = Tiles(tones=("565c63",))
     nave = things.house(30.0, 13.0, 9.5, 6.5, stone, slate)
-    transept = things.moved(things.house(21.0, 9.0, 8.5, 5.5, stone, slate), (6.0, 0.0, 0.0), np.pi / 2)
+    transept = things.moved(
+        things.house(21.0, 9.0, 8.5, 5.5, stone, slate), (6.0, 0.0, 0.0), np.pi / 2
+    )
     tower = things.moved(things.flat_house((8.0, 8.0, 24.0), stone, rng), (-18.0, 0.0, 0.0))[:1]
     spire = placed(cylinder(6.2, 15.0, 4, 0.02), (-18.0, 0.0, 24.0), np.pi / 4)
     apse = placed(cylinder(5.0, 8.0, 16), (15.5, 0.0, 0.0))
     cap = placed(cylinder(5.6, 4.0, 16, 0.02), (15.5, 0.0, 8.0))
-    world.add("building", [*nave, *transept, *tower, (spire, slate), (apse, grounds.ashlar), (cap, slate)])
+    world.add(
+        "building", [*nave, *transept, *tower, (spire, slate), (apse, grounds.ashlar), (cap, slate)]
+    )
     for x in np.arange(-14, 25, 3.2):
         for y in (-17.0, -21.0, -25.0):
             if rng.random() < 0.8:
                 stone_size = (0.9, 0.35, rng.uniform(0.8, 1.4))
                 grave = things.box((*stone_size,))
-                world.add("grave", [(placed(grave, (x, y, 0.0), rng.normal(0, 0.1)), grounds.ashlar)])
+                world.add(
+                    "grave", [(placed(grave, (x, y, 0.0), rng.normal(0, 0.1)), grounds.ashlar)]
+                )
     _around(world, rng, 34, 26.0)
     for index in range(5):
         parts = things.house(11.0, 8.0, 5.6, 3.2, Facade())
@@ -97,7 +110,9 @@ def mountain(seed: int) -> World:
         x, y = rng.uniform(-80, 80, 2)
         z = float(shape.height(np.array([x]), np.array([y]))[0])
         if z < 15 and rng.random() < 0.85:
-            parts = things.conifer(rng.uniform(4, 8), rng.uniform(2.4, 3.8), int(rng.integers(1 << 30)), 2)
+            parts = things.conifer(
+                rng.uniform(4, 8), rng.uniform(2.4, 3.8), int(rng.integers(1 << 30)), 2
+            )
             world.add("tree", things.moved(parts, (x, y, z - 0.3), rng.uniform(0, 6)))
     return world.build()
 
@@ -132,7 +147,10 @@ def factory(seed: int) -> World:
     for index in range(5):
         tooth = things.house(38.0, 8.0, 7.0, 3.0, brick, Tiles(tones=("74797d",), tile=(1.2, 3.0)))
         world.add("building", things.moved(tooth[:2], (-10.0, -16.0 + 8.0 * index, 0.0)))
-    world.add("building", things.moved(things.flat_house((16.0, 26.0, 13.0), brick, rng), (24.0, 4.0, 0.0)))
+    world.add(
+        "building",
+        things.moved(things.flat_house((16.0, 26.0, 13.0), brick, rng), (24.0, 4.0, 0.0)),
+    )
     for x, y in ((20.0, -20.0), (26.0, -22.0)):
         world.add("chimney", [(placed(cylinder(1.7, 34.0, 20, 1.1), (x, y, 0.0)), grounds.banded)])
     for index in range(4):
@@ -140,14 +158,18 @@ def factory(seed: int) -> World:
         world.add("tank", [(placed(tank, (42.0, -14.0 + 10.0 * index, 0.0)), things.METAL)])
     tones = ("8e4a35", "3e5c73", "7a7d4a", "a8813d", "5a5f66")
     for _ in range(26):
-        place = (rng.uniform(-34, 12), rng.choice([-38.0, -35.0, -32.0]), rng.choice([0.0, 0.0, 2.6]))
+        place = (
+            rng.uniform(-34, 12),
+            rng.choice([-38.0, -35.0, -32.0]),
+            rng.choice([0.0, 0.0, 2.6]),
+        )
         crate = things.box((6.0, 2.4, 2.6))
         world.add("container", [(placed(crate, place), grounds.container(str(rng.choice(tones))))])
     _around(world, rng, 26, 48.0)
     return world.build()
 
 
-def _around(world: Builder, rng: np.random.Generator, count: int, beyond: float) -> None:
+def _around(world: Builder, rng: np.random.Generator, count: int, beyond: Number) -> None:
     """Trees at least `beyond` metres from the middle."""
     for _ in range(count):
         angle, radius = rng.uniform(0, 2 * np.pi), beyond + rng.exponential(16.0)
@@ -170,7 +192,11 @@ def park(seed: int) -> World:
                                        (-14.0, -4.0, 0.0), 0.5))  # fmt: skip
     for _ in range(90):
         x, y = rng.uniform(-70, 70, 2)
-        if np.hypot(x - 12, y - 6) > 18 and np.hypot(x + 14, y + 4) > 9 and not grounds.on_path(x, y):
+        if (
+            np.hypot(x - 12, y - 6) > 18
+            and np.hypot(x + 14, y + 4) > 9
+            and not grounds.on_path(x, y)
+        ):
             tree(world, x, y, rng)
     scatter_trees(world, np.array([-30.0, 25.0]), rng, 12, 12.0)
     return world.build()
@@ -194,7 +220,7 @@ def shots(kind: str, seed: int, settings: Settings) -> list[Shot]:
     start = rng.uniform(0, 2 * np.pi)
     size, focal = (settings.width, settings.height), 1.15 * settings.width
 
-    def camera(share: float, radius: float, altitude: float):
+    def camera(share: Number, radius: Number, altitude: Number):
         angle = start + np.radians(100) * (share - 0.5)
         eye = np.array([radius * np.cos(angle), radius * np.sin(angle), altitude])
         target = np.append(rng.normal(0, 2.0, 2), 4.0)

@@ -21,6 +21,7 @@ from splatbench.datasets.procedural.grounds import (
 from splatbench.datasets.procedural.noise import fbm
 from splatbench.datasets.procedural.rock import rock_colour
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, mix, rgb, step
+from splatbench.datasets.procedural.units import Number
 
 __all__ = ["Mountain", "ashlar", "banded", "bowl", "churchyard", "container", "on_path", "park",
            "pond_bed", "stadium", "water", "yard"]  # fmt: skip
@@ -164,7 +165,9 @@ def seat_colour(surface: Surface) -> Float[Tensor, "n 3"]:
     """Seats in two tones by sector, some taken."""
     p = surface.points[:, :2]
     sector = torch.atan2(p[:, 1], p[:, 0]) * 7 / torch.pi
-    tone = torch.where((torch.remainder(sector.floor(), 2) < 1)[:, None], rgb("2f4f86"), rgb("b5b9bf"))
+    tone = torch.where(
+        (torch.remainder(sector.floor(), 2) < 1)[:, None], rgb("2f4f86"), rgb("b5b9bf")
+    )
     people = step(0.55, 0.62, fbm(p, 0.9, 2, 407, surface.footprint))
     return mix(tone, rgb("8f5a45"), 0.7 * people)
 
@@ -186,10 +189,12 @@ def pond_bed(x: Array, y: Array) -> Array:
     """Flat lawns with the pond's hollow and low mounds. Metres."""
     shore = np.hypot(x - 12, y - 6) - 13
     mounds = 1.2 * np.sin(0.07 * x) * np.cos(0.08 * y) * np.clip(shore / 12, 0, 1)
-    return mounds * np.clip(np.hypot(x + 14, y + 4) / 10 - 1, 0, 1) + 1.3 * np.clip(shore / 3, -1, 0)
+    return mounds * np.clip(np.hypot(x + 14, y + 4) / 10 - 1, 0, 1) + 1.3 * np.clip(
+        shore / 3, -1, 0
+    )
 
 
-def on_path(x: float, y: float) -> bool:
+def on_path(x: Number, y: Number) -> bool:
     """Whether a place lies on a walk of the park."""
     p = torch.tensor([[x, y]], dtype=torch.float32)
     return min(float(segment_distance(p, walk)[0][0]) for walk in WALKS) < 4

@@ -4,6 +4,7 @@ import numpy as np
 
 from splatbench.datasets.procedural import things
 from splatbench.datasets.procedural.facades import Facade
+from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder
 
 
@@ -97,7 +98,7 @@ BLOCKS = {"slabs": slabs, "old town": old_town, "offices": offices, "park": park
 
 
 def tree(
-    world: Builder, x: float, y: float, rng: np.random.Generator, z: float = 0.0, detail: int = 2
+    world: Builder, x: Number, y: Number, rng: np.random.Generator, z: Number = 0.0, detail: int = 2
 ) -> None:
     """A tree of random kind and size that stands at (x, y, z)."""
     tall, seed = rng.uniform(5.5, 10.0), int(rng.integers(1 << 30))
@@ -107,8 +108,8 @@ def tree(
 
 
 def scatter_trees(
-    world: Builder, centre: np.ndarray, rng: np.random.Generator, count: int, reach: float,
-    keep: float = 0.0,
+    world: Builder, centre: np.ndarray, rng: np.random.Generator, count: int, reach: Number,
+    keep: Number = 0.0,
 ) -> None:  # fmt: skip
     """Trees at random places of a block, at least `keep` metres off its centre."""
     for _ in range(count):
@@ -118,7 +119,7 @@ def scatter_trees(
 
 
 def parked_car(
-    world: Builder, x: float, y: float, heading: float, rng: np.random.Generator
+    world: Builder, x: Number, y: Number, heading: Number, rng: np.random.Generator
 ) -> None:
     """A car of random make at (x, y), along `heading` or against it."""
     tones = ("c8cbd0", "2b2d31", "7d8187", "9c2f2a", "2f4d77", "e4e4e0", "4f5a49", "b59a5a")

@@ -23,6 +23,7 @@ from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds,
 from splatbench.datasets.procedural.shapes import heightfield, polygon
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
 
 PITCH = 56.0
@@ -179,7 +180,7 @@ def height(
     return hills * np.clip(rise / 60, 0, 1) - 3.0 * bed
 
 
-def build(seed: int, kinds: Kinds, margin: float, river: bool = True) -> World:
+def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
     """The city of one seed.
 
     Args:
@@ -212,7 +213,7 @@ def build(seed: int, kinds: Kinds, margin: float, river: bool = True) -> World:
     return world.build()
 
 
-def wooded(x: float, y: float) -> bool:
+def wooded(x: Number, y: Number) -> bool:
     """Where woods stand outside the city."""
     return float(fbm(torch.tensor([[x, y]], dtype=torch.float32), 40.0, 2, 303)[0]) > 0.5
 

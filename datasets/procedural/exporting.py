@@ -55,9 +55,13 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
         torch.set_num_threads(threads)
     if plan.extras is not None:
         plan.extras(work)
-    for group in sorted({shot.group for shot in plan.shots}):
+    base = None
+    for group in sorted({shot.group for shot in plan.shots}):  # "" comes first
         shots = [shot for shot in plan.shots if shot.group == group]
-        _write_model(plan, work / group, shots)
+        sparse = _sparse(plan, work / group, shots) if base is None else base
+        if group == "":
+            base = sparse
+        _write_model(work / group, shots, sparse, given=group != "" and base is not None)
         _write_facts(plan, work / group, shots, name)
     if not (work / "scene.toml").exists():  # all views are in groups: the folder says what they are
         _write_facts(plan, work, plan.shots, name)
@@ -123,21 +127,31 @@ def read_frame(folder: Path, name: str) -> Frame:
         )  # fmt: skip
 
 
-def _write_model(plan: Plan, folder: Path, shots: Sequence[Shot]) -> None:
-    """Write sparse/0 with true poses and imitated points."""
+def _sparse(plan: Plan, folder: Path, shots: Sequence[Shot]) -> tuple[sfm.Sparse, sfm.Corners]:
+    """Imitated points of views, and the true places that they come from."""
     fixed = np.array(
         [kind not in plan.movable and kind != "sky" for kind in plan.kinds_of(shots[0].group)]
     )
-    cameras = [shot.camera for shot in shots]
     found = []
     for shot in shots:
         frame = read_frame(folder, shot.name)
         found.append(sfm.corners(shot.camera, frame, plan.features, fixed[frame.object]))
-    places = sfm.merged(found, float(cameras[0].K[0, 0]))
+    places = sfm.merged(found, float(shots[0].camera.K[0, 0]))
     sightings = [
         sfm.seen(places, shot.camera, read_frame(folder, shot.name).depth) for shot in shots
     ]
-    sparse = sfm.imitate(places, cameras, sightings, plan.seed)
+    return sfm.imitate(places, [shot.camera for shot in shots], sightings, plan.seed), places
+
+
+def _write_model(
+    folder: Path, shots: Sequence[Shot], found: tuple[sfm.Sparse, sfm.Corners], given: bool
+) -> None:
+    """Write sparse/0 with true poses; points are the views' own, or given by the main views."""
+    sparse, places = found
+    cameras = [shot.camera for shot in shots]
+    if given:
+        depths = (read_frame(folder, shot.name).depth for shot in shots)
+        sparse = sfm.observed(sparse, places, cameras, depths)
     target = folder / "sparse" / "0"
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)

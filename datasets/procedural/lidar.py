@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 
 BEAMS = 64
 LOW, HIGH = -25.0, 3.0
@@ -32,7 +33,9 @@ class Sweep:
     objects: Int[np.ndarray, " n"]
 
 
-def sweep(caster: Caster, eye: Float[np.ndarray, "3"], heading: float, columns: int, seed: int) -> Sweep:
+def sweep(
+    caster: Caster, eye: Float[np.ndarray, "3"], heading: Number, columns: int, seed: int
+) -> Sweep:
     """Everything that comes back in one turn from a sensor at `eye`.
 
     Beams stand denser near the horizon, as on real sensors. Returns are lost at grazing
@@ -49,7 +52,9 @@ def sweep(caster: Caster, eye: Float[np.ndarray, "3"], heading: float, columns: 
     share = np.linspace(0, 1, BEAMS)
     elevation = np.radians(HIGH + (LOW - HIGH) * share**1.3)
     azimuth = np.linspace(-np.pi, np.pi, columns, endpoint=False)
-    beam, column = (x.ravel() for x in np.meshgrid(np.arange(BEAMS), np.arange(columns), indexing="ij"))
+    beam, column = (
+        x.ravel() for x in np.meshgrid(np.arange(BEAMS), np.arange(columns), indexing="ij")
+    )
     angle = azimuth[column] + heading
     flat = np.cos(elevation[beam])
     ways = np.stack([flat * np.cos(angle), flat * np.sin(angle), np.sin(elevation[beam])], axis=1)

@@ -1,6 +1,6 @@
 """Sparse points as structure from motion would leave them: noisy, with gaps, some wrong."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from splatbench.datasets.procedural.frames import Frame, pixel_rays
+from splatbench.datasets.procedural.units import Number
 from splatbench.reference.camera import Camera
 
 PIXEL_NOISE = 0.4
@@ -30,6 +31,8 @@ SAME = 2.5
 class Sparse:
     """Points with their tracks; observations are sorted by point."""
 
+    place: Int[np.ndarray, " n"]
+    """Index of each point's true place."""
     positions: Float[np.ndarray, "n 3"]
     colours: UInt8[np.ndarray, "n 3"]
     errors: Float[np.ndarray, " n"]
@@ -49,6 +52,13 @@ class Corners:
     colours: UInt8[np.ndarray, "n 3"]
     distance: Float[np.ndarray, " n"]
     """Metres from the camera that found the corner."""
+
+    def part(self, rows: Int[np.ndarray, " k"]) -> "Corners":
+        """Some of them."""
+        return Corners(
+            positions=self.positions[rows], normals=self.normals[rows],
+            colours=self.colours[rows], distance=self.distance[rows],
+        )  # fmt: skip
 
 
 def corners(camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, "h w"]) -> Corners:
@@ -90,19 +100,16 @@ def merged(found: Sequence[Corners], focal: float) -> Corners:
     cells = np.floor(every.positions / size[:, None])
     keys = np.column_stack([np.log2(size).round(3), cells])
     _, first = np.unique(keys, axis=0, return_index=True)
-    keep = np.sort(first)
-    return Corners(
-        positions=every.positions[keep], normals=every.normals[keep],
-        colours=every.colours[keep], distance=every.distance[keep],
-    )  # fmt: skip
+    return every.part(np.sort(first))
 
 
 def seen(
-    places: Corners, camera: Camera, depth: Float[np.ndarray, "h w"]
+    places: Corners, camera: Camera, depth: Float[np.ndarray, "h w"], zoom: Number = ZOOM
 ) -> tuple[Int[np.ndarray, " k"], Float[np.ndarray, "k 2"]]:
     """Which places a view truly sees well enough to match, and where.
 
-    A place is visible where its z lies within the true depths of the 3 x 3 pixels around it.
+    A place is visible where its z lies within the true depths of the 3 x 3 pixels around it. It is
+    matched from distances that differ from its finder's by less than the factor `zoom`.
     """
     local = places.positions @ camera.rotation.numpy().T + camera.translation.numpy()
     z = local[:, 2]
@@ -122,7 +129,7 @@ def seen(
     ways = camera.centre.numpy() - places.positions[rows]
     length = np.linalg.norm(ways, axis=1)
     facing = np.einsum("ij,ij->i", ways, places.normals[rows]) > STEEPEST * length
-    alike = np.abs(np.log(length / places.distance[rows])) < np.log(ZOOM)
+    alike = np.abs(np.log(length / places.distance[rows])) < np.log(zoom)
     keep = there & facing & alike
     return rows[keep], pixel[keep]
 
@@ -164,8 +171,33 @@ def imitate(
     good = enough & (errors < 4)
     point, view, pixel = _only(good, point, view, pixel)
     return Sparse(
-        positions=positions[good], colours=places.colours[good], errors=errors[good],
+        place=np.flatnonzero(good), positions=positions[good], colours=places.colours[good], errors=errors[good],
         point=(np.cumsum(good) - 1)[point], view=view, pixel=pixel,
+    )  # fmt: skip
+
+
+def observed(
+    sparse: Sparse,
+    places: Corners,
+    cameras: Sequence[Camera],
+    depths: Iterable[Float[np.ndarray, "_ _"]],
+) -> Sparse:
+    """The same points as other views observe them, without noise; unobserved ones are left out.
+
+    For views that took no part in the reconstruction: registered to it, not added to it.
+    """
+    found = places.part(sparse.place)
+    sightings = [
+        seen(found, camera, depth, zoom=1e3) for camera, depth in zip(cameras, depths, strict=True)
+    ]
+    point = np.concatenate([rows for rows, _ in sightings])
+    view = np.concatenate([np.full(len(rows), i) for i, (rows, _) in enumerate(sightings)])
+    order = np.argsort(point, kind="stable")
+    kept, point = np.unique(point[order], return_inverse=True)
+    return Sparse(
+        place=sparse.place[kept], positions=sparse.positions[kept], colours=sparse.colours[kept],
+        errors=sparse.errors[kept], point=point, view=view[order],
+        pixel=np.concatenate([pixel for _, pixel in sightings])[order],
     )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
 from splatbench.datasets.procedural.shapes import box, cylinder, joined, placed, polygon
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, mix, palette, rgb, step
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder
 
 CARRIAGE, WALK = 6.6, 3.4
@@ -69,12 +70,17 @@ def ground(surface: Surface) -> Paint:
     p = surface.points[:, :2]
     main, side = p[:, 1].abs(), (p[:, 0] - CROSSING).abs()
     half_side = 4.5
-    on_main, on_side = step(CARRIAGE + 0.02, CARRIAGE, main), step(half_side + 0.02, half_side, side)
+    on_main, on_side = (
+        step(CARRIAGE + 0.02, CARRIAGE, main),
+        step(half_side + 0.02, half_side, side),
+    )
     road = 1 - (1 - on_main) * (1 - on_side)
     walk = torch.maximum(step(CARRIAGE + WALK + 0.1, CARRIAGE + WALK, main),
                          step(half_side + 2.4, half_side + 2.3, side))  # fmt: skip
     middle = (side > half_side + 2).float()
-    dash = ((main < 0.08) | ((main - 3.3).abs() < 0.06)) & (torch.remainder(p[:, 0] / 4.5, 1) < 0.55)
+    dash = ((main < 0.08) | ((main - 3.3).abs() < 0.06)) & (
+        torch.remainder(p[:, 0] / 4.5, 1) < 0.55
+    )
     stripes = torch.remainder(p[:, 1], 1.1) < 0.55
     zebra = ((side - half_side - 3.0).abs() < 1.5) & stripes & (main < CARRIAGE - 0.5)
     kerb = ((main - CARRIAGE).abs() < 0.12) & (side > half_side)
@@ -124,7 +130,7 @@ def build(seed: int, settings: Settings) -> Builder:
             x += long
         for x in np.arange(-30.0, end, 11.0):
             if abs(x - CROSSING) > 9:
-                tree(world, x + rng.uniform(-1, 1), side * (CARRIAGE + 0.9), rng, detail=4)
+                tree(world, x + rng.uniform(-1, 1), side * (CARRIAGE + 0.9), rng, detail=3)
                 _lamp(world, x + 5.5, side)
         for x in np.arange(-25.0, end, 6.2):
             if rng.random() < 0.55 and abs(x - CROSSING) > 10:
@@ -132,7 +138,7 @@ def build(seed: int, settings: Settings) -> Builder:
     return world
 
 
-def _house(world: Builder, x: float, side: float, long: float, tones: tuple[str, ...],
+def _house(world: Builder, x: Number, side: Number, long: Number, tones: tuple[str, ...],
            rng: np.random.Generator) -> None:  # fmt: skip
     """A house in the row: shop below, storeys above, a gabled or a flat roof."""
     deep, floors = 11.0, int(rng.integers(2, 5))
@@ -148,7 +154,7 @@ def _house(world: Builder, x: float, side: float, long: float, tones: tuple[str,
     world.add("building", things.moved(shop + things.moved(upper, (0.0, 0.0, 3.6)), (x, y, 0.0)))
 
 
-def _lamp(world: Builder, x: float, side: float) -> None:
+def _lamp(world: Builder, x: Number, side: Number) -> None:
     """A street lamp that leans over the road."""
     pole = cylinder(0.09, 6.5, 8, 0.06)
     arm = placed(box((0.08, 1.8, 0.08)), (0.0, -0.85 * side, 6.4))
@@ -188,7 +194,7 @@ class Drive:
         self.kinds = (*self.still.kinds, *(mover.kind for mover in self.movers))
         self._lock, self._stages, self._light = Lock(), OrderedDict(), None
 
-    def stage(self, time: float) -> Stage:
+    def stage(self, time: Number) -> Stage:
         """The lit street at a time in seconds."""
         with self._lock:
             if self._light is None:
@@ -210,7 +216,7 @@ class Drive:
                     self._stages.popitem(last=False)
             return self._stages[time]
 
-    def eye(self, time: float) -> np.ndarray:
+    def eye(self, time: Number) -> np.ndarray:
         """Place of the front camera."""
         return np.array([self.settings.speed * time, -1.7, 1.7])
 
@@ -270,7 +276,9 @@ def _extras(drive: Drive, folder: Path) -> None:
 def plan(seed: int, settings: Settings) -> Plan:
     """The whole scene of a seed."""
     drive = Drive(seed, settings)
-    tests = [f"frame_{i:04d}_{name}.png" for i in range(0, settings.frames, HELD) for name in CAMERAS]
+    tests = [
+        f"frame_{i:04d}_{name}.png" for i in range(0, settings.frames, HELD) for name in CAMERAS
+    ]
     return Plan(
         world="street", settings=asdict(settings), seed=seed, shots=shots(drive),
         stage=lambda shot: drive.stage(shot.time), samples=settings.samples, features=400,

@@ -10,6 +10,7 @@ from splatbench.datasets.procedural import things
 from splatbench.datasets.procedural.facades import Solid
 from splatbench.datasets.procedural.shapes import Shape, blob, cylinder, joined, placed
 from splatbench.datasets.procedural.things import Parts
+from splatbench.datasets.procedural.units import Number
 
 STEP = 1.35
 """Metres that a person walks in one cycle of the legs."""
@@ -26,28 +27,29 @@ class Mover:
     place: Callable[[float], tuple[float, float, float]]
     """x, y in metres and heading in radians at a time."""
 
-    def pose(self, time: float) -> Float[np.ndarray, "4 4"]:
+    def pose(self, time: Number) -> Float[np.ndarray, "4 4"]:
         """World from own frame."""
         x, y, heading = self.place(time)
         c, s = np.cos(heading), np.sin(heading)
         return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
-    def at(self, time: float) -> Parts:
+    def at(self, time: Number) -> Parts:
         """Its parts in the world."""
         x, y, heading = self.place(time)
         return things.moved(self.parts(time), (x, y, 0.0), heading)
 
 
-def straight(x: float, y: float, speed: float) -> Callable[[float], tuple[float, float, float]]:
+def straight(x: Number, y: Number, speed: Number) -> Callable[[float], tuple[float, float, float]]:
     """Along x; a negative speed comes towards -x."""
     return lambda t: (x + speed * t, y, 0.0 if speed >= 0 else np.pi)
 
 
 def turning(
-    x: float, y: float, speed: float, radius: float
+    x: Number, y: Number, speed: Number, radius: Number
 ) -> Callable[[float], tuple[float, float, float]]:
     """From the side street at x, coming along +y, through a left-hand bend into -x."""
-    def place(t: float) -> tuple[float, float, float]:
+
+    def place(t: Number) -> tuple[float, float, float]:
         done = speed * t
         ahead = -y - radius  # metres of straight street before the bend
         if done < ahead:
@@ -60,13 +62,13 @@ def turning(
     return place
 
 
-def car(paint: str, length: float, place: Callable[[float], tuple[float, float, float]]) -> Mover:
+def car(paint: str, length: Number, place: Callable[[float], tuple[float, float, float]]) -> Mover:
     """A car that drives."""
     parts = things.car(paint, length)
     return Mover(kind="moving car", parts=lambda t: parts, place=place)
 
 
-def walker(seed: int, x: float, y: float, speed: float, across: bool = False) -> Mover:
+def walker(seed: int, x: Number, y: Number, speed: Number, across: bool = False) -> Mover:
     """A person who walks along x (or across it, along y) with swinging arms and legs."""
     rng = np.random.Generator(np.random.PCG64((seed, 31)))
     tones = ("7a2f35", "2f4a6b", "3d5a45", "8a7a5c", "54486b", "b5a58c")
@@ -74,7 +76,7 @@ def walker(seed: int, x: float, y: float, speed: float, across: bool = False) ->
     skin = Solid(tone="b98a6d", dirt=0.1)
     tall, start = rng.uniform(0.93, 1.06), rng.uniform(0, 2 * np.pi)
 
-    def parts(time: float) -> Parts:
+    def parts(time: Number) -> Parts:
         swing = 0.55 * np.sin(start + 2 * np.pi * abs(speed) * time / STEP)
         legs = [_limb((0.0, side * 0.1, 0.88), swing * side, 0.86, 0.085) for side in (-1, 1)]
         arms = [_limb((0.0, side * 0.27, 1.38), -swing * side, 0.6, 0.055) for side in (-1, 1)]
@@ -85,21 +87,30 @@ def walker(seed: int, x: float, y: float, speed: float, across: bool = False) ->
 
     heading = (np.pi / 2 if across else 0.0) + (np.pi if speed < 0 else 0.0)
 
-    def place(time: float) -> tuple[float, float, float]:
+    def place(time: Number) -> tuple[float, float, float]:
         done = speed * time
         return (x, y + done, heading) if across else (x + done, y, heading)
 
     return Mover(kind="walker", parts=parts, place=place)
 
 
-def _limb(joint: tuple[float, float, float], angle: float, length: float, radius: float) -> Shape:
+def _limb(
+    joint: tuple[float, float, float], angle: Number, length: Number, radius: Number
+) -> Shape:
     """A limb that hangs from a joint, swung ahead by `angle` radians."""
     limb = cylinder(radius * 0.7, length, 10, radius)
     c, s = np.cos(angle), np.sin(angle)
     swing = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
     vertices = (limb.vertices - [0, 0, length]) @ swing.T + np.array(joint)
-    return Shape(vertices=vertices, faces=limb.faces, normals=limb.normals @ swing.T, coords=limb.coords)
+    return Shape(
+        vertices=vertices, faces=limb.faces, normals=limb.normals @ swing.T, coords=limb.coords
+    )
 
 
-def _scaled(shape: Shape, factor: float) -> Shape:
-    return Shape(vertices=shape.vertices * factor, faces=shape.faces, normals=shape.normals, coords=shape.coords)
+def _scaled(shape: Shape, factor: Number) -> Shape:
+    return Shape(
+        vertices=shape.vertices * factor,
+        faces=shape.faces,
+        normals=shape.normals,
+        coords=shape.coords,
+    )

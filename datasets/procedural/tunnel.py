@@ -18,6 +18,7 @@ from splatbench.datasets.procedural.rock import tunnel_rock
 from splatbench.datasets.procedural.shapes import Shape, box, cylinder, joined, placed, smooth
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
 from splatbench.datasets.procedural.tracing import Caster
+from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
 
 HALF_WIDTH, SPRING = 2.4, 1.9
@@ -60,7 +61,7 @@ def centre(s: Float[np.ndarray, " n"] | float) -> Float[np.ndarray, "n 3"]:
     return np.stack([s, 2.5 * np.sin(s / 17.0), 0.15 * np.sin(s / 9.0)], axis=1)
 
 
-def frame(s: float) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def frame(s: Number) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Unit vectors ahead and to the left at s."""
     ahead = centre(s + 0.05)[0] - centre(s - 0.05)[0]
     ahead[2] = 0
@@ -132,7 +133,9 @@ def floor_paint(surface: Surface) -> Paint:
     """Muck, tyre tracks and puddles."""
     p, foot = surface.points[:, :2], surface.footprint
     middle = 2.5 * torch.sin(p[:, 0] / 17.0)
-    track = step(0.3, 0.18, ((p[:, 1] - middle).abs() - 0.75).abs() + 0.3 * (fbm(p, 0.8, 3, 524) - 0.5))
+    track = step(
+        0.3, 0.18, ((p[:, 1] - middle).abs() - 0.75).abs() + 0.3 * (fbm(p, 0.8, 3, 524) - 0.5)
+    )
     puddle = step(0.56, 0.58, fbm(p, 3.0, 3, 525))
     colour = layered(surface, [
         (None, gravel_colour), (0.5 * track, plain("4a443c")), (0.75 * puddle, plain("2b2a27")),
@@ -157,9 +160,17 @@ def _fittings(world: Builder, settings: Settings, rng: np.random.Generator) -> N
         ahead, left = frame(float(s))
         outline = profile(np.linspace(0.02, 0.98, 40))
         corners = []  # a steel section of 16 x 20 cm, swept along the outline
-        for depth, shift in ((0.86, -0.08), (0.95, -0.08), (0.95, 0.08), (0.86, 0.08), (0.86, -0.08)):
+        for depth, shift in (
+            (0.86, -0.08),
+            (0.95, -0.08),
+            (0.95, 0.08),
+            (0.86, 0.08),
+            (0.86, -0.08),
+        ):
             u, z = (outline * [depth, 0.5 * (1 + depth)]).T
-            corners.append(centre(float(s))[0] + u[:, None] * left + z[:, None] * [0, 0, 1.0] + shift * ahead)
+            corners.append(
+                centre(float(s))[0] + u[:, None] * left + z[:, None] * [0, 0, 1.0] + shift * ahead
+            )
         world.add("rib", [(_grid(np.stack(corners, axis=1)), steel)])
     for _ in range(int(settings.length / 3)):
         s, side = rng.uniform(0, settings.length + 6), rng.choice([-1.0, 1.0])
@@ -168,13 +179,15 @@ def _fittings(world: Builder, settings: Settings, rng: np.random.Generator) -> N
             size = (rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6), rng.uniform(0.3, 0.7))
             world.add("box", [(placed(box(size), at, rng.uniform(0, 3)), Planks(tone="8a6a3e"))])
         elif rng.random() < 0.4:
-            world.add("drum", [(placed(cylinder(0.3, 0.88, 18), at), Solid(tone="2f5f86", dirt=0.6))])
+            world.add(
+                "drum", [(placed(cylinder(0.3, 0.88, 18), at), Solid(tone="2f5f86", dirt=0.6))]
+            )
         else:
             boulder = things.blob((0.45, 0.35, 0.3), 0.3, int(rng.integers(1 << 30)), 2)
             world.add("boulder", [(placed(boulder, at + [0, 0, 0.1]), tunnel_rock)])
 
 
-def _lamps(caster: Caster, s: float, offset: Float[np.ndarray, "3"]) -> Lamps:
+def _lamps(caster: Caster, s: Number, offset: Float[np.ndarray, "3"]) -> Lamps:
     """The rig's LED array, moved by `offset` (ahead, left, up) metres."""
     ahead, left = frame(s)
     up = np.array([0, 0, 1.0])
@@ -187,7 +200,7 @@ def _lamps(caster: Caster, s: float, offset: Float[np.ndarray, "3"]) -> Lamps:
     return Lamps(caster=caster, positions=np.stack(positions), axes=np.stack(axes), power=3.6)
 
 
-def _direction(s: float, yaw: float, pitch: float) -> Float[np.ndarray, "3"]:
+def _direction(s: Number, yaw: Number, pitch: Number) -> Float[np.ndarray, "3"]:
     """Unit vector of a rig's angle (degrees) at s."""
     ahead, left = frame(s)
     a, b = np.radians(yaw), np.radians(pitch)

@@ -33,8 +33,8 @@ class Builder:
 
     shapes: list[Shape] = field(default_factory=list)
     materials: list[Material] = field(default_factory=list)
-    face_materials: list[Int[np.ndarray, " f"]] = field(default_factory=list)
-    face_objects: list[Int[np.ndarray, " f"]] = field(default_factory=list)
+    face_materials: list[Int[np.ndarray, " _"]] = field(default_factory=list)
+    face_objects: list[Int[np.ndarray, " _"]] = field(default_factory=list)
     kinds: list[str] = field(default_factory=lambda: ["sky"])
 
     def add(self, kind: str, parts: Sequence[tuple[Shape, Material]]) -> int:

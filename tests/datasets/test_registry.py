@@ -135,3 +135,10 @@ def test_get_downloads_checks_and_unpacks(roots, tmp_path):
 def test_get_by_hand(roots):
     with pytest.raises(MissingError, match="register and download"):
         registry.fetch_entry(registry.get_entry("kitti"))
+
+
+def test_scenes_of_one_world_share_its_folder(roots):
+    church, town = (registry.get_entry(f"aerial-sparse/{kind}") for kind in ("church", "town"))
+    assert registry.made_folder(church) == registry.made_folder(town)
+    registry.made_folder(church).mkdir(parents=True)
+    assert registry.find_scene("aerial-sparse/town") == registry.made_folder(town) / "town"

@@ -1,0 +1,47 @@
+"""Camera poses with errors of the size that aerial positioning has, for training views only."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from splatbench.reference.errors import UsageError
+from splatbench.reference.scene import Scene
+
+LEVELS = {"L1": (0.5, 0.001), "L2": (1.0, 0.002), "L3": (2.0, 0.005)}
+"""Standard deviation of the rotation in degrees, and of the position as a share of the extent."""
+
+
+def disturbed(scene: Scene, level: str, seed: int) -> Scene:
+    """The scene with noise on the poses of its training views; tests and points stay true.
+
+    A rotation by a normal angle about a random axis through the camera's centre; a normal shift
+    of the centre on each axis. The extent is the diagonal of the box of all camera centres.
+
+    Args:
+        scene: Any scene.
+        level: "L1", "L2" or "L3".
+        seed: Of the noise.
+
+    Source: noise levels of "StratoSplat", Table 6; the distribution (normal) is ours.
+    """
+    if level not in LEVELS:
+        raise UsageError(f"{level}: no such pose noise; there are {', '.join(LEVELS)}")
+    degrees, share = LEVELS[level]
+    rng = np.random.Generator(np.random.PCG64(seed))
+    centres = torch.stack([view.camera.centre for view in scene.views])
+    extent = float((centres.amax(dim=0) - centres.amin(dim=0)).norm())
+    views = list(scene.views)
+    for index in scene.train:
+        camera = views[index].camera
+        axis = rng.standard_normal(3)
+        axis *= np.radians(rng.normal(0, degrees)) / np.linalg.norm(axis)
+        turn = torch.from_numpy(Rotation.from_rotvec(axis).as_matrix())
+        rotation = turn @ camera.rotation
+        centre = camera.centre + torch.from_numpy(rng.normal(0, share * extent, 3))
+        pose = torch.eye(4, dtype=torch.float64)
+        pose[:3, :3], pose[:3, 3] = rotation, -rotation @ centre
+        views[index] = replace(views[index], camera=replace(camera, world_to_camera=pose))
+    facts = scene.facts | {"pose_noise": level, "pose_noise_seed": str(seed)}
+    return replace(scene, views=tuple(views), facts=facts)

@@ -1,0 +1,182 @@
+"""Every world in miniature: made, opened by the ordinary adapter, with what it promises beside."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from splatbench.datasets.opening import open_scene
+from splatbench.datasets.procedural import aerial, city, exporting, frames, street, tunnel, worlds
+from splatbench.reference.protocol import Protocol
+
+PROTOCOL = Protocol(name="test", source="ours", hold=8)
+SMALL = {"width": 64, "height": 48, "samples": 1}
+TINY = {
+    "city": replace(city.PRESETS["small"], blocks=(2, 1), oblique=1, facade=2, cell=8.0, **SMALL),
+    "tunnel": replace(tunnel.PRESETS["small"], length=4.0, relit=1, **SMALL),
+    "street": replace(street.PRESETS["small"], frames=4, shifted=1, columns=60, cell=8.0, **SMALL),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Folder of each world, made once."""
+    root, folders = tmp_path_factory.mktemp("worlds"), {}
+
+    def get(world):
+        if world not in folders:
+            plan = worlds._module(world).plan(1, TINY[world])
+            folders[world] = exporting.make_scene(plan, root / world), plan
+        return folders[world]
+
+    return get
+
+
+@pytest.mark.parametrize("world", TINY)
+def test_the_adapter_opens_it_with_depth_everywhere(made, world):
+    folder, plan = made(world)
+    scene = open_scene(folder, PROTOCOL)
+    assert [v.name for v in scene.views] == sorted(s.name for s in plan.shots if not s.group)
+    assert scene.facts["world"] == world
+    assert len(scene.points) > 10
+    for view in scene.views[::3]:
+        assert view.load_depth is not None
+        depth = view.load_depth()
+        assert float(torch.isfinite(depth).float().mean()) > 0.3
+        assert float(view.load().std()) > 0.02
+
+
+def test_the_city_has_facades_that_no_training_view_sees(made):
+    folder, plan = made("city")
+    unseen = open_scene(folder / city.UNSEEN, PROTOCOL)
+    names = [view.name for view in unseen.views]
+    assert len(names) == 3
+    assert len(unseen.points) > 10
+    assert not set(names) & {v.name for v in open_scene(folder, PROTOCOL).views}
+    stage = plan.stage(plan.shots[0])
+    from splatbench.datasets.procedural import truth
+
+    cloud = truth.surface_cloud(stage.caster.world, 2.0, 0)
+    train = [s.camera for s in plan.shots if not s.group]
+    tests = [s.camera for s in plan.shots if s.group]
+    assert len(truth.blind_facades(stage.caster, cloud, train, tests)) > 50
+
+
+def test_the_relit_tunnel_has_the_same_depth_and_other_light(made):
+    folder, _ = made("tunnel")
+    relit = exporting.read_frame(folder / tunnel.RELIT, "stop_0000_camera_0.png")
+    plain = exporting.read_frame(folder, "stop_0000_camera_0.png")
+    assert np.array_equal(relit.depth, plain.depth)
+    assert np.abs(relit.colour.astype(int) - plain.colour).mean() > 3
+
+
+def test_light_falls_off_with_the_square_of_the_distance():
+    from splatbench.datasets.procedural.lamps import Lamps
+    from splatbench.datasets.procedural.shapes import polygon
+    from splatbench.datasets.procedural.things import METAL
+    from splatbench.datasets.procedural.tracing import Caster
+    from splatbench.datasets.procedural.world import Builder
+
+    world = Builder()
+    wall = polygon([[-9, -9, -5], [9, -9, -5], [9, 9, -5], [-9, 9, -5]])
+    shade = polygon([[0.5, -0.2, -1], [9, -0.2, -1], [9, 0.2, -1], [0.5, 0.2, -1]])
+    world.add("wall", [(wall, METAL)])
+    world.add("shade", [(shade, METAL)])
+    down = np.array([[0.0, 0.0, -1.0]])
+    lamps = Lamps(caster=Caster(world.build()), positions=np.zeros((1, 3)), axes=down, power=2.0)
+    points = np.array([[0.0, 0, -5], [0, 0, -2.5], [0, 5, -5], [5, 0, -5]])
+    up = np.tile([0.0, 0, 1], (4, 1))
+    found = lamps.light(points, up, torch.from_numpy(up).float())[:, 0]
+    # straight below; half as far; at 45 degrees: cos^2 lobe, cos incidence, twice the square
+    want = torch.tensor([2 / 25, 2 / 6.25, 2 / 50 * 0.5**1.5, 0.0])
+    assert torch.allclose(found, want, rtol=1e-4)
+
+
+def test_the_street_has_lidar_motion_and_other_lanes(made):
+    folder, plan = made("street")
+    with (
+        np.load(folder / "lidar" / "frame_0002.npz") as sweep,
+        np.load(folder / "motion.npz") as motion,
+    ):
+        assert len(sweep["points"]) > 500
+        ids, poses = motion["objects"], motion["poses"]
+        assert poses.shape == (4, len(ids), 4, 4)
+        assert motion["rigid"].sum() == 4
+        moved = np.linalg.norm(poses[3, :, :2, 3] - poses[0, :, :2, 3], axis=1)
+        assert (moved > 0.2).all()
+    kinds = plan.kinds_of("")
+    assert {kinds[i] for i in ids} == {"moving car", "walker"}
+    shifted = open_scene(folder / street.SHIFTED, PROTOCOL)
+    assert len(shifted.views) == len(street.SHIFTS) * len(street.CAMERAS)
+    assert set(plan.facts["test"].split(",")) <= {s.name for s in plan.shots}
+
+
+def test_moving_things_are_where_their_pose_says(made):
+    """A hit on a moving car, taken back by its pose, lies inside the car's own box."""
+    _, plan = made("street")
+    shot = next(s for s in plan.shots if s.name == "frame_0003_front.png")
+    stage = plan.stage(shot)
+    depth, _, objects = frames.truth(stage.caster, replace_size(shot.camera))
+    kinds = plan.kinds_of("")
+    rows = np.isin(objects, [i for i, kind in enumerate(kinds) if kind == "moving car"])
+    assert rows.sum() > 20
+    drive = street.Drive(1, TINY["street"])
+    height, width = objects.shape
+    v, u = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
+    origins, ways = frames.pixel_rays(
+        replace_size(shot.camera), np.stack([u[rows], v[rows]], axis=1)
+    )
+    points = origins + ways * depth[rows][:, None]
+    for identity in np.unique(objects[rows]):
+        pose = drive.movers[identity - drive.first].pose(shot.time)
+        own = (points[objects[rows] == identity] - pose[:3, 3]) @ pose[:3, :3]
+        assert (np.abs(own) < [2.5, 1.1, 1.6]).all()
+
+
+def replace_size(camera):
+    """The same view with four times the pixels on each axis."""
+    K = camera.K * torch.tensor([[4.0], [4.0], [1.0]])
+    return replace(camera, K=K, width=4 * camera.width, height=4 * camera.height)
+
+
+def test_sparse_points_leave_moving_things_out(made):
+    folder, plan = made("street")
+    import pycolmap
+
+    model = pycolmap.Reconstruction(folder / "sparse" / "0")
+    kinds = np.array(plan.kinds_of(""))
+    hits = 0
+    for point in model.points3D.values():
+        element = point.track.elements[0]
+        image = model.images[element.image_id]
+        x, y = image.points2D[element.point2D_idx].xy.astype(int)
+        identity = exporting.read_frame(folder, image.name).object[y, x]
+        hits += kinds[identity] in plan.movable
+    assert hits <= 0.1 * len(model.points3D)  # noise of a pixel at an outline
+
+
+def test_an_aerial_scene_has_nested_training_sets():
+    shots = aerial.shots("church", 2, aerial.PRESETS["small"])
+    names = {shot.name for shot in shots}
+    for few, many in zip(aerial.TRAINING[:-1], aerial.TRAINING[1:], strict=True):
+        assert set(aerial.training_names(few)) < set(aerial.training_names(many)) <= names
+    assert sum(name.startswith("test") for name in names) == 4
+    assert len(aerial.SCENES) == 8
+
+
+@pytest.mark.parametrize("kind", ["church", "mountain", "stadium", "factory", "park"])
+def test_aerial_worlds_differ_by_seed_and_are_alike_for_one(kind):
+    a, b, other = (aerial.SCENES[kind](seed) for seed in (1, 1, 2))
+    assert np.array_equal(a.vertices, b.vertices)
+    assert a.vertices.shape != other.vertices.shape or not np.array_equal(
+        a.vertices, other.vertices
+    )
+
+
+@pytest.mark.parametrize("world", worlds.WORLDS)
+def test_presets(world):
+    sizes = [worlds.settings_of(world, preset).width for preset in ("small", "medium", "large")]
+    assert sizes == sorted(sizes)
+    assert len({worlds.content(world, preset, 0) for preset in ("small", "medium")}) == 2
+    assert worlds.content(world, "small", 0) != worlds.content(world, "small", 1)
