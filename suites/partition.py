@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -218,7 +219,7 @@ def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Blo
     yield citygaussian_blocks(place, blocks, backend)
 
 
-def partition_row(place: Ground, found: Blocks, blocks: int) -> dict[str, object]:
+def partition_row(place: Ground, found: Blocks, blocks: int) -> dict[str, Any]:
     """Figures of one partition.
 
     Load is the summed track length of a block's points. The cut is counted for all partitions on
@@ -247,7 +248,7 @@ def partition_row(place: Ground, found: Blocks, blocks: int) -> dict[str, object
 
 def partition_rows(
     scene: Scene, ks: tuple[int, ...], *, voxel_size: float | None = None, backend: str = "cpu"
-) -> list[dict[str, object]]:
+) -> list[dict[str, Any]]:
     """Compare the partitions of a scene: a row for each number of blocks and method.
 
     Args:
