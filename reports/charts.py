@@ -52,7 +52,7 @@ class Line:
     points: Sequence[tuple[float, float]]
 
 
-def ticks(low: float, high: float, most: int = 5) -> list[float]:
+def ticks(low: float, high: float, most: int = 6) -> list[float]:
     """At most `most` + 1 round numbers (1, 2 or 5 times a power of 10) in [low, high]."""
     step = 10.0 ** math.floor(math.log10((high - low) / most))
     step *= next(m for m in (1, 2, 5, 10) if (high - low) / (step * m) <= most)

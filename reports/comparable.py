@@ -50,7 +50,7 @@ def environment_notes(results: Sequence[Result]) -> list[str]:
     odd = [n for n in names if len({result.environment.get(n) for result in results}) > 1]
     if not odd:
         return []
-    where = f"measured in different environments ({', '.join(odd)} differ)"
+    where = f"measured in different environments (other {', '.join(odd)})"
     return [f"{where}: times and memory are not comparable between them"]
 
 

@@ -66,7 +66,7 @@ def render_page(
         script=Markup((folder / "page.js").read_text("utf-8")),
         pictures=pictures,
         environments=_environments(results),
-        protocols={t.protocol: _plain(t.rules) for t in tables},
+        protocols={run_data.digest(t.rules): (t.protocol, _plain(t.rules)) for t in tables},
         widest=WIDEST,
         quality=QUALITY,
     )

@@ -11,7 +11,7 @@ from splatbench.reports.table import Row, Table
 LEGEND = (
     "± is half the 95 % confidence interval over seeds. Rows that the paired bootstrap over images "
     "and seeds cannot tell apart share a rank; bold is the best and what cannot be told from it. "
-    "1 MB is 2^20 bytes."
+    "1 MB is 2²⁰ bytes."
 )
 
 

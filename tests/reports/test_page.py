@@ -1,12 +1,12 @@
 """The page without a browser: it stands alone, says what must be said, and keeps its size."""
 
+import base64
 import dataclasses
 import datetime
 import json
 import math
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from helpers import case_folders
 from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
 from splatbench.reference.result import Result
 from splatbench.reports import charts, pictures
 from splatbench.reports.leaderboard import build_tables
@@ -146,6 +147,14 @@ def test_warnings_failures_and_undefined_values_are_said():
     assert "nan" not in words
 
 
+def test_every_set_of_rules_is_listed_even_under_one_name():
+    one = Protocol(name="same", source="ours", metrics=("psnr",), rounding="round")
+    two = dataclasses.replace(one, rounding="truncate")
+    words = Reader(page([case_folders.result(protocol=rules) for rules in (one, two)])).words
+    assert {"round", "truncate"} <= set(words)
+    assert words.count("Protocol same") == 2
+
+
 def test_a_page_of_failures_alone_is_a_page():
     failed = dataclasses.replace(
         case_folders.result(), error="boom", images=(), metrics={}, curve=()
@@ -176,8 +185,6 @@ def test_spread_is_an_order_of_all_that_starts_with_the_ends(count: int):
 def test_pictures_are_scaled_down_and_stay_what_they_are():
     truth = case_folders.photo("a", 300, 2000)
     png = cv2.imencode(".png", truth)[1].tobytes()
-    import base64
-
     data = base64.b64decode(pictures.encode(png, "a").partition(",")[2])
     back = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert back is not None
@@ -198,7 +205,7 @@ def test_a_damaged_picture_is_named():
 @given(low=st.floats(-1e6, 1e6), span=st.floats(1e-3, 1e6))
 def test_ticks_are_few_round_and_inside(low: float, span: float):
     found = charts.ticks(low, low + span)
-    assert 1 <= len(found) <= 6
+    assert 1 <= len(found) <= 7
     room = 1e-6 * span + 1e-9 * abs(low)
     assert all(low - room <= tick <= low + span + room for tick in found)
     assert np.allclose(np.diff(found), np.diff(found)[:1]) if len(found) > 1 else True
@@ -230,10 +237,9 @@ def test_chart_text_is_escaped():
     assert "<b>" not in charts.scatter([point], "<x>", "<y>")
 
 
-def test_the_page_is_small_without_pictures(tmp_path: Path):
+def test_the_page_is_small_without_pictures():
     results = [
         case_folders.result(seed=seed, names=[f"{i:04}.jpg" for i in range(500)])
         for seed in range(3)
     ]
-    del tmp_path
     assert len(page(results)) < 400_000
