@@ -68,6 +68,15 @@ def weights_file(network: str) -> Path:
     return Path(torch.hub.get_dir()) / "checkpoints" / WEIGHTS[network].rsplit("/", 1)[1]
 
 
+def load(network: str) -> str:
+    """Load "vgg" or "alex" for all later calls and return the sha256 of its weights.
+
+    Raises: MissingError without torchmetrics, torchvision or weights.
+    """
+    _network(network)
+    return weights_sha256(network)
+
+
 @functools.cache
 def weights_sha256(network: str) -> str:
     """Sha256 of the weights on disk, which must begin as the file's name says.

@@ -3,7 +3,7 @@
 import difflib
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from jaxtyping import Bool, Float
@@ -29,8 +29,8 @@ class Metric:
     higher_is_better: bool
     range: tuple[float, float]
     source: str
-    weights_sha256: Callable[[], str] | None = None
-    """Hash of the weights on disk, for the record; raises MissingError without. None: needs none."""
+    load_weights: Callable[[], str] | None = None
+    """Loads its network and returns the weights' sha256; MissingError without. None: needs none."""
 
 
 def find_metric(name: str) -> Metric:
@@ -42,6 +42,18 @@ def find_metric(name: str) -> Metric:
         near = difflib.get_close_matches(name, METRICS, n=1, cutoff=0)
         raise UsageError(f"no metric {name!r}, nearest is {near[0]!r}; known: {', '.join(METRICS)}")
     return METRICS[name]
+
+
+def load_weights(names: Iterable[str]) -> dict[str, str]:
+    """Load what these metrics need, before long work depends on it.
+
+    Args:
+        names: Of metrics.
+    Returns: Metric name -> sha256 of its weights, for the record; only metrics that have some.
+    Raises: UsageError on an unknown name, MissingError where something is not on this machine.
+    """
+    metrics = [find_metric(name) for name in names]
+    return {metric.name: metric.load_weights() for metric in metrics if metric.load_weights}
 
 
 _ALL = (
@@ -109,7 +121,7 @@ _ALL = (
             higher_is_better=False,
             range=(0.0, math.inf),
             source=f"Zhang et al. 2018, LPIPS v0.1, {network}, inputs in {inputs}, by torchmetrics",
-            weights_sha256=functools.partial(lpips.weights_sha256, network),
+            load_weights=functools.partial(lpips.load, network),
         )
         for function, network, inputs in (
             (lpips.lpips_vgg_m11, "vgg", "[-1, 1]"),

@@ -229,6 +229,16 @@ def test_bad_options_are_refused(folders, capsys, options, said):
     assert said in errors[0]
 
 
+def test_missing_weights_are_told_before_any_work(folders, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    path = tmp_path / "learned.toml"
+    path.write_text('source = "me"\nmetrics = ["psnr", "lpips_vgg_01"]\n')
+    code, out, errors = run(folders, capsys, "--protocol", str(path))
+    assert (code, out) == (3, "")
+    assert len(errors) == 1
+    assert "LPIPS" in errors[0]
+
+
 def test_folders_without_images_or_with_two_of_a_name(folders, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     assert main(["score", str(tmp_path / "empty"), str(folders / "truth")]) == 2

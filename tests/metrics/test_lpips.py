@@ -8,7 +8,7 @@ import torch
 
 from helpers.images import noise_image, spoiled
 from splatbench.metrics import lpips
-from splatbench.metrics.registry import METRICS
+from splatbench.metrics.registry import METRICS, load_weights
 from splatbench.reference.errors import DataError, MissingError
 
 NETWORKS = {"lpips_vgg_m11": "vgg", "lpips_alex_m11": "alex", "lpips_vgg_01": "vgg"}
@@ -57,10 +57,8 @@ def test_without_weights_it_says_where_they_belong(name, monkeypatch, empty_hub)
     url = lpips.WEIGHTS[NETWORKS[name]]
     with pytest.raises(MissingError, match=f"not at {empty_hub}/.*download {url}"):
         METRICS[name].function(IMAGE, IMAGE, None)
-    recorded = METRICS[name].weights_sha256
-    assert recorded is not None
     with pytest.raises(MissingError, match="not at"):
-        recorded()
+        load_weights(["psnr", name])
 
 
 @pytest.mark.parametrize("network", lpips.WEIGHTS)
@@ -72,12 +70,21 @@ def test_other_weights_under_the_name_are_refused(network, empty_hub):
         lpips.weights_sha256(network)
 
 
-def test_the_right_weights_are_hashed_for_the_record(monkeypatch, empty_hub):
+def test_the_right_weights_are_loaded_and_hashed_for_the_record(monkeypatch, empty_hub):
+    class Module:
+        @staticmethod
+        def LearnedPerceptualImagePatchSimilarity(net_type):
+            return Module
+
+        net = "the network"
+
+    monkeypatch.setattr(importlib, "import_module", lambda name: Module)
     found = hashlib.sha256(b"weights").hexdigest()
     monkeypatch.setitem(lpips.WEIGHTS, "vgg", f"https://example.org/vgg16-{found[:8]}.pth")
     empty_hub.mkdir()
     (empty_hub / f"vgg16-{found[:8]}.pth").write_bytes(b"weights")
-    assert METRICS["lpips_vgg_m11"].weights_sha256() == found  # type: ignore[misc]
+    assert load_weights(["psnr", "lpips_vgg_m11"]) == {"lpips_vgg_m11": found}
+    assert lpips._network("vgg") == "the network"
 
 
 @pytest.mark.parametrize(("name", "mapped"), [*zip(NETWORKS, (True, True, False), strict=True)])

@@ -8,18 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, random_mask, spoiled
-from splatbench.metrics.registry import METRICS, find_metric
+from splatbench.metrics.registry import METRICS, find_metric, load_weights
 from splatbench.reference.errors import DataError, UsageError
 
 WINDOWS = {"ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ms_ssim_kornia": 33}
-WITHOUT_WEIGHTS = [metric for metric in METRICS.values() if metric.weights_sha256 is None]
+WITHOUT_WEIGHTS = [metric for metric in METRICS.values() if metric.load_weights is None]
 ALL = pytest.mark.parametrize("metric", WITHOUT_WEIGHTS, ids=lambda metric: metric.name)
 
 
 def test_each_is_under_its_own_name():
     assert all(name == metric.name for name, metric in METRICS.items())
     assert all(metric.source for metric in METRICS.values())
-    learned = {name for name, metric in METRICS.items() if metric.weights_sha256}
+    learned = {name for name, metric in METRICS.items() if metric.load_weights}
     assert learned == {"lpips_vgg_m11", "lpips_alex_m11", "lpips_vgg_01"}
 
 
@@ -100,6 +100,12 @@ def test_the_window_itself_is_large_enough(name):
 def test_no_pixels_are_refused(metric):
     with pytest.raises(DataError, match="smaller"):
         metric.function(torch.zeros(0, 50, 3), torch.zeros(0, 50, 3), None)
+
+
+def test_metrics_without_weights_have_nothing_to_load():
+    assert load_weights([metric.name for metric in WITHOUT_WEIGHTS]) == {}
+    with pytest.raises(UsageError, match="no metric 'psrn'"):
+        load_weights(["psrn"])
 
 
 def test_an_unknown_name_is_refused_with_the_nearest():

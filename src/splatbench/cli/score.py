@@ -59,6 +59,7 @@ def score(
         seed: Number for the output.
     """
     from splatbench.metrics.protocol_files import load_protocol
+    from splatbench.metrics.registry import load_weights
     from splatbench.metrics.scoring import scene_metrics
     from splatbench.reference.errors import UsageError
 
@@ -66,6 +67,7 @@ def score(
     rules = [load_protocol(name) for name in names]
     if len({rule.name for rule in rules}) < len(rules):
         raise UsageError(f"--protocol {protocol}: one name stands twice")
+    load_weights(metric for rule in rules for metric in rule.metrics)
     scores = _score_all(_trios(renders, truth, masks), rules)
     label = {"scene": scene, "method": method, "seed": seed}
     for rule in rules:
