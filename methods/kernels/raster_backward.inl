@@ -7,7 +7,9 @@ namespace {
 // Gradients of the sixteen pixels of a block.
 struct PixelGradients {
   float feature[MAX_CHANNELS + 2][L];
-  float left[L];    // by the final transmittance
+  float centre[2][L];  // expected depth and distance: d depth / d weight = (z - depth) / sum of weights
+  float residue[2][L];
+  float left[L];       // by the final transmittance
   float median[L];
 };
 
@@ -43,8 +45,8 @@ STAGE void read_block(const Tiles& tiles, const PictureGradients& in, int featur
     const float distance = in.distance && inside ? in.distance[pixel] * scale : 0;
     if (features > in.channels) out.feature[in.channels][l] = depth;
     if (features > in.channels + 1) out.feature[in.channels + 1][l] = distance;
-    if (depth != 0) by_left += depth * in.depth_value[pixel];
-    if (distance != 0) by_left += distance * in.distance_value[pixel];
+    out.centre[0][l] = inside ? in.depth_value[pixel] : 0;
+    out.centre[1][l] = inside && in.distance_value ? in.distance_value[pixel] : 0;
     out.left[l] = by_left;
     out.median[l] = in.median && inside ? in.median[pixel] : 0;
   }
@@ -63,22 +65,43 @@ STAGE int repeat(const float* recs, int stride, const uint32_t* list, int length
   return length;
 }
 
+// What rounding left out of an expected depth: sum w (z - centre) / sum w. Without it a pixel with one Gaussian,
+// whose depth does not depend on the weight, would get a gradient of 1e-7 z / alpha.
+STAGE void residue(const float* recs, int stride, const uint32_t* list, int length, int feature, const float* weights,
+                   const float* centre, float* out) {
+  vf sum = all(0), total = all(0);
+  const vf middle = load(centre);
+  for (int k = 0; k < length; ++k) {
+    const vf w = load(weights + (size_t)k * L);
+    sum = sum + w * (all(recs[(size_t)list[k] * stride + R_FEATURES + feature]) - middle);
+    total = total + w;
+  }
+  store(out, keep(total > all(0), sum / total));
+}
+
 // d loss / d ln(alpha) of each listed Gaussian at each pixel, back to front, over `alphas` in place.
 // `behind` is the gradient-weighted colour of what lies behind, so no division is needed.
-template <int N>
-STAGE void exponents(const float* recs, int stride, const uint32_t* list, int length, int features,
+// For 3 channels and EXTRAS of depth and distance, or any number of both if EXTRAS is -1.
+template <int EXTRAS>
+STAGE void exponents(const float* recs, int stride, const uint32_t* list, int length, int channels, int features,
                       const PixelGradients& pixel, const float* weights, float* alphas) {
-  vf v[N ? N : 1];
+  constexpr int N = EXTRAS < 0 ? 1 : 3 + EXTRAS;
+  vf v[N];
   for (int f = 0; f < N; ++f) v[f] = load(pixel.feature[f]);
   vf behind = load(pixel.left);
   for (int k = length - 1; k >= 0; --k) {
     const float* rec = recs + (size_t)list[k] * stride;
     const vf alpha = load(alphas + (size_t)k * L), weight = load(weights + (size_t)k * L);
     vf here = all(0);
-    if constexpr (N > 0) {
-      for (int f = 0; f < N; ++f) here = here + v[f] * all(rec[R_FEATURES + f]);
+    if constexpr (EXTRAS >= 0) {
+      for (int f = 0; f < 3; ++f) here = here + v[f] * all(rec[R_FEATURES + f]);
+      for (int f = 3; f < N; ++f)
+        here = here + v[f] * (all(rec[R_FEATURES + f]) - load(pixel.centre[f - 3]) - load(pixel.residue[f - 3]));
     } else {
-      for (int f = 0; f < features; ++f) here = here + load(pixel.feature[f]) * all(rec[R_FEATURES + f]);
+      for (int f = 0; f < channels; ++f) here = here + load(pixel.feature[f]) * all(rec[R_FEATURES + f]);
+      for (int f = channels; f < features; ++f)
+        here = here + load(pixel.feature[f]) * (all(rec[R_FEATURES + f]) - load(pixel.centre[f - channels]) -
+                                                load(pixel.residue[f - channels]));
     }
     const vf difference = here - behind;
     vf g = weight * difference;
@@ -188,9 +211,14 @@ void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch
     Light light = {load(ones), load(ones), all(0)};
     const int k = repeat(scratch.recs, stride, list, lengths[b], block, light, scratch.weights, scratch.alphas);
     if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, sums, sums_stride);
-    if (features == 3) exponents<3>(scratch.recs, stride, list, k, 3, pixel, scratch.weights, scratch.alphas);
-    else if (features == 4) exponents<4>(scratch.recs, stride, list, k, 4, pixel, scratch.weights, scratch.alphas);
-    else exponents<0>(scratch.recs, stride, list, k, features, pixel, scratch.weights, scratch.alphas);
+    for (int f = in.channels; f < features; ++f)
+      residue(scratch.recs, stride, list, k, f, scratch.weights, pixel.centre[f - in.channels],
+              pixel.residue[f - in.channels]);
+    const auto back = in.channels != 3 ? exponents<-1>
+                      : features == 3  ? exponents<0>
+                      : features == 4  ? exponents<1>
+                                       : exponents<2>;
+    back(scratch.recs, stride, list, k, in.channels, features, pixel, scratch.weights, scratch.alphas);
     for (int j = 0; j < k; j += L)
       reduce(scratch.recs, stride, list + j, k - j < L ? k - j : L, b, features, pixel,
              scratch.weights + (size_t)j * L, scratch.alphas + (size_t)j * L, sums, sums_stride);
