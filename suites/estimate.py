@@ -16,16 +16,17 @@ from splatbench.suites.suite_files import Case, Suite
 
 START_SECONDS = 3.0
 """Imports of a case's process."""
-PIXEL_STEP = 1.2e-6
-"""CPU seconds a pixel of a training step: render, loss and gradients. Method 3dgs, native kernels,
-one AVX-512 core: 0.9e-6 to 1.9e-6 from 180 x 180 to 500 x 280 px. Other methods cost other
-multiples, which earlier records correct."""
-GAUSSIAN_STEP = 0.5e-6
-"""CPU seconds a Gaussian of a training step: projection, its gradients and Adam."""
+PIXEL_STEP = 0.1e-6
+"""CPU seconds a pixel of a training step: loss and what compositing costs beside the Gaussians. This
+and GAUSSIAN_STEP fit 1000 and 2000 iterations of 3dgs at 240 px on two scenes, native kernels,
+AVX-512 at 2.6 GHz, to 25 %. Earlier records correct them for other methods and machines."""
+GAUSSIAN_STEP = 0.42e-6
+"""CPU seconds a Gaussian of a training step: projection, compositing, gradients and Adam."""
 PIXEL_SCORE = 6e-6
 """CPU seconds a pixel of a test view: metrics, error map, PNGs."""
-GROWTH = 1.5
-"""Gaussians while training, on average, as a multiple of the sparse points."""
+GROWTH_STEPS, GROWTH_MOST = 300, 15.0
+"""The mean number of Gaussians grows by the number of sparse points every so many steps, up to this
+multiple of it (3.4 to 4.2 measured at 1000 steps, 8.5 to 13 at 2000). At the end it is twice that."""
 BASE_MB = 400.0
 """Python, torch and the other libraries, with torch's pools."""
 GAUSSIAN_BYTES = 59 * 4 * 8
@@ -84,10 +85,10 @@ def estimate(case: Case, scene: Scene, backend: str, ratios: Sequence[float] = (
     """
     factor = statistics.median(ratios) if ratios else 1.0
     score = sum(_pixels(scene, i) for i in scene.test) * PIXEL_SCORE / usable_cores()
-    gaussians = GROWTH * len(scene.points)
-    train = _train_seconds(case.settings.iterations, _mean_pixels(scene), gaussians)
+    train = _train_seconds(case.settings.iterations, scene)
     images = min(Run.image_bytes, 12 * sum(_pixels(scene, i) for i in scene.train))
     largest = max((_pixels(scene, i) for i in (*scene.train, *scene.test)), default=0)
+    gaussians = 2 * _mean_gaussians(case.settings.iterations, scene)
     extra = images + gaussians * GAUSSIAN_BYTES + largest * PIXEL_BYTES
     basis = "model"
     if ratios:
@@ -101,8 +102,14 @@ def estimate(case: Case, scene: Scene, backend: str, ratios: Sequence[float] = (
     )
 
 
-def _train_seconds(iterations: int, pixels: float, gaussians: float) -> float:
-    return iterations * (pixels * PIXEL_STEP + gaussians * GAUSSIAN_STEP) / usable_cores()
+def _train_seconds(iterations: int, scene: Scene) -> float:
+    pixels = statistics.fmean(_pixels(scene, i) for i in scene.train)
+    step = pixels * PIXEL_STEP + _mean_gaussians(iterations, scene) * GAUSSIAN_STEP
+    return iterations * step / usable_cores()
+
+
+def _mean_gaussians(iterations: int, scene: Scene) -> float:
+    return len(scene.points) * min(1 + iterations / GROWTH_STEPS, GROWTH_MOST)
 
 
 def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -> list[float]:
@@ -112,17 +119,12 @@ def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -
     scene = scenes.get((names.get(record.scene, ""), record.protocol))
     if scene is None or not isinstance(iterations, int):
         return []
-    modelled = _train_seconds(iterations, _mean_pixels(scene), GROWTH * len(scene.points))
-    return [record.stages["train"] / modelled]
+    return [record.stages["train"] / _train_seconds(iterations, scene)]
 
 
 def _pixels(scene: Scene, index: int) -> int:
     camera = scene.views[index].camera
     return camera.width * camera.height
-
-
-def _mean_pixels(scene: Scene) -> float:
-    return statistics.fmean(_pixels(scene, i) for i in scene.train)
 
 
 def _records(folder: Path) -> list[Result]:

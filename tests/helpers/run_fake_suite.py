@@ -1,0 +1,31 @@
+"""A program for the kill tests: run the fake suite in the folder named on the command line."""
+
+import sys
+from functools import partial
+from pathlib import Path
+
+from helpers.fake_methods import FakeSettings, run_fake_case
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.suites.runner import run_suite
+from splatbench.suites.suite_files import Case, Suite
+from splatbench.suites.workers import in_worker
+
+
+def fake_suite() -> Suite:
+    """Two cases of a second each, with a checkpoint every tenth of it."""
+    settings = FakeSettings(iterations=50, seconds_a_step=0.02)
+    protocol = load_protocol("default")
+    cases = tuple(
+        Case(scene="town", method="fake", settings=settings, seed=seed, protocol=protocol)
+        for seed in (0, 1)
+    )
+    return Suite(name="tiny", description="For kills", cases=cases)
+
+
+if __name__ == "__main__":
+    run_suite(
+        fake_suite(),
+        Path(sys.argv[1]),
+        backend="reference",
+        launch=partial(in_worker, target=run_fake_case),
+    )

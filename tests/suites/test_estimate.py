@@ -1,0 +1,48 @@
+"""Estimates grow with the work and learn from earlier records."""
+
+from dataclasses import replace
+
+import pytest
+
+from helpers import fake_methods
+from helpers.fake_methods import FakeSettings, fake_scene
+from splatbench.methods.registry import METHODS
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.suites import cases, estimate
+from splatbench.suites.runner import run_suite
+from splatbench.suites.suite_files import Case, Suite
+from splatbench.suites.workers import in_process
+
+PROTOCOL = load_protocol("default")
+SCENE = fake_scene("town", PROTOCOL)
+
+
+def case(iterations: int, scene: str = "town") -> Case:
+    settings = FakeSettings(iterations=iterations)
+    return Case(scene=scene, method="fake", settings=settings, seed=0, protocol=PROTOCOL)
+
+
+def test_more_iterations_and_more_views_cost_more():
+    less, more = (estimate.estimate(case(n), SCENE, "cpu") for n in (1000, 2000))
+    assert estimate.START_SECONDS < less.seconds < more.seconds
+    assert estimate.BASE_MB < less.memory_mb < more.memory_mb
+    assert less.basis == "model"
+    assert "not known" in estimate.estimate(case(1), SCENE, "cuda").basis
+
+
+def test_a_slow_method_is_learnt_from_its_records(tmp_path, monkeypatch):
+    monkeypatch.setitem(METHODS, "fake", None)
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    monkeypatch.setattr(estimate, "open_scene", fake_scene)
+    fake_methods.register()
+    slow = replace(case(20), settings=FakeSettings(iterations=20, seconds_a_step=0.01))
+    suite = Suite(name="tiny", description="", cases=(slow, case(20, "broken")))
+    run_suite(suite, tmp_path, backend="reference", launch=in_process)
+    (tmp_path / "tiny" / "rubbish").mkdir()
+    (tmp_path / "tiny" / "rubbish" / "record.json").write_text("{")
+    longer = replace(slow, settings=FakeSettings(iterations=40, seconds_a_step=0.01))
+    whole = Suite(name="tiny", description="", cases=(longer,))
+    (told,) = estimate.estimate_suite(whole, tmp_path, "reference")
+    (blind,) = estimate.estimate_suite(whole, tmp_path / "other", "reference")
+    assert "from 1 earlier cases" in told.basis
+    assert told.seconds - blind.seconds == pytest.approx(0.4, rel=0.2)
