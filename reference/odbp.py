@@ -35,7 +35,7 @@ class OdbpSettings:
     imbalance: float = 0.05
     """epsilon: every block's load is to be within (1 +- epsilon) of the mean (DPGS, Eq. 6)."""
     seeds: int = 10
-    """METIS runs an attempt, with and without asking for connected blocks; the best is kept."""
+    """METIS seeds an attempt, each with and without asking for connected blocks; the best stays."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

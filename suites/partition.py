@@ -209,8 +209,8 @@ def narrowed(camera: Camera, width: int) -> Camera:
 def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Blocks]:
     """All partitions of a scene into K blocks, one after the other.
 
-    "odbp" asks for loads within 1 % of the mean and takes the best of ten METIS runs; "odbp_paper"
-    is DPGS' own setting, 5 % and one run.
+    "odbp" asks for loads within 1 % of the mean and takes the best of ten METIS seeds; "odbp_paper"
+    is DPGS' own setting, 5 %, with one seed.
     """
     yield odbp_blocks(place, blocks, "odbp", imbalance=0.01, seeds=10)
     yield odbp_blocks(place, blocks, "odbp_paper", imbalance=0.05, seeds=1)
