@@ -27,8 +27,8 @@ from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene, View
 
 FULL_SIZE_FOLDERS = ("photos", "images")
-POSITION_BYTES = 256 * 2**20
-"""Bound of the undistortion maps that a scene keeps: 8 bytes a pixel and camera."""
+POSITION_BYTES = 512 * 2**20
+"""Bound of the undistortion maps that a scene keeps: 8 bytes a pixel, so one camera of 64 MP."""
 NOT_REGISTERED = "structure from motion did not register it"
 
 
