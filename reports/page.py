@@ -81,10 +81,7 @@ def _view(
     return {
         "id": f"t{number}",
         "table": table,
-        # the arrow and the unit stay with the word before them
-        "headings": [
-            h.replace(" ↑", "\u00a0↑").replace(" ↓", "\u00a0↓") for h in text.headings(table)
-        ],
+        "headings": [_heading(heading) for heading in text.headings(table)],
         "cells": [(row, series[row.label], text.texts(table, row)) for row in table.rows],
         "swatches": {label: charts.swatch(i) for label, i in series.items()},
         "notes": [f"{row.label}: {row.note}" for row in table.rows if row.note],
@@ -100,6 +97,13 @@ def _view(
         if table.scene
         else [],
     }
+
+
+def _heading(heading: str) -> Markup:
+    """A heading that may break at underscores but not before its arrow."""
+    for arrow in "↑↓":
+        heading = heading.replace(f" {arrow}", f"\u00a0{arrow}")
+    return Markup("_<wbr>").join(heading.split("_"))
 
 
 def _compare(shown: list[Shown], rows: list[Row], pictures: dict[str, str]) -> dict[str, Any]:
@@ -198,7 +202,8 @@ def _scatters(table: Table, series: dict[str, int]) -> list[Markup]:
             for row in table.rows
             if cost in row.cells and main.key in row.cells
         ]
-        drawn.append(charts.scatter(points, f"{column.title} [{column.unit}]", y_title))
+        if len(points) > 1:  # one point is no comparison; its numbers stand in the table
+            drawn.append(charts.scatter(points, f"{column.title} [{column.unit}]", y_title))
     return [chart for chart in drawn if chart]
 
 

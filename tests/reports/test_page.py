@@ -47,7 +47,7 @@ def of_store(stored: list[StoredResult], **named: object) -> str:
 class Reader(HTMLParser):
     """Elements with what they refer to; fails on elements that are not closed in order."""
 
-    VOID = frozenset({"meta", "link", "img", "input"})
+    VOID = frozenset({"meta", "link", "img", "input", "wbr"})
 
     def __init__(self, text: str) -> None:
         super().__init__()
