@@ -53,14 +53,18 @@ def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"
 
 
 def project(
-    camera: Camera, means: Float[Tensor, "n 3"], covariances: Float[Tensor, "n 3 3"]
+    camera: Camera, means: Float[Tensor, "n 3"], halves: Float[Tensor, "n 3 3"]
 ) -> Projected:
     """Project Gaussians: Sigma2 = (J W Sigma W^T J^T)[:2, :2] + 0.3 I.
+
+    Sigma comes as its factor H, Sigma = H H^T, because det(M M^T) = |m1 x m2|^2 with the rows
+    m1, m2 of M = J W H keeps all digits for a needle, where the textbook determinant of the
+    product loses them.
 
     Args:
         camera: The pinhole camera.
         means: World positions in scene units.
-        covariances: World covariances in squared scene units.
+        halves: H = R diag(s) of each Gaussian, from `rotation.half_covariance`.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 5; compensation: Yu et al. 2024,
         "Mip-Splatting", Eq. 9, with the determinants' ratio.
@@ -69,21 +73,20 @@ def project(
     in_front = cam[:, 2] > camera.near
     # Rows that are not drawn are moved to z = 1, so that no infinity enters their gradients.
     cam = torch.where(in_front[:, None], cam, cam.new_tensor([0.0, 0.0, 1.0]))
-    to_pixel = jacobian(camera, cam) @ camera.rotation.to(cam)
-    sharp = to_pixel @ covariances @ to_pixel.mT
-    blurred = sharp + BLUR * torch.eye(2).to(sharp)
-    share = determinant(sharp) / determinant(blurred)
+    flat = jacobian(camera, cam) @ camera.rotation.to(cam) @ halves
+    sharp = flat @ flat.mT
+    area = torch.linalg.cross(flat[:, 0], flat[:, 1]).square().sum(dim=1)  # det(sharp)
+    blurred_area = area + BLUR * (sharp[:, 0, 0] + sharp[:, 1, 1]) + BLUR**2
+    share = area / blurred_area
     positive = share > 0
     compensation = torch.where(positive, torch.where(positive, share, 1).sqrt(), 0)
     return Projected(
-        means=(cam @ camera.K.to(cam).T)[:, :2] / cam[:, 2:], depths=cam[:, 2], covariances=blurred,
-        compensation=compensation, in_front=in_front,
-    )  # fmt: skip
-
-
-def determinant(matrices: Float[Tensor, "n 2 2"]) -> Float[Tensor, " n"]:
-    """Determinants of 2 x 2 matrices by the textbook formula."""
-    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+        means=(cam @ camera.K.to(cam).T)[:, :2] / cam[:, 2:],
+        depths=cam[:, 2],
+        covariances=sharp + BLUR * torch.eye(2).to(sharp),
+        compensation=compensation,
+        in_front=in_front,
+    )
 
 
 def support_box(projected: Projected, opacities: Float[Tensor, " n"]) -> Float[Tensor, "n 2"]:

@@ -64,7 +64,7 @@ def rasterize(
         towards = spherical_harmonics.directions_to(means, camera.centre)
         colours = spherical_harmonics.colour(sh, towards)
     assert colours is not None
-    flat = projection.project(camera, means, rotation.covariance(quaternions, scales))
+    flat = projection.project(camera, means, rotation.half_covariance(quaternions, scales))
     if mode == "antialiased":
         opacities = opacities * flat.compensation
     drawn = torch.where(flat.in_front)[0]

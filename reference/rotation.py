@@ -36,6 +36,18 @@ def rotation_matrix(quaternions: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]
     return torch.stack(rows, dim=1).reshape(-1, 3, 3)
 
 
+def half_covariance(
+    quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 3 3"]:
+    """The factor H = R diag(s) of each covariance Sigma = H H^T.
+
+    Args:
+        quaternions: (w, x, y, z), any norm.
+        scales: Standard deviations in scene units, >= 0.
+    """
+    return rotation_matrix(quaternions) * scales[:, None, :]
+
+
 def covariance(
     quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n 3 3"]:
@@ -47,5 +59,5 @@ def covariance(
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 6.
     """
-    half = rotation_matrix(quaternions) * scales[:, None, :]
+    half = half_covariance(quaternions, scales)
     return half @ half.mT

@@ -40,7 +40,7 @@ def step_pixels(
 
     Source: ours (spec: conventions, item 7).
     """
-    flat = projection.project(camera, means, rotation.covariance(quaternions, scales))
+    flat = projection.project(camera, means, rotation.half_covariance(quaternions, scales))
     if mode == "antialiased":
         opacities = opacities * flat.compensation
     drawn = torch.where(flat.in_front)[0]

@@ -79,7 +79,7 @@ def test_small_gaussians_project_to_the_spread_of_their_samples(n, seed):
     quaternions = torch.randn(n, 4, generator=generator, dtype=D)
     scales = 1e-4 * (0.5 + torch.rand(n, 3, generator=generator, dtype=D))
     sigma = rotation.covariance(quaternions, scales)
-    flat = projection.project(view, means, sigma)
+    flat = projection.project(view, means, rotation.half_covariance(quaternions, scales))
     noise = torch.randn(20000, 3, generator=generator, dtype=D)
     for i in range(n):
         samples = means[i] + noise @ torch.linalg.cholesky(sigma[i]).T
@@ -93,7 +93,7 @@ def test_behind_the_near_plane_is_not_drawn_and_stays_finite():
     view = Camera(K=camera().K, world_to_camera=torch.eye(4, dtype=D), width=40, height=30)
     means = torch.tensor([[0.0, 0, 0.01], [0, 0, 0.0100001], [0, 0, -1], [0, 0, 0]], dtype=D)
     means.requires_grad_()
-    flat = projection.project(view, means, 0.01 * torch.eye(3, dtype=D).expand(4, 3, 3))
+    flat = projection.project(view, means, 0.1 * torch.eye(3, dtype=D).expand(4, 3, 3))
     assert flat.in_front.tolist() == [False, True, False, False]
     (flat.means.sum() + flat.covariances.sum() + flat.compensation.sum()).backward()
     assert means.grad is not None
@@ -104,11 +104,11 @@ def test_behind_the_near_plane_is_not_drawn_and_stays_finite():
 @given(n=st.integers(1, 6), seed=st.integers(0, 2**16), opacity=st.floats(0.005, 1))
 def test_support_box_bounds_the_ellipse_and_touches_it(n, seed, opacity):
     view = camera(seed)
-    sigma = rotation.covariance(
+    halves = rotation.half_covariance(
         torch.randn(n, 4, generator=torch.Generator().manual_seed(seed), dtype=D),
         torch.full((n, 3), 0.1, dtype=D) * torch.tensor([1.0, 0.5, 2.0]),
     )
-    flat = projection.project(view, in_view(view, n, seed), sigma)
+    flat = projection.project(view, in_view(view, n, seed), halves)
     opacities = torch.full((n,), opacity, dtype=D)
     half = projection.support_box(flat, opacities)
     angle = torch.linspace(0, 2 * torch.pi, 2001, dtype=D)
@@ -122,8 +122,30 @@ def test_support_box_bounds_the_ellipse_and_touches_it(n, seed, opacity):
 def test_radii_are_zero_where_nothing_can_be_seen(mean, seen):
     view = Camera(K=camera().K, world_to_camera=torch.eye(4, dtype=D), width=40, height=30)
     flat = projection.project(
-        view, torch.tensor([mean], dtype=D), 0.01 * torch.eye(3, dtype=D)[None]
+        view, torch.tensor([mean], dtype=D), 0.1 * torch.eye(3, dtype=D)[None]
     )
     assert (float(projection.screen_radii(view, flat, torch.ones(1, dtype=D))) > 0) is seen
     faint = torch.full((1,), 1 / 256, dtype=D)
     assert float(projection.screen_radii(view, flat, faint)) == 0
+
+
+def test_compensation_keeps_its_digits_for_a_needle():
+    """Scale ratio 1e4 : 1 in float32: the textbook determinant would lose every digit."""
+    view = camera()
+    means = in_view(view, 20, 5)
+    scales = torch.tensor([[1.0, 1e-4, 1e-4]], dtype=D).expand(20, 3)
+    turn = torch.randn(20, 4, generator=torch.Generator().manual_seed(1), dtype=D)
+    halves = rotation.half_covariance(turn, scales)
+    exact = projection.project(view, means, halves).compensation
+    sharp = projection.project(view, means, halves)
+    want = (
+        torch.linalg.det(sharp.covariances - 0.3 * torch.eye(2, dtype=D))
+        / torch.linalg.det(sharp.covariances)
+    ).sqrt()
+    assert_close(exact, want, atol=1e-6, rtol=1e-4)
+    rough = projection.project(
+        view.to(torch.float32),
+        means.float(),
+        rotation.half_covariance(turn.float(), scales.float()),
+    )
+    assert_close(rough.compensation.double(), exact, atol=1e-6, rtol=1e-3)

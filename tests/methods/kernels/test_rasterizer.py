@@ -7,7 +7,6 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from helpers.gaussian_scenes import GaussianScene, random_scene
 from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
 from splatbench.reference import rasterizer as reference
@@ -15,6 +14,7 @@ from splatbench.reference.agreement import compare_gradients, largest_error
 from splatbench.reference.render import RenderOutput
 from splatbench.reference.screen_gradient import ScreenProbe
 from splatbench.reference.steps import step_pixels
+from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 PIXEL_TOLERANCE = 2e-5  # worst seen 3e-6 (colour), 9e-6 (depth, about 5 units)
 NAMES = ("means", "quaternions", "scales", "opacities", "sh", "signed", "absolute", "background")

@@ -1,0 +1,1 @@
+"""Named, seeded hard cases of every component, and what is expected of each."""

@@ -1,0 +1,171 @@
+"""Hard cases of projection and rasterizer, and every backend's error on them."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from splatbench.methods.backends import get_backend
+from splatbench.reference import rasterizer as reference
+from splatbench.reference.agreement import compare_gradients, largest_error
+from splatbench.reference.rasterizer import Mode
+from splatbench.reference.steps import step_pixels
+from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
+
+
+def facing(count: int, *, width: int = 17, height: int = 33) -> GaussianScene:
+    """Gaussians straight before a camera at the origin that is not turned, in one line of sight."""
+    g = torch.Generator().manual_seed(count)
+    camera = camera_at(width, height, turn=0.0)
+    means = torch.zeros(count, 3)
+    means[:, 2] = 2 + torch.arange(count) / max(count, 1)
+    return GaussianScene(
+        camera=camera, means=means, quaternions=torch.randn(count, 4, generator=g),
+        scales=torch.full((count, 3), 0.2), opacities=torch.full((count,), 0.5),
+        sh=torch.randn(count, 4, 3, generator=g) * 0.2,
+    )  # fmt: skip
+
+
+def needle(scene: GaussianScene) -> GaussianScene:
+    """Scale ratio 1e4 : 1."""
+    scales = scene.scales.clone()
+    scales[:, 0], scales[:, 1:] = 1.0, 1e-4
+    return scene.but(scales=scales)
+
+
+def put(scene: GaussianScene, name: str, rows: Any, values: Any) -> GaussianScene:
+    """The scene with some rows of one parameter set."""
+    changed = getattr(scene, name).clone()
+    changed[rows] = torch.as_tensor(values)
+    return scene.but(**{name: changed})
+
+
+def behind_the_near_plane() -> GaussianScene:
+    """Means just before and just behind the near plane, at and behind the camera."""
+    scene = facing(6)
+    near = scene.camera.near
+    z = torch.tensor([near * 1.001, near * 1.5, near * 0.999, 0.0, -1.0, 1.0])
+    return scene.but(means=torch.stack([0.001 * z, -0.001 * z, z], dim=1))
+
+
+def ties(count: int, gap: float) -> GaussianScene:
+    """Faint coplanar Gaussians; every other one lies `gap` behind."""
+    scene = facing(count, width=9, height=9)
+    xy = (torch.rand(count, 2, generator=torch.Generator().manual_seed(1)) - 0.5) * 2
+    z = torch.full((count, 1), 2.0)
+    z[::2] += gap
+    return scene.but(
+        means=torch.cat([xy, z], dim=1), opacities=torch.full((count,), 0.03),
+        scales=torch.full((count, 3), 0.3),
+    )  # fmt: skip
+
+
+ULP = float(torch.finfo(torch.float32).eps) * 2
+CASES = {
+    "needle": lambda: needle(random_scene(40, 1)),
+    "disc": lambda: put(random_scene(40, 2), "scales", (slice(None), 2), 1e-7),
+    "point": lambda: put(random_scene(40, 3), "scales", slice(None), 1e-7),
+    "scale zero": lambda: put(random_scene(40, 3), "scales", slice(None), 0.0),
+    "huge": lambda: put(random_scene(40, 4), "scales", 1, 500.0),
+    "quaternion small": lambda: put(random_scene(40, 5), "quaternions", 1, [1e-6, 2e-6, 0, 1e-6]),
+    "quaternion large": lambda: put(random_scene(40, 5), "quaternions", 1, [1e6, 2e6, 0, 1e6]),
+    "quaternion zero": lambda: put(random_scene(40, 5), "quaternions", slice(None), 0.0),
+    "near plane": behind_the_near_plane,
+    "behind": lambda: put(random_scene(40, 6), "means", (slice(None), 2), -5.0),
+    "camera centre": lambda: put(facing(5), "means", 2, 0.0),
+    "far to the side": lambda: put(random_scene(40, 7), "means", (slice(0, 20), 0), 1e6),
+    "image 1x1": lambda: random_scene(40, 8, width=1, height=1),
+    "image 17x33": lambda: random_scene(40, 8, width=17, height=33),
+    "image 65x16": lambda: random_scene(40, 8, width=65, height=16),
+    "opacity nearly 1": lambda: put(random_scene(40, 9), "opacities", slice(None), 1 - 1e-7),
+    "opacity 1": lambda: put(random_scene(40, 9), "opacities", slice(None), 1.0),
+    "opacity 0": lambda: put(random_scene(40, 9), "opacities", slice(None), 0.0),
+    "opacity tiny": lambda: put(random_scene(40, 9), "opacities", slice(None), 1e-12),
+    "opacity 1/255": lambda: put(random_scene(40, 9), "opacities", slice(None), 1 / 255),
+    "10,000 faint": lambda: put(facing(10_000, width=3, height=3), "opacities", slice(None), 0.005),
+    "10,000 opaque": lambda: put(facing(10_000, width=3, height=3), "opacities", slice(None), 1.0),
+    "opaque one first": lambda: put(facing(50), "opacities", 0, 1.0),
+    "1,000 ties": lambda: ties(1000, 0.0),
+    "depths one ulp apart": lambda: ties(1000, ULP),
+    "no Gaussian": lambda: random_scene(0, 10),
+    "one Gaussian": lambda: facing(1),
+    "all culled": lambda: put(random_scene(10, 11), "means", (slice(None), 2), -50.0),
+    "large harmonics": lambda: put(random_scene(40, 12), "sh", slice(None), random_scene(40, 3).sh * 50),
+}  # fmt: skip
+BUDGET = {"needle": 5e-5}
+"""Where not 2e-5 relative: a needle 100 px long has its direction rounded to float32 when blended,
+1e-7 * 100 px / 0.5 px."""
+LONG = ("10,000 faint", "10,000 opaque", "1,000 ties", "depths one ulp apart")
+"""Left out by --quick."""
+
+
+def render(
+    rasterize: Callable[..., Any],
+    scene: GaussianScene,
+    dtype: torch.dtype,
+    weights: Tensor,
+    mode: Mode,
+) -> tuple[Any, list[Tensor]]:
+    """Image, and gradients of a random weighting of colour, alpha and depth."""
+    leaves = scene.arguments(dtype)
+    out = rasterize(scene.camera, *leaves[:4], sh=leaves[4], mode=mode)
+    loss = (out.colour * weights.to(dtype)).sum() + (out.alpha * weights[..., 0].to(dtype)).sum()
+    loss = loss + (out.depth * weights[..., 1].to(dtype)).sum()
+    if loss.requires_grad:
+        loss.backward()
+    return out, [torch.zeros_like(p) if p.grad is None else p.grad for p in leaves]
+
+
+def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, Any]:
+    """One implementation on one case against the float64 reference.
+
+    Pixels on a step of the definition are counted and left out of errors and gradients.
+
+    Args:
+        case: Key of CASES.
+        implementation: Name of a backend.
+        mode: As for the rasterizer.
+    """
+    scene = CASES[case]()
+    steps = step_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
+                        mode=mode)  # fmt: skip
+    generator = torch.Generator().manual_seed(3)
+    weights = torch.randn(scene.camera.height, scene.camera.width, 3, generator=generator)
+    weights[steps] = 0
+    start = time.perf_counter()
+    out, gradients = render(
+        get_backend(implementation).rasterize, scene, torch.float32, weights, mode
+    )
+    ms = 1e3 * (time.perf_counter() - start)
+    truth, true_gradients = render(reference.rasterize, scene, torch.float64, weights, mode)
+    error = 0.0
+    for name in ("colour", "alpha", "depth"):
+        value, wanted = getattr(out, name).detach(), getattr(truth, name).detach()
+        scale = max(1.0, float(wanted.abs().max()) if wanted.numel() else 0)
+        error = max(error, largest_error(value, wanted, ignore=steps) / scale)
+    floor = 1e-6 * max(float(t.norm()) for t in true_gradients)
+    agreements = [
+        compare_gradients(value, wanted, floor=floor)
+        for value, wanted in zip(gradients, true_gradients, strict=True)
+    ]
+    finite = all(bool(torch.isfinite(g).all()) for g in gradients)
+    budget = BUDGET.get(case, 2e-5)
+    good = finite and error <= budget and all(agreement.good() for agreement in agreements)
+    return {
+        "component": "rasterizer", "case": case, "implementation": f"{implementation} float32 {mode}",
+        "expect": "finite", "budget": budget, "step_pixels": int(steps.sum()), "finite": finite,
+        "max_abs_error": error, "grad_rel_l2": max(a.relative_l2 for a in agreements), "ms": ms,
+        "ok": good, "note": "",
+    }  # fmt: skip
+
+
+def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
+    """Every case through the reference in float32 and the native backend, both modes."""
+    for case in CASES:
+        if quick and case in LONG:
+            continue
+        for mode in ("classic", "antialiased"):
+            for implementation in ("reference", "cpu"):
+                yield judge(case, implementation, mode)

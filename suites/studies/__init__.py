@@ -1,0 +1,1 @@
+"""Studies: questions that are answered by rows instead of trained cases."""
