@@ -61,6 +61,7 @@ def step(
                 )
     _ext.set_threads(torch.get_num_threads())
     _ext.adam(
-        *([t.detach() for t in tensors] for tensors in groups.values()),
-        list(rates), number, *betas, epsilon, rows,
+        [t.detach() for t in values], [t.detach() for t in gradients],
+        [t.detach() for t in first], [t.detach() for t in second],
+        list(rates), number, betas[0], betas[1], epsilon, rows,
     )  # fmt: skip
