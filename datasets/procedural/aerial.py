@@ -34,9 +34,9 @@ GROUND = 110.0
 class Settings:
     """How the scenes are taken."""
 
-    width: int = 224
-    height: int = 168
-    tests: int = 4
+    width: int = 208
+    height: int = 156
+    tests: int = 3
     """Views to test on, between and beyond the training views."""
     cell: float = 3.0
     samples: int = 3

@@ -46,11 +46,11 @@ class Settings:
 
     blocks: tuple[int, int] = (3, 2)
     """Blocks along x and y."""
-    width: int = 300
-    height: int = 224
+    width: int = 280
+    height: int = 210
     altitude: float = 105.0
     """Metres above the streets."""
-    overlap: tuple[float, float] = (0.76, 0.66)
+    overlap: tuple[float, float] = (0.74, 0.64)
     """Share of the footprint that neighbouring views share, along and across the lines."""
     oblique: int = 5
     """Low oblique views that no training view has."""

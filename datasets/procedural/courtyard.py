@@ -219,4 +219,4 @@ def plan(seed: int = 0, settings: Settings = Settings()) -> Plan:
 
 def daylight(caster: Caster) -> Daylight:
     """A summer afternoon."""
-    return Daylight(caster, Sky(azimuth=-0.9, elevation=0.80), (-32, -32, -1), (32, 32, 13), 1.0)
+    return Daylight(caster, Sky(azimuth=-0.9, elevation=0.80), (-32, -32, -1), (32, 32, 13), 1.25)

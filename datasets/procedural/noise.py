@@ -88,10 +88,13 @@ def fbm(
     norm = sum(0.5**i for i in range(octaves))
     for octave in range(octaves):
         length = wavelength * 0.5**octave
+        carried = None if footprint is None else visible(length, footprint)
+        if carried is not None and not bool(carried.any()):
+            break  # finer ones are carried even less
         # turning each octave hides that all lattices are aligned
         turned = points @ _turn(points.shape[1], octave).to(points)
         wave = (value_noise(turned / length, seed + 101 * octave) - 0.5) * (0.5**octave / norm)
-        total = total + (wave if footprint is None else wave * visible(length, footprint))
+        total = total + (wave if carried is None else wave * carried)
     return total
 
 

@@ -45,7 +45,7 @@ HELD = 4
 class Settings:
     """How long is driven and what is recorded."""
 
-    frames: int = 14
+    frames: int = 12
     width: int = 240
     height: int = 160
     speed: float = 8.5

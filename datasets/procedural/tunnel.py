@@ -15,7 +15,15 @@ from splatbench.datasets.procedural.lamps import Lamps
 from splatbench.datasets.procedural.noise import fbm
 from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
 from splatbench.datasets.procedural.rock import tunnel_rock
-from splatbench.datasets.procedural.shapes import Shape, box, cylinder, joined, placed, smooth
+from splatbench.datasets.procedural.shapes import (
+    Shape,
+    box,
+    cylinder,
+    joined,
+    placed,
+    polygon,
+    smooth,
+)
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.units import Number
@@ -37,10 +45,10 @@ class Settings:
 
     length: float = 20.0
     """Metres that are driven."""
-    stop: float = 2.0
+    stop: float = 2.5
     """Metres between stops."""
-    width: int = 240
-    height: int = 136
+    width: int = 224
+    height: int = 128
     relit: int = 6
     """Views under other lamps."""
     grid: float = 0.16
@@ -103,6 +111,10 @@ def build(seed: int, settings: Settings) -> World:
             share = (6 - index) / 6
             points[ring] = inner[ring] + (points[ring] - inner[ring]) * (1 - share**3)
     world.add("rock", [(_grid(points), tunnel_rock)])
+    for s in (start + 0.9, end - 0.9):  # what the taper leaves open at the foot
+        middle, (_, left) = centre(s)[0], frame(s)
+        corners = [middle + u * left + [0, 0, v] for u, v in ((-4, -1), (4, -1), (4, 5), (-4, 5))]
+        world.add("rock", [(polygon(np.array(corners)), tunnel_rock)])
     floor = np.stack([centre(s)[0] + np.linspace(-3.2, 3.2, 40)[:, None] * frame(float(s))[1]
                       for s in stations])  # fmt: skip
     flat = torch.from_numpy(floor.reshape(-1, 3)[:, :2]).float()
@@ -197,7 +209,7 @@ def _lamps(caster: Caster, s: Number, offset: Float[np.ndarray, "3"]) -> Lamps:
         way = _direction(s, yaw, pitch)
         positions.append(eye + 0.25 * way - 0.22 * up)
         axes.append(way)
-    return Lamps(caster=caster, positions=np.stack(positions), axes=np.stack(axes), power=3.6)
+    return Lamps(caster=caster, positions=np.stack(positions), axes=np.stack(axes), power=5.0)
 
 
 def _direction(s: Number, yaw: Number, pitch: Number) -> Float[np.ndarray, "3"]:

@@ -1,5 +1,6 @@
 """bench scenes: the registered scenes, and the worlds that the package makes."""
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,9 +34,9 @@ def list_scenes() -> None:
     for entry, path in rows:
         present = "yes" if path else "makes itself" if entry.kind == "made" else "no"
         table.add_row(entry.name, entry.kind, entry.licence, present, str(path or ""))
-    console = Console(highlight=False, markup=False)
     # a pipe has no width of its own: nothing is folded there
-    console.print(table, width=None if console.is_terminal else 240)
+    width = None if sys.stdout.isatty() else 240
+    Console(highlight=False, markup=False, width=width).print(table)
 
 
 def show(name: Positional[str]) -> None:

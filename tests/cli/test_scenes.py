@@ -1,0 +1,78 @@
+"""bench scenes: what it prints and how it ends."""
+
+import json
+
+import pytest
+
+from splatbench import cli
+from splatbench.datasets import registry
+from splatbench.datasets.procedural import courtyard
+
+
+@pytest.fixture(autouse=True)
+def places(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    tiny = courtyard.Settings(width=48, height=36, oblique=3, nadir=(2, 1), samples=1)
+    monkeypatch.setitem(courtyard.PRESETS, "small", tiny)
+    return tmp_path
+
+
+def run(*args):
+    return cli.main(["scenes", *args])
+
+
+def test_list(capsys):
+    assert run("list") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["name", "kind", "licence", "present", "path"]
+    assert len(lines) == 1 + len(registry.list_scenes())
+    assert run("list", "--json") == 0
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {tuple(record) for record in records} == {("name", "kind", "licence", "present", "path")}
+    assert not any(record["present"] for record in records)
+
+
+def test_show(capsys, places):
+    (places / "data" / "seneca").mkdir(parents=True)
+    assert run("show", "seneca") == 0
+    out = capsys.readouterr().out
+    for part in ("CC0-1.0", "https://", str(places / "data" / "seneca"), "changed_files: sparse/0"):
+        assert part in out
+    assert run("show", "kitti", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["present"] is False
+
+
+def test_get_makes_a_made_scene(capsys):
+    assert run("get", "courtyard", "--quiet") == 0
+    path = capsys.readouterr().out.strip()
+    assert path == str(registry.find_scene("courtyard"))
+    assert run("get", "courtyard", "--json", "--quiet") == 0
+    assert json.loads(capsys.readouterr().out)["path"] == path
+
+
+def test_make(capsys, places):
+    out = places / "mine"
+    assert run("make", "courtyard", str(out), "--seed", "5", "--quiet") == 0
+    assert (out / "sparse" / "0" / "images.bin").exists()
+    assert 'seed" = "5"' in (out / "scene.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "words"),
+    [
+        (("get", "waymo"), 3, "looked for"),
+        (("get", "wamo"), 2, "nearest is 'waymo'"),
+        (("show", "nowhere"), 2, "nearest is"),
+        (("make", "village", "x"), 2, "there are courtyard"),
+        (("make", "courtyard", "x", "--preset", "huge"), 2, "small, medium, large"),
+        (("make", "courtyard", "x", "--seed", "-1"), 2, "expected 0 or more"),
+        (("make", "courtyard", "."), 2, "exists and is not this scene"),
+    ],
+)
+def test_what_goes_wrong_is_told_in_one_line(capsys, args, code, words):
+    assert run(*args) == code
+    out, err = capsys.readouterr()
+    assert not out
+    assert words in err
+    assert len(err.strip().splitlines()) == 1
