@@ -57,6 +57,15 @@ def test_the_first_round_is_numpy_least_squares(seed):
 
 
 @KINDS
+def test_the_result_stays_in_the_range(kind):
+    """A steep map fitted to the middle overshoots at the ends."""
+    image = noise_image(20, 20, 0)
+    target = (2 * image - 0.5).clamp(0, 1)
+    fitted = fit_colours(image, target, None, kind)
+    assert 0 == fitted.min() < fitted.max() == 1
+
+
+@KINDS
 def test_clipped_pixels_take_no_part(kind):
     image = inner(20, 20, 0)
     target = 0.8 * image + 0.1

@@ -268,8 +268,10 @@ def test_the_mask_takes_the_two_strongest_contributors():
     ids = torch.tensor([[[1, 0, 2], [0, 1, 2], [0, 2, 1], [-1, -1, -1], [1, -1, -1], [3, -1, 1]]])
     want = [[True, True, False, False, True, False]]
     assert seam_mask(ids, band, blocks).tolist() == want
-    # -1 must not read the last primitive
-    assert not seam_mask(torch.full((1, 1, 2), -1), torch.tensor([False, True]), blocks[1:3]).any()
+    # -1 must read neither the first primitive nor the last
+    nothing = torch.full((1, 1, 2), -1)
+    assert not seam_mask(nothing, torch.tensor([False, True]), blocks[1:3]).any()
+    assert not seam_mask(nothing, torch.tensor([True, False]), blocks[1:3]).any()
     with pytest.raises(UsageError, match="render with contributors=2"):
         seam_mask(ids[..., :1], band, blocks)
 
@@ -322,6 +324,24 @@ def test_a_rendered_view_has_its_seam_between_the_blocks():
     values = seam_scores([seam_sums(view)]).values
     assert values["seam_psnr"] == pytest.approx(psnr(view.image, truth, view.seam))
     assert values["bpd_l1"] > 0
+
+
+def test_each_block_is_rendered_alone():
+    """Three blocks: with two, a block and all others but it would be one and the same pair."""
+    model, _, distances = two_halves()
+    blocks, where = torch.arange(len(model)) % 3, camera(1)
+    grey = torch.full((3,), 0.5)
+    view = render_seam_view(
+        rasterize, where, model, blocks, distances, noise_image(18, 24, 0), background=grey
+    )
+    for block in range(3):
+        mine = blocks == block
+        want = rasterize(
+            where, model.means[mine], model.quaternions[mine], model.scales[mine],
+            model.opacities[mine], sh=model.sh[mine], background=grey,
+        )  # fmt: skip
+        assert torch.equal(view.block_images[block], want.colour.clamp(0, 1))
+        assert torch.equal(view.block_depths[block], want.depth)
 
 
 def test_swapped_names_and_a_single_block_when_rendered():

@@ -1,5 +1,6 @@
 """The released family of seam metrics against direct formulas."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,6 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import sobel
+from scipy.spatial.transform import Rotation
 
 from helpers.images import noise_image, random_mask
 from helpers.tiny_scene import camera
@@ -23,6 +25,15 @@ from splatbench.metrics.seam_released import (
 from splatbench.reference.boxes import OrientedBox
 from splatbench.reference.camera import project_points
 from splatbench.reference.errors import DataError
+
+
+def turned_camera(index, **size):
+    """A camera of the row, pitched and rolled, so that a rotation is not its transpose."""
+    where = camera(index, **size)
+    pose = where.world_to_camera.clone()
+    angles = torch.tensor([0.2, -0.15, 0.3])
+    pose[:3, :3] = torch.from_numpy(Rotation.from_euler("xyz", angles.numpy()).as_matrix())
+    return dataclasses.replace(where, world_to_camera=pose)
 
 
 def box(centre, half, degrees=0.0):
@@ -45,7 +56,7 @@ def box(centre, half, degrees=0.0):
 @settings(max_examples=20)
 @given(st.integers(0, 5), st.integers(0, 99))
 def test_back_projected_points_project_to_their_pixels(index, seed):
-    where = camera(index, width=7, height=5)
+    where = turned_camera(index, width=7, height=5)
     depth = 0.5 + noise_image(5, 7, seed)[..., 0].double() * 9
     pixels, z = project_points(where, back_project(depth, where).reshape(-1, 3))
     rows, columns = torch.meshgrid(torch.arange(5), torch.arange(7), indexing="ij")
@@ -55,10 +66,13 @@ def test_back_projected_points_project_to_their_pixels(index, seed):
 
 
 def test_the_mask_pixel_by_pixel():
-    where = camera(1, width=24, height=18)
+    where = turned_camera(1, width=24, height=18)
     depth = 3.5 + noise_image(18, 24, 0)[..., 0]
     depth[0, 0], depth[0, 1], depth[0, 2] = 0.0, math.inf, math.nan
     boxes = [box([-0.5, 0.0, 0.0], [0.5, 0.8, 0.6], 30), box([0.6, 0.1, 0.2], [0.4, 0.9, 0.5])]
+    # Depth 0 must not become a point at the camera, which lies in the rim of this one.
+    at_camera = where.centre + torch.tensor([0.2 * 1.15 * 1.05, 0.0, 0.0])
+    boxes.append(box(at_camera.tolist(), [0.2, 0.2, 0.2]))
     got = seam_mask_released(depth, where, boxes)
     pose = where.world_to_camera.numpy()
     want = np.zeros((18, 24), dtype=bool)
