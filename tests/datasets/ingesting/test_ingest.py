@@ -239,9 +239,9 @@ def test_one_seed_one_scene_whatever_the_threads(tmp_path):
 @pytest.mark.real
 def test_brighton_beach(tmp_path, capfd):
     photos = real_scene("brighton_beach") / "photos"
-    start = time.monotonic()
+    start = time.process_time()
     assert ingest(photos, tmp_path / "scene", threads=2) == 0
-    seconds = time.monotonic() - start
+    seconds = time.process_time() - start
     out, _ = capfd.readouterr()
     assert out.splitlines() == [
         f"{tmp_path / 'scene'}: 18 of 18 photos registered, units: metres",
@@ -261,5 +261,5 @@ def test_brighton_beach(tmp_path, capfd):
     assert similarity is not None
     moved = np.array([similarity * centre for centre in a])
     assert np.abs(moved - b).max() < 0.2  # metres, over a flight of 90 m
-    assert seconds < 60
+    assert seconds < 120  # of CPU: a minute on two cores, however busy the machine is
     shutil.rmtree(tmp_path / "scene")
