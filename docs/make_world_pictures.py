@@ -17,16 +17,16 @@ from splatbench.datasets.procedural.plan import Plan, Shot
 FOLDER = Path(__file__).parent / "images"
 PICKS: dict[str, tuple[str, ...]] = {
     "courtyard": ("view_001.png", "view_008.png", "view_012.png", "view_016.png", "view_022.png"),
-    "city": ("nadir_00014.png", "nadir_00020.png", "unseen/oblique_00002.png",
+    "city": ("nadir_00010.png", "nadir_00017.png", "unseen/oblique_00002.png",
              "unseen/oblique_00003.png", "unseen/facade_00003.png"),
     "aerial-sparse": tuple(
         f"{kind}/train_04.png" for kind in
         ("houses", "church", "mountain", "stadium", "town", "factory", "park", "downtown")
     ),
     "tunnel": ("stop_0000_camera_0.png", "relit/stop_0000_camera_0.png", "stop_0000_camera_1.png",
-               "stop_0004_camera_3.png", "stop_0008_camera_0.png"),
+               "stop_0004_camera_3.png", "stop_0006_camera_0.png"),
     "street": ("frame_0005_left.png", "frame_0005_front.png", "frame_0005_right.png",
-               "frame_0012_front.png", "lane_shift/frame_0012_front_+3.5m.png"),
+               "frame_0010_front.png", "lane_shift/frame_0010_front_+3.5m.png"),
 }  # fmt: skip
 
 

@@ -50,7 +50,7 @@ class Settings:
     height: int = 210
     altitude: float = 105.0
     """Metres above the streets."""
-    overlap: tuple[float, float] = (0.74, 0.64)
+    overlap: tuple[float, float] = (0.72, 0.62)
     """Share of the footprint that neighbouring views share, along and across the lines."""
     oblique: int = 5
     """Low oblique views that no training view has."""

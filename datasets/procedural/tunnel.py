@@ -53,13 +53,17 @@ class Settings:
     """Views under other lamps."""
     grid: float = 0.16
     """Metres between vertices of the rock."""
-    samples: int = 3
+    samples: int = 2
 
 
 PRESETS = {
     "small": Settings(),
-    "medium": Settings(length=100.0, stop=1.0, width=480, height=272, relit=40, grid=0.12),
-    "large": Settings(length=200.0, stop=0.5, width=1920, height=1080, relit=200, grid=0.08),
+    "medium": Settings(
+        length=100.0, stop=1.0, width=480, height=272, relit=40, grid=0.12, samples=3
+    ),
+    "large": Settings(
+        length=200.0, stop=0.5, width=1920, height=1080, relit=200, grid=0.08, samples=3
+    ),
 }
 
 
