@@ -75,17 +75,14 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """All cases of a suite file."""
+    """The cases of a suite file."""
 
     name: str
     description: str
     cases: tuple[Case, ...]
+    scenes: tuple[str, ...]
+    """Names of all scenes that the file declares, also of those whose cases were left out."""
     optional_scenes: tuple[str, ...] = ()
-
-    @property
-    def scenes(self) -> tuple[str, ...]:
-        """The names of all scenes, each once, as the results give them."""
-        return tuple(dict.fromkeys(case.scene_name for case in self.cases))
 
 
 def load_suite(name_or_path: str | Path) -> Suite:
@@ -110,6 +107,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
         name=path.stem,
         description=file.description,
         cases=tuple(cases),
+        scenes=tuple(dict.fromkeys(case.scene_name for case in cases)),
         optional_scenes=tuple(_beside(name, path) for name in file.optional_scenes),
     )
 

@@ -19,7 +19,7 @@ def fake_suite() -> Suite:
         Case(scene="town", method="fake", settings=settings, seed=seed, protocol=protocol)
         for seed in (0, 1)
     )
-    return Suite(name="tiny", description="For kills", cases=cases)
+    return Suite(name="tiny", description="For kills", cases=cases, scenes=("town",))
 
 
 if __name__ == "__main__":

@@ -97,6 +97,7 @@ def progress() -> Progress:
         TextColumn("{task.fields[values]}"),
         console=screen,
         transient=True,
+        redirect_stdout=False,  # results must reach a pipe also while a bar is on the terminal
         disable=is_quiet() or not screen.is_terminal,
     )
 

@@ -1,13 +1,15 @@
 """`bench run SUITE`: all cases of a suite, then the tracking store and the leaderboard."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from splatbench.cli import output
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
     from splatbench.suites.runner import Outcome, Progress
     from splatbench.suites.suite_files import Suite
 
@@ -59,7 +61,8 @@ def run(
         make_scenes(chosen, lambda done, total: bar.update(task, completed=done, total=total))
     if dry_run:
         return _print_plan(chosen, out, backend)
-    with _Screen() as screen:
+    with output.progress() as bar:
+        screen = _Screen(bar)
         outcomes = run_suite(
             chosen, out, backend=backend, threads=threads, resume=resume,
             on_progress=screen.progress, on_result=screen.result,
@@ -75,14 +78,10 @@ def run(
 class _Screen:
     """What a person sees while cases run, on stderr; with --json also a line a case on stdout."""
 
-    def __enter__(self) -> Self:
-        self._bar = output.progress()
-        self._bar.__enter__()
-        self._task = self._bar.add_task("", total=None, values="")
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._bar.stop()
+    def __init__(self, bar: "Bar") -> None:
+        """Add one task to the bar, for the running case."""
+        self._bar = bar
+        self._task = bar.add_task("", total=None, values="")
 
     def progress(self, at: "Progress") -> None:
         """Show where the case is."""

@@ -1,0 +1,67 @@
+"""bench doctor: what is there, what is missing, and exit code 3 where something essential is."""
+
+import json
+
+import pytest
+
+from splatbench import _ext
+from splatbench.cli import main
+from splatbench.methods import backends
+from splatbench.reference.rasterizer import rasterize
+
+
+def findings(capsys) -> dict[str, dict[str, str]]:
+    lines = capsys.readouterr().out.splitlines()
+    return {record["name"]: record for record in map(json.loads, lines)}
+
+
+def test_everything_is_named_and_nothing_is_written(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    out = tmp_path / "runs"
+    assert main(["doctor", "--json", "--out", str(out)]) == 0
+    found = findings(capsys)
+    assert {"splatbench", "torch", "cpu", "reference", "cuda", "courtyard", "cache"} <= set(found)
+    assert found["simd"]["found"] == _ext.simd_level()
+    assert found["torch"]["status"] == "ok"
+    assert found["tracking store"]["found"].startswith("sqlite:///")
+    assert not out.exists()
+
+
+def test_what_is_absent_says_how_to_get_it(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "nowhere"))
+    assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
+    found = findings(capsys)
+    assert found["brighton_beach"]["status"] == "absent"
+    for record in found.values():
+        assert (record["status"] == "ok") == (record["fix"] == "")
+
+
+def test_a_backend_that_is_essential_is_a_fault(tmp_path, capsys, monkeypatch):
+    broken = backends.Backend(
+        name="cpu",
+        rasterize=rasterize,
+        capabilities=frozenset(),
+        missing="run `pip install .`",
+    )
+    monkeypatch.setitem(backends.BACKENDS, "cpu", lambda: broken)
+    assert main(["doctor", "--out", str(tmp_path)]) == 3
+    said = capsys.readouterr()
+    assert " ! cpu" in said.out
+    assert "pip install ." in said.out
+    assert "1 fault" in said.err
+
+
+def test_a_folder_that_cannot_be_written_is_a_fault(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["doctor", "--json", "--out", str(tmp_path / "file")]) == 3
+    assert findings(capsys)["runs"]["status"] == "fault"
+
+
+@pytest.mark.parametrize("uri", ["http://127.0.0.1:9", "some/folder"])
+def test_a_store_that_does_not_answer_is_said(tmp_path, capsys, monkeypatch, uri):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", uri)
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
+    found = findings(capsys)["tracking store"]
+    assert found["status"] == "absent"
+    assert found["fix"]

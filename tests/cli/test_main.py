@@ -1,0 +1,155 @@
+"""What every command shares: help, exit codes, one-line errors, where output goes."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from splatbench import cli
+from splatbench.cli import COMMANDS, main, output
+from splatbench.reference.errors import DataError, MissingError
+
+BENCH = str(Path(sys.executable).with_name("bench"))
+
+
+def test_help_names_every_command_with_its_line(capsys):
+    assert main(["--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for name, command in COMMANDS.items():
+        assert f"{name} {command.help}" in text
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_is_joined_and_explains_itself(name, capsys):
+    assert main([name, "--help"]) == 0
+    assert f"usage: bench {name}" in capsys.readouterr().out
+
+
+def test_help_starts_fast_and_imports_nothing_heavy():
+    program = (
+        "import sys; from splatbench.cli import main; main(['--help']);"
+        "sys.exit(any(name in sys.modules for name in ('torch', 'mlflow', 'pycolmap', 'cv2')))"
+    )
+    before = os.times().children_user
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    assert os.times().children_user - before < 1.5  # CPU seconds: the machine may be busy
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["runn"],
+        ["run"],
+        ["run", "quick", "--sedes", "3"],
+        ["run", "quick", "--seeds", "many"],
+        ["run", "quick", "extra"],
+        ["scenes"],
+        ["scenes", "lst"],
+        ["doctor", "--out"],
+        ["export", "model"],
+    ],
+    ids=" ".join,
+)
+def test_usage_errors_exit_2_and_leave_stdout_alone(arguments, capsys):
+    assert main(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err
+
+
+def command_that(action):
+    """A command in place of `doctor`."""
+
+    def doctor() -> int:
+        return action()
+
+    return doctor
+
+
+def raising(error: BaseException):
+    def action() -> int:
+        raise error
+
+    return action
+
+
+@pytest.fixture
+def doctor(monkeypatch):
+    from splatbench.cli import doctor as module
+
+    def install(action) -> None:
+        monkeypatch.setattr(module, "doctor", command_that(action))
+
+    return install
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(DataError("a.ply: found\n  3"), 2), (MissingError("no disk"), 3)]
+)
+def test_errors_that_a_user_can_mend_are_one_line(doctor, capsys, monkeypatch, error, code):
+    doctor(raising(error))
+    assert main(["doctor"]) == code
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err == f"bench: {' '.join(str(error).split())}\n"
+    monkeypatch.setenv("SPLATBENCH_DEBUG", "1")
+    assert main(["doctor"]) == code
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_our_own_faults_are_not_hidden(doctor):
+    doctor(raising(ZeroDivisionError()))
+    with pytest.raises(ZeroDivisionError):
+        main(["doctor"])
+
+
+def test_an_interrupt_is_told_in_one_line(doctor, capsys):
+    doctor(raising(KeyboardInterrupt()))
+    assert main(["doctor"]) == 130
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_results_go_to_stdout_logs_to_stderr_and_quiet_silences_logs(doctor, capsys):
+    def action() -> int:
+        output.log("on the way")
+        output.emit({"psnr": float("nan"), "ssim": 0.5}, "psnr undefined")
+        return 0
+
+    doctor(action)
+    assert main(["doctor"]) == 0
+    assert capsys.readouterr() == ("psnr undefined\n", "on the way\n")
+    assert main(["doctor", "--json", "--quiet"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out) == {"psnr": None, "ssim": 0.5}
+    assert said.err == ""
+
+
+def test_a_reader_that_leaves_is_no_error():
+    program = (
+        "import sys; from splatbench import cli\n"
+        "from splatbench.cli import doctor, output\n"
+        "def many(): [output.print_text('x' * 100) for _ in range(20000)]\n"
+        "doctor.doctor = many; sys.exit(cli.main(['doctor']))"
+    )
+    shell = f'"{sys.executable}" -c "{program}" | head -n 1'
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=True)
+    assert done.stdout == "x" * 100 + "\n"
+    assert done.stderr == ""
+
+
+def test_the_console_script_is_this_main():
+    done = subprocess.run([BENCH, "nonsense"], capture_output=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout == b""
+
+
+def test_exit_code_is_what_the_command_returns(doctor):
+    doctor(lambda: 1)
+    assert cli.main(["doctor"]) == 1
+    doctor(lambda: None)
+    assert cli.main(["doctor"]) == 0

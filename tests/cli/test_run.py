@@ -1,0 +1,205 @@
+"""bench run from arguments to files, exit codes and leaderboard."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from helpers import fake_methods
+from helpers.fake_methods import fake_scene
+from splatbench.cli import main, report
+from splatbench.methods.registry import METHODS
+from splatbench.suites import cases, estimate, runner
+from splatbench.suites.workers import in_process
+
+SUITE = """
+description = "For tests"
+[[blocks]]
+scenes = ["./town"]
+methods = ["fake"]
+protocols = ["default"]
+seeds = [0, 1]
+[blocks.settings.fake]
+iterations = 6
+"""
+
+
+@pytest.fixture
+def suite(tmp_path, monkeypatch):
+    """A suite file of the fake method, whose cases run in this process."""
+    monkeypatch.setitem(METHODS, "fake", None)
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    monkeypatch.setattr(estimate, "open_scene", fake_scene)
+    monkeypatch.setattr(runner, "run_suite", partial(runner.run_suite, launch=in_process))
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    monkeypatch.chdir(tmp_path)
+    fake_methods.register()
+    (tmp_path / "town").mkdir()
+    path = tmp_path / "mine.toml"
+    path.write_text(SUITE)
+    return path
+
+
+@pytest.fixture
+def no_store(monkeypatch):
+    """Cases are not logged: a new database takes seconds."""
+    monkeypatch.setattr(report, "sync_cases", lambda out, uri: False)
+
+
+def bench_run(*arguments: object) -> int:
+    return main(["run", *map(str, arguments), "--backend", "reference"])
+
+
+def lines(text: str) -> list[dict]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_a_suite_runs_once_and_prints_its_leaderboard(suite, capsys):
+    assert bench_run(suite) == 0
+    said = capsys.readouterr()
+    assert "mine · town · default" in said.out
+    assert "fake" in said.out
+    assert "[2/2] town/fake/default/seed1" in said.err
+    assert (suite.parent / "runs/mine/town/fake/default/seed1/record.json").exists()
+    assert (suite.parent / "runs/mlflow.db").exists()
+    assert bench_run(suite, "--json", "--quiet") == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    kept = lines(said.out)
+    assert [record["status"] for record in kept] == ["kept", "kept"]
+    assert {"suite", "scene", "method", "protocol", "seed", "psnr", "error"} <= set(kept[0])
+
+
+@pytest.mark.usefixtures("no_store")
+def test_choosing_and_starting_over(suite, capsys):
+    chosen = [suite, "--only", "*/seed2", "--seeds", 3, "--json"]
+    for extra, status in (([], "finished"), (["--resume"], "kept"), (["--no-resume"], "finished")):
+        assert bench_run(*chosen, *extra) == 0
+        (record,) = lines(capsys.readouterr().out)
+        assert (record["seed"], record["status"]) == (2, status)
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_failed_case_is_told_and_the_exit_code_is_1(suite, capsys):
+    suite.write_text(SUITE.replace("iterations = 6", 'iterations = 6\nfail_with = "no sky"'))
+    assert bench_run(suite, "--json", "--quiet") == 1
+    said = capsys.readouterr()
+    assert [record["status"] for record in lines(said.out)] == ["failed", "failed"]
+    assert said.err.count("no sky") == 2
+
+
+def test_a_dry_run_prints_estimates_and_leaves_nothing(suite, capsys):
+    assert bench_run(suite, "--dry-run", "--json") == 0
+    plan = lines(capsys.readouterr().out)
+    assert len(plan) == 2
+    assert all(case["estimated_seconds"] > 0 < case["estimated_memory_mb"] for case in plan)
+    assert bench_run(suite, "--dry-run") == 0
+    assert "town/fake/default/seed1" in capsys.readouterr().out
+    assert not (suite.parent / "runs").exists()
+
+
+def test_a_store_that_is_away_does_not_stop_the_run(suite, capsys, monkeypatch):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    assert bench_run(suite) == 0
+    said = capsys.readouterr()
+    assert "mine · town · default" in said.out
+    assert "the records are on disk" in said.err
+
+
+@pytest.mark.usefixtures("no_store")
+def test_an_optional_scene_that_is_not_here_is_left_out_with_a_reason(suite, capsys, monkeypatch):
+    monkeypatch.setenv("SPLATBENCH_DATA", str(suite.parent))
+    two = SUITE.replace('"./town"', '"./town", "seneca"')
+    suite.write_text('optional_scenes = ["seneca"]\n' + two)
+    assert bench_run(suite, "--json") == 0
+    said = capsys.readouterr()
+    assert {record["scene"] for record in lines(said.out)} == {"town"}
+    assert "left out: seneca: not on this machine" in said.err
+    suite.write_text(two)
+    assert bench_run(suite, "--out", "other") == 3
+    assert not (suite.parent / "other").exists()
+
+
+def changed(old: str, new: str) -> str:
+    assert old in SUITE
+    return SUITE.replace(old, new)
+
+
+BAD_FILES = {
+    "cut": (SUITE[:40], "not TOML"),
+    "unknown key": (changed("seeds", "seed"), "did you mean 'seeds'"),
+    "unknown method": (changed('"fake"', '"fakee"'), "did you mean 'fake'"),
+    "unknown protocol": (changed('"default"', '"defualt"'), "'default'"),
+    "unknown setting": (changed("iterations", "iteration"), "did you mean 'iterations'"),
+    "wrong type": (changed("= 6", '= "6"'), "iterations"),
+    "wrong value": (changed("= 6", "= -6"), "iterations is -6"),
+    "unknown scene": (changed('"./town"', '"brighton_beech"'), "'brighton_beach'"),
+    "no such folder": (changed('"./town"', '"./twon"'), "no such scene folder"),
+    "no such protocol file": (changed('"default"', '"./x.toml"'), "x.toml"),
+    "negative seed": (changed("[0, 1]", "[-1]"), "-1"),
+}
+BAD_ARGUMENTS = {
+    "unknown suite": (["qiuck"], "did you mean 'quick'"),
+    "no such file": (["nothing.toml"], "no such suite file"),
+    "nothing chosen": (["mine.toml", "--only", "x/*"], "matches none"),
+    "no seeds": (["mine.toml", "--seeds", "0"], "expected 1 or more"),
+    "unknown backend": (["mine.toml", "--backend", "cpuu"], "did you mean 'cpu'"),
+}
+
+
+@pytest.mark.parametrize("name", [*BAD_FILES, *BAD_ARGUMENTS, "store"])
+def test_bad_input_is_one_line_exit_2_and_leaves_nothing(suite, capsys, monkeypatch, name):
+    arguments, message = [str(suite)], "mlflow"
+    if name in BAD_FILES:
+        text, message = BAD_FILES[name]
+        suite.write_text(text)
+    elif name in BAD_ARGUMENTS:
+        arguments, message = BAD_ARGUMENTS[name]
+    else:
+        monkeypatch.setenv("MLFLOW_TRACKING_URI", "file:///mlruns")
+    if "--backend" not in arguments:
+        arguments = [*arguments, "--backend", "reference"]
+    before = sorted(suite.parent.iterdir())
+    assert main(["run", *arguments]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert message in said.err
+    assert sorted(suite.parent.iterdir()) == before
+
+
+def test_results_reach_a_pipe_while_a_bar_is_on_the_terminal():
+    program = (
+        "from splatbench.cli import output\n"
+        "with output.progress() as bar:\n"
+        "    bar.add_task('x', total=2, values='')\n"
+        "    output.print_record({'psnr': 1.0})\n"
+    )
+    ours, theirs = pty.openpty()
+    environment = os.environ | {"TERM": "xterm"}
+    done = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=theirs, env=environment,
+        check=True,
+    )  # fmt: skip
+    os.close(theirs)
+    shown = os.read(ours, 10_000)
+    os.close(ours)
+    assert done.stdout == b'{"psnr": 1.0}\n'
+    assert b"x" in shown
+
+
+def test_the_leaderboard_of_a_folder_is_that_of_the_store(suite, capsys):
+    assert bench_run(suite, "--quiet") == 0
+    first = capsys.readouterr().out
+    assert main(["report", "--quiet"]) == 0
+    again = capsys.readouterr().out
+    rows = [line for line in first.splitlines() if " fake " in line]
+    assert rows
+    assert set(rows) <= set(again.splitlines())
+    assert Path("runs/report.html").exists()
