@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib.patches import Circle
 
 from splatbench.reference import anchor_attention, anchors, dense_initialisation, support_network
 from splatbench.reference import motion_hierarchy as mh
-from splatbench.reference.dense_matching import match_by_flow
+from splatbench.reference.camera import project_points
+from splatbench.reference.dense_matching import match_by_flow, plane_between
 from splatbench.reference.scene import Scene
 from splatbench.reference.sparse_convolution import neighbours, voxelise
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
@@ -42,7 +43,11 @@ def draw_attention(scene: Scene, path: Path) -> None:
         dots = axis.scatter(
             centres[seen, 0], centres[seen, 1], s=18, c=shares[seen], cmap="viridis"
         )
-        axis.add_patch(plt.Circle(centres[i, :2].tolist(), radius, fill=False, color=COLOURS[1]))
+        axis.add_patch(
+            Circle(
+                (float(centres[i, 0]), float(centres[i, 1])), radius, fill=False, color=COLOURS[1]
+            )
+        )
         axis.plot([float(centres[i, 0])], [float(centres[i, 1])], "x", color=COLOURS[1])
         figure.colorbar(dots, ax=axis, shrink=0.8)
         show_plan(axis, f"anchor {i} attends to {int(seen.sum())} of {len(centres)}")
@@ -140,7 +145,11 @@ def draw_dense_points(scene: Scene, path: Path) -> None:
     shared = [int((seen[a] & seen[b]).sum()) for a, b in pairs]
     a, b = pairs[int(np.argmax(shared))]
     image_a, image_b = views[a].load(), views[b].load()
-    warp, certainty = match_by_flow(image_a, image_b)
+    both = scene.points.positions[seen[a] & seen[b]]
+    plane = plane_between(
+        project_points(views[a].camera, both)[0], project_points(views[b].camera, both)[0]
+    )
+    warp, certainty = match_by_flow(image_a, image_b, plane)
     points = dense_initialisation.points_of_pair(
         views[a].camera, views[b].camera, image_a, warp.double(), certainty, settings
     )

@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 from splatbench.reference import dense_initialisation as dense
 from splatbench.reference.camera import Camera, project_points
-from splatbench.reference.dense_matching import match_by_flow
+from splatbench.reference.dense_matching import match_by_flow, plane_between
 
 D = torch.float64
 SETTINGS = dense.DenseSettings()
@@ -203,3 +203,60 @@ def test_flow_is_unsure_where_there_is_no_texture_and_where_images_differ():
     assert float(match_by_flow(flat, flat)[1].max()) == 0
     a, b = torch.from_numpy(texture[:, :160].copy()), torch.from_numpy(textured(9)[:, :160].copy())
     assert float(match_by_flow(a, b)[1].median()) < 0.3
+
+
+def turned_pair() -> tuple[Tensor, Tensor, Tensor]:
+    """Two views of one texture, turned by 40 degrees and moved by half an image; A to B."""
+    texture = cv2.resize(textured(3), (640, 360))
+    to_a = np.array([[1.0, 0, -150], [0, 1, -100], [0, 0, 1]])
+    angle = np.radians(40)
+    c, s = np.cos(angle), np.sin(angle)
+    to_b = np.array([[c, -s, 20.0], [s, c, -240], [0, 0, 1]])
+    views = [cv2.warpPerspective(texture, h, (160, 120)) for h in (to_a, to_b)]
+    # warpPerspective counts from pixel centres: shift by half a pixel on both sides
+    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    plane = half @ to_b @ np.linalg.inv(to_a) @ np.linalg.inv(half)
+    a, b = (torch.from_numpy(view) for view in views)
+    return a, b, torch.from_numpy(plane / plane[2, 2])
+
+
+def test_a_homography_lets_flow_match_what_is_turned_and_far_away():
+    a, b, plane = turned_pair()
+    warp, certainty = match_by_flow(a, b, plane)
+    sure = certainty > 0.5
+    assert int(sure.sum()) > 1500
+    rows, columns = torch.where(sure)
+    here = torch.stack([columns, rows], dim=1).double() + 0.5
+    lifted = torch.cat([here, torch.ones(len(here), 1, dtype=D)], dim=1) @ plane.T
+    want = lifted[:, :2] / lifted[:, 2:]
+    off = (here + warp[sure] - want).norm(dim=1)
+    assert float(off.median()) < 0.1
+    # The control: without the homography hardly anything is found, and what is, is wrong.
+    unsure = match_by_flow(a, b)[1]
+    found = unsure > 0.5
+    assert int((found & sure).sum()) < 0.2 * int(sure.sum())
+
+
+def test_pixels_that_the_other_image_does_not_reach_are_unsure():
+    a, b, plane = turned_pair()
+    _, certainty = match_by_flow(a, b, plane)
+    rows, columns = torch.meshgrid(torch.arange(120), torch.arange(160), indexing="ij")
+    here = torch.stack([columns + 0.5, rows + 0.5, torch.ones_like(rows)], dim=-1).double()
+    there = here @ plane.T
+    there = there[..., :2] / there[..., 2:]
+    outside = ((there < 0) | (there >= torch.tensor([160, 120]))).any(dim=-1)
+    assert int(outside.sum()) > 1000
+    assert float(certainty[outside].max()) == 0
+
+
+def test_plane_between_shared_points():
+    g = torch.Generator().manual_seed(0)
+    here = 100 * torch.rand(30, 2, generator=g, dtype=D)
+    plane = torch.tensor([[0.9, -0.2, 5], [0.1, 1.1, -3], [1e-4, 2e-4, 1]], dtype=D)
+    lifted = torch.cat([here, torch.ones(30, 1, dtype=D)], dim=1) @ plane.T
+    there = lifted[:, :2] / lifted[:, 2:]
+    there[0] += 40  # an outlier
+    found = plane_between(here, there)
+    assert found is not None
+    assert_close(found, plane, atol=1e-6, rtol=1e-4)
+    assert plane_between(here[:7], there[:7]) is None
