@@ -57,8 +57,7 @@ def encode(values: Float[Tensor, "n d"], rounding: Rounding = "nearest") -> Affi
     Source: StitchGS, Sec. 3.3.2.
     """
     low, reach = lattice(values)
-    steps = STEPS * (values.double() - low) / torch.where(reach > 0, reach, 1).double()
-    steps = torch.where(reach > 0, steps, 0)
+    steps = torch.where(reach > 0, STEPS * (values.double() - low) / reach.double(), 0)
     whole = steps.round() if rounding == "nearest" else steps.floor()
     return AffineCodes(codes=whole.clamp(0, STEPS).to(torch.uint8), low=low, range=reach)
 

@@ -47,6 +47,14 @@ def test_a_rule_that_would_leave_nothing_is_skipped(logits):
     assert preclean.preclean(logits, torch.zeros(5, 3), OURS).all()
 
 
+def test_a_skipped_rule_still_drops_what_is_broken_or_huge():
+    logits = torch.tensor([-9.0, -9, math.nan, -9])
+    log_scales = torch.tensor([[0.0] * 3, [1.0] * 3, [0.0] * 3, [2.0] * 3])
+    assert preclean.preclean(logits, log_scales, ALL).tolist() == [1, 1, 0, 1]
+    half = replace(OURS, volume_quantile=0.5)
+    assert preclean.preclean(logits, log_scales, half).tolist() == [1, 1, 0, 0]
+
+
 def test_numbers_that_are_not_finite_go_first():
     logits = torch.tensor([0.0, math.nan, 0, 0, 0])
     log_scales = torch.zeros(5, 3)

@@ -43,6 +43,15 @@ def test_height_counts_as_distance_and_turns_nothing():
     assert (bins % 3).tolist() == [0, 2, 0]  # distances 4.2, 50 and 9
 
 
+def test_stray_distances_stay_in_the_outer_rings():
+    # Forty views at distances 100 to 139, one at the centre and one at 10,000.
+    line = torch.cat([torch.arange(100.0, 140), torch.tensor([0.0, 1e4])]).double()
+    centres = torch.stack([line, 0 * line, 0 * line], dim=1)
+    rings = sampling.view_bins(centres, CENTRE, EYE, SamplingSettings())
+    assert rings.unique().tolist() == [0, 1, 2]
+    assert rings[-2:].tolist() == [0, 2]
+
+
 @settings(max_examples=40)
 @given(count=st.integers(0, 40), seed=SEEDS, turn=st.integers(0, 7))
 def test_turning_by_whole_bins_shifts_azimuths(count, seed, turn):
