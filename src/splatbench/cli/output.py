@@ -54,7 +54,7 @@ def is_quiet() -> bool:
 
 def print_record(record: Mapping[str, object]) -> None:
     """Print one result for a machine: a JSON object on a line of stdout, nan and inf as null."""
-    print(json.dumps(_finite(record), allow_nan=False, ensure_ascii=False), flush=True)
+    print(json.dumps(finite(record), allow_nan=False, ensure_ascii=False), flush=True)
 
 
 def print_text(text: str) -> None:
@@ -102,12 +102,12 @@ def progress() -> Progress:
     )
 
 
-def _finite(value: object) -> object:
+def finite(value: object) -> object:
     """`value` with non-finite floats as None, since JSON has no such numbers."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     return value

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from splatbench.cli import output
+from splatbench.reference.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -24,8 +25,12 @@ def run(
     resume: bool = True,
     backend: str = "cpu",
     threads: int | None = None,
+    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> int:
     """Run every scene x method x protocol x seed of a suite, and print the leaderboard.
+
+    The studies stability, partition, memory and speed print rows instead: with --json a row a line,
+    kept in OUT/<study>.jsonl too; exit code 1 if a row is over its budget.
 
     A finished case is never repeated unless its settings, protocol or backend have changed; an
     unfinished one continues from its last checkpoint, however it was stopped. With --json each case is
@@ -33,7 +38,7 @@ def run(
     metric by its name, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
 
     Args:
-        suite: Name of a suite, or the path of a .toml file.
+        suite: Name of a suite or a study, or the path of a .toml file.
         out: Folder for the results; each case has its own in OUT/SUITE/scene/method/protocol/seed.
         only: Run the cases that match this pattern on scene/method/protocol/seed, e.g. "town/*/seed0".
         seeds: Run the seeds 0 to N - 1 instead of the suite's.
@@ -41,7 +46,16 @@ def run(
         resume: Keep what is there (--no-resume: start the chosen cases over).
         backend: Rasterizer: cpu, reference or cuda.
         threads: Threads to use; None: as many as torch does.
+        quick: Reduced form of a study (suites have their own files, such as quick).
     """
+    from splatbench.suites.studies.study import STUDIES
+
+    if suite in STUDIES:
+        from splatbench.cli.study import run_study
+
+        return run_study(suite, out, quick=quick)
+    if quick:
+        raise UsageError(f"--quick is for the studies {', '.join(STUDIES)}, not for suite {suite}")
     from splatbench.cli.report import print_tables, sync_cases
     from splatbench.methods.backends import get_backend
     from splatbench.reports.leaderboard import build_tables
