@@ -35,7 +35,7 @@ def draw_attention(scene: Scene, path: Path) -> None:
     gated = anchor_attention.pooled_gates(inputs, weights)
     radius = 4 * voxel
     picked = [len(centres) // 5, len(centres) // 2, 4 * len(centres) // 5]
-    figure, axes = panels(3, width=13, ratio=0.8)
+    figure, axes = panels(3, width=13.0, ratio=0.8)
     for axis, i in zip(axes, picked, strict=True):
         shares = _attention_row(gated, centres, radius, weights, i)
         axis.scatter(centres[:, 0], centres[:, 1], s=4, c="#dddddd")
@@ -83,7 +83,7 @@ def draw_support(scene: Scene, path: Path) -> None:
     scales = torch.tensor([[3.0, 1, 1]], dtype=torch.float64).expand(len(centres), 3) * voxel
     along = support_network.alignment(centres, quaternions, scales, around)
     best = int(count.argmax())
-    figure, axes = panels(2, width=12, ratio=0.8)
+    figure, axes = panels(2, width=12.0, ratio=0.8)
     dots = axes[0].scatter(centres[:, 0], centres[:, 1], s=12, c=count, cmap="viridis")
     figure.colorbar(dots, ax=axes[0])
     show_plan(axes[0], "occupied neighbours of each anchor (of 26)")
@@ -120,7 +120,7 @@ def draw_hierarchy(scene: Scene, path: Path) -> None:
     moments = [mh.decode(stored, networks, settings, float(t), eye) for t in times]
     means = torch.stack([m.means for m in moments]).numpy()
     opacities = torch.stack([m.opacities for m in moments]).numpy()
-    figure, axes = panels(2, width=12, ratio=0.7)
+    figure, axes = panels(2, width=12.0, ratio=0.7)
     for i in range(means.shape[1]):
         colour = COLOURS[i // 12]
         axes[0].plot(means[:, i, 0], means[:, i, 1], color=colour, linewidth=0.7)
@@ -154,7 +154,7 @@ def draw_dense_points(scene: Scene, path: Path) -> None:
         views[a].camera, views[b].camera, image_a, warp.double(), certainty, settings
     )
     merged = dense_initialisation.merge_in_voxels(points, _anchors_of(scene, 3000)[1])
-    figure, axes = panels(4, width=14)
+    figure, axes = panels(4, width=14.0)
     show_image(axes[0], image_a.numpy(), views[a].name)
     show_image(axes[1], image_b.numpy(), views[b].name)
     show_image(axes[2], certainty.numpy(), "certainty of the flow", cmap="viridis", vmin=0, vmax=1)

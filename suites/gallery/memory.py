@@ -60,7 +60,7 @@ def draw_layers(scene: Scene, path: Path) -> None:
     nearest[memory.pixels[first]] = memory.depths[first]
     other = scene.views[0]
     guide, seen = layered_depth.render(memory, other.camera)
-    figure, axes = panels(4, width=13)
+    figure, axes = panels(4, width=13.0)
     show_image(axes[0], scene.views[_most_downward(scene)].load().numpy(), "reference view")
     show_image(axes[1], held.numpy(), f"layers a pixel (most {int(held.max())})", cmap="viridis")
     show_image(axes[2], nearest.reshape(shape).numpy(), "depth of the nearest layer", cmap="magma")
@@ -86,7 +86,7 @@ def draw_adaptation(scene: Scene, path: Path) -> None:
     truth = view.load_depth().double()
     error = (adapted - truth).abs() / truth
     limits = {"vmin": float(truth.quantile(0.02)), "vmax": float(truth.quantile(0.98))}
-    figure, axes = panels(4, width=13)
+    figure, axes = panels(4, width=13.0)
     show_image(axes[0], image.numpy(), f"{len(sparse.depths)} sparse points")
     axes[0].scatter(sparse.columns, sparse.rows, s=1, c=COLOURS[1])
     show_image(axes[1], adapted.numpy(), "adapted depth", cmap="magma", **limits)
@@ -118,7 +118,7 @@ def draw_planes(scene: Scene, path: Path) -> None:
     outputs = coordinate_field.evaluate(field, hits.positions[hits.valid])
     virtual = multi_plane.virtual_gaussians(outputs, hits, camera, 24)
     side = torch.linalg.cross(normal, torch.eye(3).to(normal)[normal.abs().argmin()])
-    figure, axes = panels(2, width=12, ratio=0.6)
+    figure, axes = panels(2, width=12.0, ratio=0.6)
     shown = cloud[::7]
     axes[0].scatter(shown @ side, shown @ normal, s=0.3, c=colours[::7].numpy())
     for offset in stack.offsets.tolist():
@@ -151,7 +151,7 @@ def draw_spiral(scene: Scene, path: Path) -> None:
     path_eyes = torch.stack([-pose[:3, :3].T @ pose[:3, 3] for pose in turned]).numpy()
     forward = turned[:, 2, :3].numpy()
     tint = np.repeat(np.arange(poses.shape[0]), poses.shape[1])
-    figure, axes = panels(2, width=12, ratio=0.8)
+    figure, axes = panels(2, width=12.0, ratio=0.8)
     shown = scene.points.colours.numpy() / 255
     for axis, (i, j, name) in zip(axes, ((0, 1, "from above"), (0, 2, "from the side")),
                                   strict=True):  # fmt: skip

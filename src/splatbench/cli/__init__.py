@@ -75,6 +75,11 @@ COMMANDS = {
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
     ),
+    "gallery": Command(
+        module="gallery",
+        functions={"": "gallery"},
+        help="Draw one picture a component, from the code itself.",
+    ),
     "doctor": Command(
         module="doctor",
         functions={"": "doctor"},

@@ -1,0 +1,35 @@
+"""`bench gallery`: draw one picture a component, from the code itself."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from splatbench.cli import output
+
+
+def gallery(
+    out: Annotated[Path, tyro.conf.Positional],
+    *,
+    scene: str = "courtyard",
+    page: Path | None = None,
+) -> int:
+    """Draw every component's picture.
+
+    Args:
+        out: Folder for the pictures.
+        scene: Scene to draw them on; some pictures need one with true depth.
+        page: Also write the Markdown page of all components to this file.
+    """
+    from splatbench.datasets.opening import open_scene
+    from splatbench.methods.files import write_text
+    from splatbench.metrics.protocol_files import load_protocol
+    from splatbench.suites.gallery import pictures
+
+    opened = open_scene(scene, load_protocol("quick"))
+    for path in pictures.draw(opened, out, lambda name: output.log(f"drawn: {name}")):
+        output.emit({"picture": str(path)}, str(path))
+    if page is not None:
+        write_text(page, pictures.page(os.path.relpath(out, page.parent)))
+    return 0

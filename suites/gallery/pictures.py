@@ -1,0 +1,173 @@
+"""Every component with its source and its picture; `bench gallery` draws them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from splatbench.reference.scene import Scene
+from splatbench.suites.gallery import anchoring, blocks, memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """One picture."""
+
+    file: str
+    draw: Callable[[Scene, Path], None]
+    caption: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """One component: where it stands, where it comes from, what it looks like."""
+
+    title: str
+    modules: tuple[str, ...]
+    """Files of reference/ or metrics/, without .py."""
+    source: str
+    pictures: tuple[Picture, ...] = ()
+
+
+COMPONENTS = (
+    Component(
+        title="Rasterizer",
+        modules=("reference/camera", "reference/rotation", "reference/spherical_harmonics",
+                 "reference/projection", "reference/compositing", "reference/rasterizer",
+                 "reference/screen_gradient", "reference/losses"),
+        source="Kerbl et al. 2023, 3D Gaussian Splatting",
+    ),
+    Component(
+        title="Partitions: ODBP and the three it is compared with",
+        modules=("reference/odbp", "reference/voxel_graph", "reference/metis", "reference/boxes",
+                 "reference/ghosts", "reference/partition_grid", "reference/partition_cameras",
+                 "reference/partition_density", "reference/visibility"),
+        source="DPGS, Eqs. 5 to 8; CityGaussian; VastGaussian; BlockGaussian",
+        pictures=(Picture(file="partitions", draw=blocks.draw_partitions,
+                          caption="Blocks from above with each one's load over the mean"),),
+    ),
+    Component(
+        title="Dense co-visibility initialisation",
+        modules=("reference/dense_initialisation", "reference/dense_matching"),
+        source="DPGS, Sec. 3.1, Eq. 1",
+        pictures=(Picture(file="dense_points", draw=anchoring.draw_dense_points,
+                          caption="A pair, the certainty of its flow, and the points that survive"),),
+    ),
+    Component(
+        title="Side views",
+        modules=("reference/spiral_path", "reference/side_views"),
+        source="DPGS, Sec. 3.2, Eqs. 2 to 4",
+        pictures=(Picture(file="spiral", draw=memory.draw_spiral,
+                          caption="The descent from the training views to the facades"),),
+    ),
+    Component(
+        title="Layered memory and sequential depth adaptation",
+        modules=("reference/layered_depth", "reference/depth_adaptation",
+                 "reference/edge_diffusion"),
+        source="StratoSplat, Sec. 3.2, Eqs. 2 to 4",
+        pictures=(
+            Picture(file="layers", draw=memory.draw_layers,
+                    caption="Layers a pixel, the nearest one, and the guide depth of another view"),
+            Picture(file="adaptation", draw=memory.draw_adaptation,
+                    caption="Depth of one view from its sparse points and its edges alone"),
+        ),
+    ),
+    Component(
+        title="Multi-plane Gaussians",
+        modules=("reference/multi_plane", "reference/coordinate_field"),
+        source="StratoSplat, Sec. 3.3",
+        pictures=(Picture(file="planes", draw=memory.draw_planes,
+                          caption="The plane stack, and the virtual Gaussians of one camera"),),
+    ),
+    Component(
+        title="Anchors and the HDGS hierarchy",
+        modules=("reference/anchors", "reference/vibration", "reference/motion_hierarchy",
+                 "reference/sparse_convolution", "reference/support_network",
+                 "reference/anchor_control", "reference/mlp"),
+        source="Scaffold-GS; PVG; HDGS, Sec. 3.2, 3.3 and 3.5, Eqs. 1 to 8",
+        pictures=(
+            Picture(file="hierarchy", draw=anchoring.draw_hierarchy,
+                    caption="Two anchors' Gaussians in motion, and their life"),
+            Picture(file="support", draw=anchoring.draw_support,
+                    caption="Neighbours on the sparse grid, and alignment with the principal axis"),
+        ),
+    ),
+    Component(
+        title="Depth supervision",
+        modules=("reference/soft_rank", "reference/depth_supervision",
+                 "reference/depth_constraint"),
+        source="HDGS, Sec. 3.4, Eqs. 9 to 13; DLG-GS, Sec. 2.2, Eqs. 1 to 5",
+    ),
+    Component(
+        title="Lighting-adaptive appearance",
+        modules=("reference/hvi", "reference/anchor_attention", "reference/lighting_appearance"),
+        source="DLG-GS, Sec. 2.3, Eqs. 6 to 19",
+        pictures=(Picture(file="attention", draw=anchoring.draw_attention,
+                          caption="Whom three anchors attend to, and how strongly"),),
+    ),
+    Component(
+        title="Stitching, view sampling and the small file",
+        modules=("reference/stitching", "reference/view_sampling", "reference/preclean",
+                 "reference/spectral", "reference/affine_codes", "reference/packing",
+                 "reference/container"),
+        source="StitchGS, Sec. 3 and 4",
+        pictures=(
+            Picture(file="stitching", draw=blocks.draw_stitching,
+                    caption="Zones of the blocks, primitives kept and dropped"),
+            Picture(file="sampling", draw=blocks.draw_sampling,
+                    caption="Views by azimuth and distance, and how often each is drawn"),
+        ),
+    ),
+    Component(
+        title="Metrics",
+        modules=("metrics/ssim", "metrics/flip", "metrics/seam", "metrics/seam_released",
+                 "metrics/geometry", "metrics/depth", "metrics/balance", "metrics/scoring"),
+        source="spec of each in its docstring; StitchGS, Sec. 5 for the seam family",
+    ),
+)  # fmt: skip
+
+
+def draw(scene: Scene, folder: Path, report: Callable[[str], None]) -> list[Path]:
+    """Draw every picture into a folder; `report` hears each file as it is done."""
+    files = []
+    for component in COMPONENTS:
+        for picture in component.pictures:
+            path = folder / f"{picture.file}.png"
+            picture.draw(scene, path)
+            files.append(path)
+            report(path.name)
+    return files
+
+
+def page(images: str) -> str:
+    """Markdown page of all components.
+
+    Args:
+        images: Address of the pictures' folder as seen from the page.
+    """
+    lines = [
+        "# Components",
+        "",
+        "Made by `bench gallery docs/images/components --page docs/components.md`.",
+        "",
+    ]
+    for component in COMPONENTS:
+        lines += [f"## {component.title}", "", f"Source: {component.source}.", ""]
+        lines += [
+            f"- [`{module}.py`](../{module}.py): {summary(module)}" for module in component.modules
+        ]
+        lines += [""]
+        for picture in component.pictures:
+            lines += [
+                f"![{picture.caption}]({images}/{picture.file}.png)",
+                "",
+                f"{picture.caption}.",
+                "",
+            ]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def summary(module: str) -> str:
+    """First line of a module's docstring."""
+    root = Path(__file__).resolve().parents[1]
+    text = (root.parent / f"{module}.py").read_text(encoding="utf-8")
+    return text.split('"""')[1].splitlines()[0]
