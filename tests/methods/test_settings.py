@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from splatbench.methods.backends import CONTRACT, describe_backends, get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.registry import METHODS, get_method
-from splatbench.methods.schedules import Rates, active_degree, means_rate, shrink
+from splatbench.methods.schedules import Rates, active_degree, means_rate, settling, shrink
 from splatbench.methods.training import Settings
 from splatbench.reference.errors import MissingError, UsageError
 
@@ -71,6 +71,12 @@ def test_means_rate_falls_log_linearly_to_the_last_and_stays(step):
 
 def test_a_rate_of_zero_freezes():
     assert means_rate(Rates(means=0.0), 5, 10) == 0
+
+
+def test_other_rates_settle_in_the_second_half():
+    assert [settling(Rates(), step, 100) for step in (1, 100)] == [1, 1]
+    factors = [settling(Rates(settle=0.01), step, 100) for step in (1, 50, 75, 100)]
+    assert factors == pytest.approx([1, 1, 0.1, 0.01])
 
 
 def test_degrees_come_one_by_one():
