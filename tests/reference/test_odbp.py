@@ -133,9 +133,9 @@ def test_metis_finds_the_smallest_cut_of_a_dumbbell():
 
 
 @settings(max_examples=15)
-@given(blocks=st.integers(2, 6), seed=SEEDS)
-def test_the_smallest_cut_of_the_balanced_runs_is_kept(blocks, seed):
-    positions, loads = cloud(1500, seed, cells=12)
+@given(blocks=st.integers(2, 6), seed=SEEDS, cells=st.sampled_from([12, 28]))
+def test_the_smallest_cut_of_the_balanced_runs_is_kept(blocks, seed, cells):
+    positions, loads = cloud(1500, seed, cells=cells)  # in 28 x 28 cells the cloud is in pieces
     graph = cut(positions, loads, 1).graph
     asked = OdbpSettings(blocks=blocks, voxel_size=1.0, imbalance=0.01, seeds=6)
     found = odbp.smallest_cut(graph, asked)
@@ -154,6 +154,35 @@ def test_the_smallest_cut_of_the_balanced_runs_is_kept(blocks, seed):
         for joined in (True, False)
     ]
     assert rank(found) == min(map(rank, runs))
+
+
+def test_metis_keeps_parts_connected_when_asked():
+    torn = []
+    for seed in range(6):
+        positions, loads = cloud(500, seed, cells=28)
+        graph = cut(positions, loads + 1, 1).graph
+        for asked in (True, False):
+            labels = metis.cut_graph(
+                graph.weights, graph.all_edges, 4, imbalance=0.05, seed=seed, contiguous=asked
+            )
+            torn.append((asked, odbp.connected_pieces(graph, labels) > 4))
+    assert (True, True) not in torn
+    assert (False, True) in torn  # else this test could not fail
+
+
+@pytest.mark.parametrize("imbalance", [0.01, 0.1])
+def test_metis_keeps_loads_under_its_bound_on_a_lattice(imbalance):
+    cells = torch.cartesian_prod(
+        torch.arange(20), torch.arange(20), torch.zeros(1, dtype=torch.int64)
+    )
+    graph = cut(cells.double(), torch.ones(400, dtype=torch.int64), 1).graph
+    fullest = []
+    for seed in range(20):
+        labels = metis.cut_graph(graph.weights, graph.all_edges, 4, imbalance=imbalance, seed=seed)
+        fullest.append(np.bincount(labels).max())
+    assert max(fullest) <= 100 * (1 + imbalance)
+    if imbalance == 0.1:  # a wider bound is used: the narrow one would be broken
+        assert max(fullest) > 101
 
 
 def test_all_points_in_one_voxel_are_split_by_the_octree():

@@ -1,6 +1,7 @@
 """VastGaussian's cells: equal cameras, one owner, and visibility by sampled areas."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -133,6 +134,17 @@ def test_a_camera_inside_the_box_sees_nothing_but_the_box():
     assert frustum.image_share(looking_down(1, 2, 3), cube) == pytest.approx(1)
 
 
+def test_what_lies_before_the_near_plane_does_not_count():
+    # From 20 above z = 0, a cube of half 1 around z = 15 lies 4 to 6 away, its top edge 2 wide.
+    cube = OrientedBox(
+        centre=torch.tensor([0.0, 0, 15], dtype=D), rotation=EYE, half=torch.ones(3, dtype=D)
+    )
+    camera = looking_down(0, 0, 20)
+    for near, side in ((0.01, 2 / 4), (5.0, 2 / 5), (6.5, 0)):
+        cut = replace(camera, near=near)
+        assert frustum.image_share(cut, cube) == pytest.approx(side**2)
+
+
 def test_a_box_behind_the_camera_is_not_mirrored_to_the_front():
     above = OrientedBox(
         centre=torch.tensor([0.0, 0, 40], dtype=D), rotation=EYE, half=torch.ones(3, dtype=D)
@@ -205,6 +217,7 @@ def test_the_ground_frame_follows_the_flight():
     angle = math.radians(30)
     along = torch.tensor([math.cos(angle), math.sin(angle), 0], dtype=D)
     flight = torch.linspace(-5, 5, 11, dtype=D)[:, None] * along + 0.1 * normal(11, 3, seed=0)
+    flight = flight + 1000 * torch.tensor([-along[1], along[0], 0])  # far from the origin
     frame = ground_frame.ground_frame(EYE[2], flight)
     assert abs(float(frame[0] @ along)) > 0.999
 

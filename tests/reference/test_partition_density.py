@@ -64,15 +64,50 @@ def test_rectangles_tile_the_root_and_own_every_point_once(count, seed, blocks):
     assert density.owner_rectangle(found, ground + 9).tolist() == [-1] * count
 
 
-def test_points_on_shared_edges_belong_above():
-    corner = torch.tensor([[0.0, 0], [4, 0], [0, 2], [4, 2]], dtype=D)
-    ground = torch.cat([corner, torch.tensor([[2.0, 1]], dtype=D)])
-    found = density.split(ground, DensitySettings(max_points=1, max_depth=1))
-    assert len(found.lows) == 2
-    owner = density.owner_rectangle(found, ground)
-    local = density.along(ground, found.axes)
-    middle = float(local[4, int((found.root[1] - found.root[0]).argmax())])
-    assert (found.lows[owner[4]] == middle).any()
+CORNERS = torch.tensor([[0.0, 0], [4, 0], [0, 2], [4, 2]], dtype=D)
+
+
+def along_first(points: Tensor, settings: DensitySettings) -> tuple[Tensor, Tensor, Tensor]:
+    """Lows, highs and the points along the root's longer edge, from 0 to 4 whichever way it runs."""
+    found = density.split(points, settings)
+    axis = int((found.root[1] - found.root[0]).argmax())
+    start = found.root[0, axis]
+    local = density.along(points, found.axes)[:, axis]
+    return found.lows[:, axis] - start, found.highs[:, axis] - start, local - start
+
+
+@pytest.mark.parametrize("crowd", [0.5, 3.5])
+def test_points_on_shared_edges_belong_above(crowd):
+    # On the middle line, with the crowd once below and once above it, so that either half is first.
+    more = torch.tensor([[2.0, 1], [crowd, 1], [crowd, 1.5], [crowd, 0.5]], dtype=D)
+    ground = torch.cat([CORNERS, more])
+    settings = DensitySettings(max_points=1, max_depth=1)
+    lows, _, local = along_first(ground, settings)
+    owner = density.owner_rectangle(density.split(ground, settings), ground)
+    assert float(local[4]) == 2
+    assert float(lows[owner[4]]) == 2
+
+
+def test_points_on_the_middle_line_count_above():
+    # Three on the line: 2 below and 5 above, so only the upper half is too full for 4.
+    line = torch.tensor([[2.0, 0.5], [2, 1], [2, 1.5]], dtype=D)
+    lows, highs, _ = along_first(
+        torch.cat([CORNERS, line]), DensitySettings(max_points=4, max_depth=2)
+    )
+    assert len(lows) == 3
+    assert [(float(a), float(b)) for a, b in zip(lows, highs, strict=True)].count((0, 2)) == 1
+
+
+def test_the_fullest_rectangle_is_halved_first():
+    # Ten points in one half, none but corners in the other; of three blocks that one stays whole.
+    crowd = torch.tensor([0.5, 0.3], dtype=D) + uniform(10, 2, seed=0)
+    settings = DensitySettings(max_points=0, max_depth=9, max_blocks=3)
+    lows, highs, local = along_first(torch.cat([CORNERS, crowd]), settings)
+    assert len(lows) == 3
+    whole = int((highs - lows).argmax())
+    assert float(highs[whole] - lows[whole]) == 2
+    inside = (local >= lows[whole]) & (local < highs[whole])
+    assert not inside[4:].any()
 
 
 @settings(max_examples=30)
