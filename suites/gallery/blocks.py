@@ -150,9 +150,9 @@ def draw_spectrum(model: Gaussians, path: Path, *, gate: float = spectral.GATE) 
     axes[1].set_title(
         f"distribution; the gate at {gate} closes for {1 - kept.mean():.0%}", fontsize=9
     )
-    axes[2].scatter(at[~kept, 0], at[~kept, 1], s=1, c=COLOURS[6])
-    axes[2].scatter(at[kept, 0], at[kept, 1], s=1, c=COLOURS[1])
-    show_plan(axes[2], "view-dependent colour kept (red), dropped (grey)")
+    axes[2].scatter(at[kept, 0], at[kept, 1], s=1, c=COLOURS[6])
+    axes[2].scatter(at[~kept, 0], at[~kept, 1], s=1, c=COLOURS[1])  # on top: they are fewer
+    show_plan(axes[2], "view-dependent colour kept (grey), dropped (red)")
     for axis in (axes[0], axes[2]):
         axis.set_xlim(low[0], high[0])
         axis.set_ylim(low[1], high[1])

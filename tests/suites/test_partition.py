@@ -1,5 +1,6 @@
 """The comparison of partitions: its figures by hand, its rows on a small scene, ODBP on a real one."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import torch
 
 from helpers.clouds import tracked
 from helpers.real_scenes import real_scene
-from helpers.tiny_scene import tiny_scene
+from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatbench.datasets.opening import open_scene
 from splatbench.reference.camera import project_points
 from splatbench.reference.errors import DataError, UsageError
@@ -141,11 +142,23 @@ def test_odbp_balances_seneca_to_one_percent(k):
         assert partition.partition_row(place, found, k)["load_std_over_mean"] > 0.1
 
 
-def test_pictures_are_drawn(tmp_path: Path):
-    scene = small_scene()
-    for draw in (pictures.draw_partitions, pictures.draw_stitching, pictures.draw_sampling):
-        draw(scene, tmp_path / "a.png")
-        image = cv2.imread(str(tmp_path / "a.png"))
-        assert image is not None
-        assert image.std() > 5
-        assert list(tmp_path.iterdir()) == [tmp_path / "a.png"]
+def draw_random_spectrum(scene: Scene, path: Path) -> None:
+    del scene
+    pictures.draw_spectrum(random_gaussians(200, degree=3), path, gate=0.2)
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        pictures.draw_partitions,
+        pictures.draw_stitching,
+        pictures.draw_sampling,
+        draw_random_spectrum,
+    ],
+)
+def test_pictures_are_drawn(draw: Callable[[Scene, Path], None], tmp_path: Path):
+    draw(small_scene(), tmp_path / "a.png")
+    image = cv2.imread(str(tmp_path / "a.png"))
+    assert image is not None
+    assert image.std() > 5
+    assert list(tmp_path.iterdir()) == [tmp_path / "a.png"]
