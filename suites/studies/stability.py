@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatbench.reference.agreement import compare_gradients
 from splatbench.reference.errors import SplatbenchError
-from splatbench.suites.hard_cases import components, gaussians
+from splatbench.suites.hard_cases import blocks, components, gaussians, images
 from splatbench.suites.hard_cases.case import HardCase
 
 
@@ -22,7 +22,7 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
     Args:
         quick: Leave out the cases of more than a thousand Gaussians.
     """
-    for case in components.CASES:
+    for case in (*components.CASES, *blocks.CASES, *images.CASES):
         yield judge(case)
     yield from gaussians.rows(quick=quick)
 

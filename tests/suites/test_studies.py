@@ -5,13 +5,15 @@ from dataclasses import replace
 import pytest
 import torch
 
-from splatbench.suites.hard_cases import components
+from splatbench.suites.hard_cases import blocks, components, images
 from splatbench.suites.hard_cases.case import HardCase, drawn, fixed
 from splatbench.suites.studies import memory, stability
 from splatbench.suites.studies.study import STUDIES
 
+CASES = (*components.CASES, *blocks.CASES, *images.CASES)
 
-@pytest.mark.parametrize("case", components.CASES, ids=lambda c: f"{c.component}: {c.name}")
+
+@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.component}: {c.name}")
 def test_every_component_survives_its_hard_cases(case):
     row = stability.judge(case)
     assert row["ok"], row
