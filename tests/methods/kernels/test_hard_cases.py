@@ -5,15 +5,28 @@ from typing import Any
 import pytest
 import torch
 
+from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
 from splatbench.suites.hard_cases.gaussian_scenes import camera_at, random_scene
-from splatbench.suites.hard_cases.gaussians import CASES, judge, put, render
+from splatbench.suites.hard_cases.gaussians import CASES, LONG, judge, put, render
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("case", CASES)
 def test_case(case, mode):
     row = judge(case, "cpu", mode)
+    assert row["ok"], row
+
+
+@pytest.mark.parametrize("level", _ext.simd_levels()[:-1])
+@pytest.mark.parametrize("case", [name for name in CASES if name not in LONG])
+def test_case_at_every_simd_level(case, level):
+    before = _ext.simd_level()
+    _ext.set_simd_level(level)
+    try:
+        row = judge(case, "cpu", "classic")
+    finally:
+        _ext.set_simd_level(before)
     assert row["ok"], row
 
 

@@ -12,8 +12,10 @@ from splatbench.methods.kernels import loss as native
 from splatbench.reference import losses as reference
 from splatbench.reference.agreement import compare_gradients
 
-# SSIM subtracts squares of order 1 in float32 (1e-7) and divides by C2 = 9e-4; worst seen 6e-6.
-VALUE = 3e-5
+# Worst of six whole runs with different seeds at every SIMD level: value 2.1e-7, relative L2 of the gradient
+# 1.3e-6. A single window may lose more: SSIM subtracts squares of order 1 and divides by C2 = 9e-4.
+VALUE = 3e-6
+GRADIENT = 1e-4
 
 
 @pytest.fixture(params=_ext.simd_levels())
@@ -66,7 +68,7 @@ def test_value_and_gradient_are_the_references(simd_level, size, channels, seed,
         image, truth, mask if masked else None, dssim, scale=2.5
     )
     assert abs(float(value.detach()) - float(true.detach())) < VALUE
-    assert compare_gradients(gradient, true_gradient).good()
+    assert compare_gradients(gradient, true_gradient).good(GRADIENT)
 
 
 def test_equal_images_have_no_loss(simd_level):

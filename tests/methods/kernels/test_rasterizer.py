@@ -16,7 +16,11 @@ from splatbench.reference.screen_gradient import ScreenProbe
 from splatbench.reference.steps import step_pixels
 from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
-PIXEL_TOLERANCE = 2e-5  # worst seen 3e-6 (colour), 9e-6 (depth, about 5 units)
+# Worst of six whole runs with different seeds at every SIMD level: colour 7e-7, alpha 8e-7, depth 3.0e-6,
+# distance 3.4e-6 (of about 5 units), median depth 2.4e-7.
+PIXEL_TOLERANCE = 2e-5
+# Worst of the same runs: relative L2 6.2e-6 (opacities), 1 - cosine 1.1e-11 (means).
+GRADIENT_TOLERANCE = 1e-4
 NAMES = ("means", "quaternions", "scales", "opacities", "sh", "signed", "absolute", "background")
 PICTURES = ("colour", "alpha", "depth", "distance", "median_depth")
 SEEN = {"pixels": 0, "steps": 0, "scenes": 0}
@@ -79,7 +83,7 @@ def assert_twins(
     floor = 1e-6 * max(float(g.norm()) for g in true_gradients)
     for name, value, wanted_value in zip(NAMES, gradients, true_gradients, strict=True):
         agreement = compare_gradients(value, wanted_value, floor=floor)
-        assert agreement.good(), f"{name}: {agreement}"
+        assert agreement.good(GRADIENT_TOLERANCE), f"{name}: {agreement}"
     torch.testing.assert_close(out.radii.double(), truth.radii, rtol=1e-5, atol=1e-4)
     if count:
         SEEN["pixels"] += steps.numel()
@@ -145,7 +149,7 @@ def test_any_number_of_channels(simd_level, channels, names):
         results.append((out.colour, [leaf.grad for leaf in (*leaves[:4], colours)]))
     assert largest_error(results[1][0], results[0][0]) <= PIXEL_TOLERANCE
     for value, truth in zip(results[1][1], results[0][1], strict=True):
-        assert compare_gradients(value, truth).good()
+        assert compare_gradients(value, truth).good(GRADIENT_TOLERANCE)
 
 
 @pytest.mark.parametrize("k", [1, 3, 8])
