@@ -2,6 +2,7 @@
 
 import os
 
+import torch
 from hypothesis import HealthCheck, settings
 
 # This machine may be shared, so time is no reason to fail; CI draws the same examples each run.
@@ -12,3 +13,6 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("splatbench")
+
+# Some of torch's warnings come once a process: then the order of tests decides which one fails.
+torch.set_warn_always(True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatbench.reference.scene import Scene
-from splatbench.suites.gallery import anchoring, blocks, memory
+from splatbench.suites.gallery import anchoring, blocks, memory, trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +115,8 @@ COMPONENTS = (
                     caption="Zones of the blocks, primitives kept and dropped"),
             Picture(file="sampling", draw=blocks.draw_sampling,
                     caption="Views by azimuth and distance, and how often each is drawn"),
+            Picture(file="spectrum", draw=trained.draw_spectral_energy,
+                    caption="Spectral energy of a short run's Gaussians, and what the gate drops"),
         ),
     ),
     Component(
@@ -122,6 +124,8 @@ COMPONENTS = (
         modules=("metrics/ssim", "metrics/flip", "metrics/seam", "metrics/seam_released",
                  "metrics/geometry", "metrics/depth", "metrics/balance", "metrics/scoring"),
         source="spec of each in its docstring; StitchGS, Sec. 5 for the seam family",
+        pictures=(Picture(file="seams", draw=trained.draw_seams,
+                          caption="A render, its blocks, the seam mask over it, and its error"),),
     ),
 )  # fmt: skip
 

@@ -62,7 +62,8 @@ def test_the_result_stays_in_the_range(kind):
     image = noise_image(20, 20, 0)
     target = (2 * image - 0.5).clamp(0, 1)
     fitted = fit_colours(image, target, None, kind)
-    assert 0 == fitted.min() < fitted.max() == 1
+    assert fitted.max() == 1
+    assert 0 <= fitted.min() < 1e-12  # the lowest may be met by rounding instead of the clamp
 
 
 @KINDS
