@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from splatbench.suites.studies import memory, partition, stability
+from splatbench.suites.studies import memory, partition, speed, stability
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +24,12 @@ STUDIES = {
         columns=("component", "case", "implementation", "max_abs_error", "grad_rel_l2",
                  "step_pixels", "budget", "ms", "ok", "note"),
         rows=stability.rows,
+    ),
+    "speed": Study(
+        description="time, memory and error of everything that has a twin",
+        columns=("component", "twin", "case", "forward_ms", "backward_ms", "max_abs_error",
+                 "grad_rel_l2", "step_pixels", "peak_mb", "disturbed_percent", "ok", "note"),
+        rows=speed.rows,
     ),
     "partition": Study(
         description="partitions of a scene side by side: balance, cut, views a block",
