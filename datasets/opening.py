@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatbench.datasets.colmap import open_colmap
+from splatbench.datasets.doors import levir_nvs, mega_nerf, transforms
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
@@ -27,6 +28,30 @@ ADAPTERS = (
         looks_for="a COLMAP model in sparse/0 or sparse, with photos in photos or images",
         recognises=lambda folder: (folder / "sparse").is_dir(),
         open=open_colmap,
+    ),
+    Adapter(
+        name="nerfstudio",
+        looks_for="transforms.json",
+        recognises=lambda folder: (folder / "transforms.json").is_file(),
+        open=transforms.open_nerfstudio,
+    ),
+    Adapter(
+        name="blender",
+        looks_for="transforms_train.json and transforms_test.json",
+        recognises=lambda folder: any((folder / n).is_file() for n in transforms.BLENDER_FILES),
+        open=transforms.open_blender,
+    ),
+    Adapter(
+        name="mega-nerf",
+        looks_for="train/metadata and val/metadata with .pt files",
+        recognises=mega_nerf.recognises,
+        open=mega_nerf.open_mega_nerf,
+    ),
+    Adapter(
+        name="levir-nvs",
+        looks_for="Images and Cams",
+        recognises=levir_nvs.recognises,
+        open=levir_nvs.open_levir_nvs,
     ),
 )
 """Tried in this order; the first that recognises a folder opens it."""

@@ -50,16 +50,26 @@ def photo_size(path: Path) -> tuple[int, int]:
         return image.size
 
 
-def read_photo(path: Path) -> Float[Tensor, "h w 3"]:
+def read_photo(
+    path: Path, background: tuple[float, float, float] | None = None
+) -> Float[Tensor, "h w 3"]:
     """Pixels of a photo: float32 sRGB in [0, 1] as stored (k / 255), grey repeated to RGB.
 
     The EXIF orientation is not applied: COLMAP does not apply it either, and the camera's size
     and pixels must mean the same.
 
+    Args:
+        path: Image file.
+        background: sRGB in [0, 1] that transparent pixels are laid on, a c + (1 - a) b in sRGB
+            as NeRF and 3DGS do; None: a transparent photo is refused.
+
     Raises: DataError if the file is missing, cut short, not 8-bit, or transparent.
     """
     with _opened(path) as image:
-        _check(path, image)
+        _check(path, image, transparent=background is not None)
+        if background is not None and image.has_transparency_data:
+            rgba = torch.from_numpy(np.array(image.convert("RGBA"))).float() / 255
+            return rgba[..., :3] * rgba[..., 3:] + torch.tensor(background) * (1 - rgba[..., 3:])
         pixels = np.array(image.convert("RGB"))
     return torch.from_numpy(pixels).float() / 255
 
@@ -71,10 +81,12 @@ def check_photo(path: Path) -> None:
         _check(path, image)
 
 
-def _check(path: Path, image: Image.Image) -> None:
-    """Decode, and refuse what is not 8-bit RGB or grey without transparency."""
+def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None:
+    """Decode, and refuse what is not 8-bit RGB or grey, or is transparent where it must not be."""
     image.load()
     if image.mode.startswith(("I", "F")):
         raise DataError(f"{path}: pixel format is {image.mode}, expected 8-bit RGB or grey")
-    if image.has_transparency_data and np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
+    if transparent or not image.has_transparency_data:
+        return
+    if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
         raise DataError(f"{path}: has transparent pixels; flatten it onto a background")

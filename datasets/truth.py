@@ -40,10 +40,12 @@ class Truth:
     filter: str
     positions: TensorCache
     """Shared by the views of a scene: where a camera's pinhole pixels lie in its photos."""
+    background: tuple[float, float, float] | None = None
+    """SRGB that transparent pixels are laid on; None: a transparent photo is refused."""
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
-        pixels = read_photo(self.path)
+        pixels = read_photo(self.path, self.background)
         height, width, _ = pixels.shape
         if (width, height) != self.photo_size:
             raise DataError(
