@@ -46,6 +46,12 @@ def test_what_ours_change():
             "masked": False,
             "metrics": ("psnr", "ssim_3dgs"),
         },
+        "blender": {
+            "images": "images",
+            "background": (1.0, 1.0, 1.0),
+            "masked": False,
+            "metrics": ("psnr", "ssim_3dgs"),
+        },
         "mega-nerf": {
             "images": "images",
             "factor": 4.0,
