@@ -175,7 +175,6 @@ def test_mega_nerf(tmp_path):
     assert worst_error(scene, points) < 0.1
     assert [view.name for view in scene.test_views] == ["val/rgbs/000000.jpg"]
     assert scene.units == "metres"
-    # the fixture's world is y down in RDF, so DRB's first axis is its y
     assert scene.up.tolist() == [-1, 0, 0]
     assert scene.shift.abs().max() > 1e6
     (tmp_path / "train/metadata/000001.pt").write_bytes(b"junk")
