@@ -23,6 +23,7 @@ from splatbench.methods.run import Run
 from splatbench.methods.schedules import Rates, active_degree, means_rate, require, settling, shrink
 from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.rasterizer import Mode
 from splatbench.reference.scene import Scene, View
 from splatbench.reference.screen_gradient import ScreenProbe
 
@@ -44,8 +45,20 @@ class Settings:
     """Opacity of the Gaussians that the sparse points become."""
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
+    antialiased: bool = False
+    """Scale opacities by what the low-pass filter spreads a Gaussian over, in training and in every
+    render of the model (the release's flag since 2024)."""
+    random_background: bool = False
+    """Train every step over a background of its own, drawn at random, so that nothing may stay
+    transparent that a photo shows; the protocol's background is for scoring. False: train over the
+    protocol's, as the release does by default."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
+
+    @property
+    def mode(self) -> Mode:
+        """How the model is rasterized."""
+        return "antialiased" if self.antialiased else "classic"
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -82,7 +95,7 @@ def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
         run.on_stage("train", trainer.seconds)
     return ExplicitModel(
         model=trainer.gaussians(), method="3dgs", settings=asdict(settings), shift=scene.shift,
-        units=scene.units, backend=run.backend,
+        units=scene.units, backend=run.backend, mode=settings.mode,
     )  # fmt: skip
 
 
@@ -174,7 +187,7 @@ class Trainer:
         probe = ScreenProbe.zeros(len(model), model.means)
         image = self.backend.rasterize(
             view.camera, model.means, model.quaternions, model.scales, model.opacities,
-            sh=model.sh, background=self.background, probe=probe,
+            sh=model.sh, background=self.behind(), probe=probe, mode=self.settings.mode,
         )  # fmt: skip
         truth = self.images.get((view.name, "image"), view.load)
         mask = view.load_mask and self.images.get((view.name, "mask"), view.load_mask)
@@ -186,6 +199,12 @@ class Trainer:
             )
         loss.backward()
         return value, probe, image.radii
+
+    def behind(self) -> Tensor:
+        """The background of one step."""
+        if self.settings.random_background:
+            return torch.rand(3, generator=self.generator)
+        return self.background
 
     def next_view(self) -> int:
         """Views come in random order without replacement, epoch after epoch."""
