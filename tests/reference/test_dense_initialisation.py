@@ -91,16 +91,19 @@ def test_a_true_warp_gives_the_plane_with_full_score():
     assert_close(got.positions[:, 2], torch.full_like(got.scores, 5.0))
     assert_close(got.scores, torch.full_like(got.scores, 0.9), atol=1e-6, rtol=0)
     assert_close(got.colours, image[:, 6:].reshape(-1, 3))
+    first = project_points(a, got.positions[:1])[0][0]
+    assert_close(first, torch.tensor([6.5, 0.5], dtype=D))  # the centre of the first pixel kept
 
 
 def test_uncertain_matches_change_nothing():
     a, b, image, warp = plane_pair()
     certainty = torch.full((48, 64), 0.9)
     certainty[:, 30:] = SETTINGS.certainty - 1e-6
-    got = dense.points_of_pair(a, b, image, warp, certainty, SETTINGS)
+    lenient = dense.DenseSettings(score=0.0)  # only the certainty may drop them
+    got = dense.points_of_pair(a, b, image, warp, certainty, lenient)
     wild = warp.clone()
     wild[:, 30:] = 7.0
-    again = dense.points_of_pair(a, b, image, wild, certainty, SETTINGS)
+    again = dense.points_of_pair(a, b, image, wild, certainty, lenient)
     assert len(got.scores) == 48 * 24
     assert_close(again.positions, got.positions)
 
