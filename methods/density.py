@@ -78,6 +78,7 @@ def densify(
     extent: float,
     prune_large: bool,
     generator: torch.Generator,
+    fixed: Bool[Tensor, " n"] | None = None,
 ) -> Rows:
     """Clone small and split large Gaussians that are pulled at; remove those that do not show.
 
@@ -91,12 +92,14 @@ def densify(
         extent: Size of the scene in scene units.
         prune_large: Whether Gaussians larger than `largest_size` are removed too.
         generator: For the children's positions.
+        fixed: Rows that are neither cloned, split nor removed; None: none.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.2; rules of its release, without
         the test on screen size, which never fires there.
     """
     size = gaussians.scales.amax(dim=1)
-    chosen = gradient >= settings.gradient
+    fixed = torch.zeros(len(size), dtype=torch.bool) if fixed is None else fixed
+    chosen = (gradient >= settings.gradient) & ~fixed
     if settings.most is not None:
         chosen &= _largest(gradient.where(chosen, -1), max(0, settings.most - len(gaussians)))
     small = size <= settings.split_size * extent
@@ -117,6 +120,7 @@ def densify(
     gone = opacities < settings.least_opacity
     if prune_large:
         gone |= log_scales.exp().amax(dim=1) > settings.largest_size * extent
+    gone &= ~fixed[parents]
     if gone.all():
         gone[opacities.argmax()] = False
     fresh = torch.arange(len(parents)) >= len(keep)
@@ -188,8 +192,14 @@ class DensityControl:
         every = self.settings.reset_interval
         return every > 0 and step < self.settings.stop and step % every == 0
 
-    def step(self, step: int, gaussians: Gaussians, generator: torch.Generator) -> Rows:
-        """Densify from the statistics so far and forget them."""
+    def step(
+        self,
+        step: int,
+        gaussians: Gaussians,
+        generator: torch.Generator,
+        fixed: Bool[Tensor, " n"] | None = None,
+    ) -> Rows:
+        """Densify from the statistics so far and forget them; `fixed` rows stay as they are."""
         every = self.settings.reset_interval
         rows = densify(
             gaussians,
@@ -198,6 +208,7 @@ class DensityControl:
             extent=self.extent,
             prune_large=0 < every < step,
             generator=generator,
+            fixed=fixed,
         )
         self.clear(len(rows.parents))
         return rows

@@ -113,11 +113,30 @@ def threads(count: int | None) -> Iterator[None]:
 class Trainer:
     """The state of one run and the step that changes it."""
 
-    def __init__(self, scene: Scene, settings: Settings, run: Run, backend: Backend) -> None:
-        """Start from the sparse points."""
-        start = initialise.from_points(
-            scene, degree=settings.sh_degree, opacity=settings.initial_opacity
-        )
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        run: Run,
+        backend: Backend,
+        *,
+        start: Gaussians | None = None,
+        special: str = "",
+    ) -> None:
+        """Start from the sparse points, or from `start`.
+
+        Args:
+            scene: As for `fit`.
+            settings: As for `fit`.
+            run: As for `fit`.
+            backend: Rasterizer.
+            start: Gaussians of settings.sh_degree to start from.
+            special: What else the run depends on (a subclass's own); part of the checkpoint's key.
+        """
+        if start is None:
+            start = initialise.from_points(
+                scene, degree=settings.sh_degree, opacity=settings.initial_opacity
+            )
         self.settings, self.run, self.backend = settings, run, backend
         self.views = scene.train_views
         self.images = TensorCache(run.image_bytes)
@@ -136,7 +155,8 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         self.key = json.dumps([scene.name, scene_digest(scene), asdict(settings), run.seed,
-                               run.background, run.backend])  # fmt: skip
+                               run.background, run.backend]
+                              + ([special] if special else []))  # fmt: skip
 
     def gaussians(self) -> Gaussians:
         """The model as it is now, without gradients."""
@@ -164,26 +184,49 @@ class Trainer:
         self.step += 1
         view = self.views[self.next_view()]
         loss, probe, radii = self.backward(view)
-        self.adam.step(self.learning_rates())
-        control = self.control
-        if control.watches(self.step):
+        self.update()
+        if self.control.watches(self.step):
             assert probe.signed.grad is not None
-            control.observe(probe.signed.grad, radii, view.camera)
-        if control.densifies(self.step):
-            rows = control.step(self.step, self.gaussians(), self.generator)
-            self.adam.gather(rows.parents, rows.fresh)
-            self.adam.overwrite("means", rows.means, forget=False)
-            self.adam.overwrite("scales", rows.log_scales, forget=False)
-        if control.resets(self.step):
-            logits = reset_opacity(self.adam.parameters["opacity"].detach())
-            self.adam.overwrite("opacity", logits, forget=True)
+            self.control.observe(probe.signed.grad, radii, view.camera)
+        if self.control.densifies(self.step):
+            self.densify()
+        if self.control.resets(self.step):
+            self.reset()
         return loss
+
+    def update(self) -> None:
+        """Follow the gradients that `backward` left."""
+        self.adam.step(self.learning_rates())
+
+    def densify(self, fixed: Tensor | None = None) -> Tensor:
+        """Clone, split and prune; `fixed` rows stay as they are. Returns each new row's old row."""
+        rows = self.control.step(self.step, self.gaussians(), self.generator, fixed)
+        self.adam.gather(rows.parents, rows.fresh)
+        self.adam.overwrite("means", rows.means, forget=False)
+        self.adam.overwrite("scales", rows.log_scales, forget=False)
+        return rows.parents
+
+    def reset(self) -> None:
+        """Make everything nearly transparent."""
+        logits = reset_opacity(self.adam.parameters["opacity"].detach())
+        self.adam.overwrite("opacity", logits, forget=True)
+
+    def state(self) -> dict[str, Tensor]:
+        """What a subclass adds to the checkpoint."""
+        return {}
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Take over what `state` returned; self.step is set already."""
+
+    def model(self, degree: int) -> Gaussians:
+        """The Gaussians that are rendered and differentiated."""
+        return assemble(self.adam.leaves(), degree)
 
     def backward(self, view: View) -> tuple[float, ScreenProbe, Tensor]:
         """Render one view and leave its loss's gradients in the parameters."""
         every = self.settings.sh_interval * shrink(self.settings.iterations)
         degree = active_degree(self.step, every, self.settings.sh_degree)
-        model = assemble(self.adam.leaves(), degree)
+        model = self.model(degree)
         probe = ScreenProbe.zeros(len(model), model.means)
         image = self.backend.rasterize(
             view.camera, model.means, model.quaternions, model.scales, model.opacities,
@@ -237,6 +280,7 @@ class Trainer:
             return
         tensors = {f"adam.{name}": value for name, value in self.adam.state().items()}
         tensors |= {f"density.{name}": value for name, value in self.control.state().items()}
+        tensors |= {f"special.{name}": value for name, value in self.state().items()}
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.key, "step": self.step, "order": self.order, "seconds": self.seconds}
         write_tensors(self.checkpoint, tensors, facts)
@@ -258,6 +302,7 @@ class Trainer:
         self.control.restore(part(tensors, "density."))
         self.generator.set_state(tensors["generator"])
         self.step, self.order, self.seconds = facts["step"], facts["order"], facts["seconds"]
+        self.restore(part(tensors, "special."))
 
 
 def assemble(values: dict[str, Tensor], degree: int) -> Gaussians:
