@@ -1,6 +1,7 @@
-"""Boxes that bound blocks: axis-aligned and oriented, and the normalised distance to an oriented one."""
+"""Boxes that bound blocks: axis-aligned and oriented, and the normalised distance to a block."""
 
 from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float
@@ -10,6 +11,20 @@ from splatbench.reference.errors import DataError
 
 THINNEST = 1e-9
 """Share of the longest half-extent below which another one counts as zero."""
+
+
+@runtime_checkable
+class Region(Protocol):
+    """Where a block lies: an oriented box, or any other shape with a distance that is scaled alike."""
+
+    @property
+    def centre(self) -> Float[Tensor, "3"]:
+        """A place that tells blocks apart, in the scene's frame."""
+        ...
+
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Normalised distance: at most 1 in the block, 1 on its surface, above 1 outside."""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +59,10 @@ class OrientedBox:
                 f"oriented box with half-extents {self.half.tolist()}: expected three positive "
                 "lengths; give the block some thickness or leave it out"
             )
+
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """Normalised distance of box_distance: an oriented box is a Region."""
+        return box_distance(self, points)
 
 
 def bounds(points: Float[Tensor, "n 3"]) -> Box:

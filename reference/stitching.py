@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float64, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.reference.boxes import OrientedBox, box_distance
+from splatbench.reference.boxes import Region
 from splatbench.reference.errors import UsageError
 
 RIM = 1.1
@@ -43,8 +43,9 @@ AS_RELEASED = StitchSettings(normalise=False, from_logits=True, epsilon=1e-6, ke
 class TrainedBlock:
     """What stitching needs to know of one trained block."""
 
-    box: OrientedBox
-    """Its box before the margin of training."""
+    box: Region
+    """Where it lies before the margin of training: an OrientedBox in the paper; any other shape
+    with a distance of its own competes alike."""
     means: Float[Tensor, "n 3"]
     opacity_logits: Float[Tensor, " n"]
     log_scales: Float[Tensor, "n 3"]
@@ -115,7 +116,7 @@ def keep_probabilities(
     """
     if settings.neighbours < 1 or not 0 <= settings.sharpness < float("inf"):
         raise UsageError(f"{settings}: expected neighbours >= 1 and a finite sharpness >= 0")
-    distances = [box_distance(block.box, block.means.double()) for block in blocks]
+    distances = [block.box.distance(block.means.double()) for block in blocks]
     qualities = [quality(block, settings) for block in blocks]
     if settings.normalise:
         rims = [q[zones(d) == COMPETITIVE] for q, d in zip(qualities, distances, strict=True)]
@@ -130,7 +131,7 @@ def keep_probabilities(
         at = block.means[rim].double()
         rival = at.new_full((len(at),), -torch.inf if settings.keep_unopposed else 0.0)
         for j, other in enumerate(blocks):
-            reach = weight(box_distance(other.box, at))
+            reach = weight(other.box.distance(at))
             near = (reach > 0).nonzero()[:, 0]
             if j == i or len(near) == 0 or not bool(alive[j].any()):
                 continue

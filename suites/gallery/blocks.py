@@ -78,11 +78,13 @@ def draw_stitching(scene: Scene, path: Path) -> None:
     blocks = trained_blocks(scene)
     soft, sharp = StitchSettings(sharpness=5.0), StitchSettings(sharpness=500.0)
     middle = torch.cat([block.means for block in blocks]).median(dim=0).values
-    half = 0.45 * torch.stack([block.box.half for block in blocks]).mean(dim=0)
+    half = 0.45 * torch.stack(
+        [block.box.half for block in blocks if isinstance(block.box, boxes.OrientedBox)]
+    ).mean(dim=0)
     figure, axes = panels(3, width=16.0, ratio=0.85)
     tints = (COLOURS[6], COLOURS[0], COLOURS[1])
     for block in blocks:
-        zone = stitching.zones(boxes.box_distance(block.box, block.means))
+        zone = stitching.zones(block.box.distance(block.means))
         for which, tint in enumerate(tints):
             some = block.means[zone == which]
             axes[0].scatter(some[:, 0], some[:, 1], s=1.5, c=tint)
@@ -91,7 +93,7 @@ def draw_stitching(scene: Scene, path: Path) -> None:
         kept = stitching.stitch(blocks, settings, torch.Generator().manual_seed(0))
         lost = 0
         for i, (block, stays) in enumerate(zip(blocks, kept, strict=True)):
-            rim = stitching.zones(boxes.box_distance(block.box, block.means)) == 1
+            rim = stitching.zones(block.box.distance(block.means)) == 1
             gone, left = block.means[rim & ~stays], block.means[stays]
             lost += len(gone)
             axis.scatter(left[:, 0], left[:, 1], s=1.5, c=COLOURS[i])

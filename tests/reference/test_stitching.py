@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from splatbench.reference import stitching
-from splatbench.reference.boxes import OrientedBox, box_distance
+from splatbench.reference.boxes import OrientedBox
 from splatbench.reference.errors import UsageError
 from splatbench.reference.stitching import AS_RELEASED, StitchSettings, TrainedBlock
 
@@ -40,6 +40,11 @@ def block(
     )  # fmt: skip
 
 
+def cube(b: TrainedBlock) -> OrientedBox:
+    assert isinstance(b.box, OrientedBox)
+    return b.box
+
+
 def random_blocks(blocks: int, count: int, seed: int) -> tuple[TrainedBlock, ...]:
     """Cubes side by side along x, primitives within 1.3 half-extents, many of them on the rims."""
     g = generator(seed)
@@ -62,7 +67,7 @@ def by_loop(blocks: tuple[TrainedBlock, ...], eta: float, k: int) -> list[list[f
     """The paper's rules, one primitive at a time; Q divided by its median over all rims."""
 
     def at(b: TrainedBlock, p: Tensor) -> float:
-        return float(((p - b.box.centre) / b.box.half).abs().max())  # unrotated cubes
+        return float(((p - b.box.centre) / cube(b).half).abs().max())  # unrotated cubes
 
     def q(b: TrainedBlock, i: int) -> float:
         alpha = 1 / (1 + math.exp(-float(b.opacity_logits[i])))
@@ -141,7 +146,7 @@ def test_core_stays_outside_goes_and_a_seed_decides(blocks, count, seed):
     kept = stitching.stitch(scene, OURS, generator(seed))
     again = stitching.stitch(scene, OURS, generator(seed))
     for b, mine, same in zip(scene, kept, again, strict=True):
-        zone = stitching.zones(box_distance(b.box, b.means))
+        zone = stitching.zones(b.box.distance(b.means))
         assert mine[zone == stitching.CORE].all()
         assert not mine[zone == stitching.DROPPED].any()
         assert torch.equal(mine, same)
@@ -166,7 +171,7 @@ def test_mirrored_blocks_give_mirrored_probabilities(count, seed):
     one, _ = random_blocks(2, count, seed)
     flip = torch.tensor([-1.0, 1, 1], dtype=D)
     two = replace(
-        one, box=replace(one.box, centre=torch.tensor([2.0, 0, 0], dtype=D)),
+        one, box=replace(cube(one), centre=torch.tensor([2.0, 0, 0], dtype=D)),
         means=(one.means - torch.tensor([1.0, 0, 0])) * flip + torch.tensor([1.0, 0, 0]),
     )  # fmt: skip
     first, second = stitching.keep_probabilities((one, two), OURS)
@@ -177,7 +182,7 @@ def test_mirrored_blocks_give_mirrored_probabilities(count, seed):
 @given(count=st.integers(1, 12), seed=SEEDS, scale=st.floats(0.01, 1000))
 def test_the_unit_of_length_changes_nothing(count, seed, scale):
     def scaled(b: TrainedBlock) -> TrainedBlock:
-        box = replace(b.box, centre=b.box.centre * scale, half=b.box.half * scale)
+        box = replace(cube(b), centre=b.box.centre * scale, half=cube(b).half * scale)
         return replace(b, box=box, means=b.means * scale, log_scales=b.log_scales + math.log(scale))
 
     scene = random_blocks(3, count, seed)
@@ -186,7 +191,7 @@ def test_the_unit_of_length_changes_nothing(count, seed, scale):
     for chances, want, b in zip(
         found, stitching.keep_probabilities(scene, OURS), scene, strict=True
     ):
-        away = box_distance(b.box, b.means)
+        away = b.box.distance(b.means)
         clear = ((away - 1).abs() > 1e-9) & ((away - 1.1).abs() > 1e-9)  # not on a zone's border
         assert_close(chances[clear], want[clear], atol=1e-6, rtol=0)
 
