@@ -1,0 +1,1 @@
+"""City-scale reconstruction: partition, train blocks apart, stitch, refine, compress."""

@@ -1,0 +1,147 @@
+"""The normalised distance to a block that is a set of voxels: exact, and fast for millions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int32, Int64
+from torch import Tensor
+
+from splatbench.reference.errors import DataError
+
+CHUNK = 2**16
+"""Positions that are worked on at once: their temporaries stay in the cache."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VoxelRegion:
+    """A set V of voxels with d(p) = 1 + r(p) outside V, 1 - r(p) inside.
+
+    r is the distance in the max-norm, each axis of the voxels' frame divided by half the extent e
+    of V along it: to V from outside, to the outside of V from inside. Where V is a full box this is
+    the box distance |(p - c) / e|_inf exactly; the rim 1 < d <= 1.1 is everywhere as wide as that
+    of the box around V, and d >= 0. A far-off voxel of a block therefore widens its rim.
+
+    Source: ours, after StitchGS, Sec. 3.2.3 (d_i), for the blocks of DPGS, Sec. 3.3.
+    """
+
+    frame: Float64[Tensor, "3 3"]
+    """R: its rows are the voxels' axes in the scene, orthonormal."""
+    low: Float64[Tensor, "3"]
+    """Lowest corner of the box around V, along these axes."""
+    side: float
+    """Side of a voxel in scene units."""
+    cells: Bool[Tensor, "x y z"]
+    """Which voxels of the box around V are in V; each face of the box touches one."""
+    bounds: Float64[Tensor, "2 3"] | None = None
+    """Lowest and highest corner of the whole scene's grid: a place beyond it counts as the nearest
+    place in it, so that the outermost voxels reach to infinity. None: they do not."""
+
+    def __post_init__(self) -> None:
+        """Refuse a block without voxels, and cells with an empty outer layer."""
+        if not bool(self.cells.any()):
+            raise DataError("a block without voxels: ask for fewer blocks or smaller voxels")
+        faces = [self.cells.select(axis, end) for axis in range(3) for end in (0, -1)]
+        if not all(bool(face.any()) for face in faces):
+            raise DataError("voxels with an empty outer layer: expected the box around them")
+
+    @property
+    def half(self) -> Float64[Tensor, "3"]:
+        """e: half the extents of the box around V."""
+        return torch.tensor(self.cells.shape, dtype=torch.float64) * self.side / 2
+
+    @property
+    def centre(self) -> Float64[Tensor, "3"]:
+        """Centre of the box around V, in the scene."""
+        return (self.low + self.half) @ self.frame
+
+    def distance(self, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
+        """d(p) of each position in the scene's frame."""
+        cells = self.cells.numpy()
+        sums = np.zeros(np.array(cells.shape) + 1, dtype=np.int32)
+        sums[1:, 1:, 1:] = cells.cumsum(0, dtype=np.int32).cumsum(1).cumsum(2)
+        found = np.empty(len(points))
+        for start in range(0, len(points), CHUNK):
+            local = points[start : start + CHUNK] @ self.frame.T
+            if self.bounds is not None:
+                local = local.clamp(self.bounds[0], self.bounds[1])
+            grid = ((local - self.low) / self.side).numpy()
+            found[start : start + CHUNK] = _signed(grid, cells, sums)
+        return torch.from_numpy(found)
+
+
+def _signed(
+    grid: Float64[np.ndarray, "n 3"],
+    cells: Bool[np.ndarray, "x y z"],
+    sums: Int32[np.ndarray, "x1 y1 z1"],
+) -> Float64[np.ndarray, " n"]:
+    """1 + r outside, 1 - r inside, for positions in voxels from the lowest corner."""
+    size = np.array(cells.shape)
+    whole = np.floor(grid).astype(np.int64)
+    within = ((whole >= 0) & (whole < size)).all(axis=1)
+    inner = np.zeros(len(grid), dtype=bool)
+    inner[within] = cells[tuple(whole[within].T)]
+    found = np.empty(len(grid))
+    for inside, sign in ((False, 1.0), (True, -1.0)):
+        chosen = inner == inside
+        found[chosen] = 1 + sign * _reach(grid[chosen], sums, size, inside)
+    return found
+
+
+def _reach(
+    grid: Float64[np.ndarray, "n 3"],
+    sums: Int32[np.ndarray, "x1 y1 z1"],
+    size: Int64[np.ndarray, "3"],
+    inside: bool,
+) -> Float64[np.ndarray, " n"]:
+    """Smallest r at which the box grid +- r e touches V (from outside) or what is not V.
+
+    Summed volumes tell in eight look-ups whether a box touches. Between two places where a face of
+    the box passes a wall nothing changes, so r is bisected until each face passes at most one, and
+    then the six places left are tried in order: the answer is one of them, exactly.
+    """
+    half = size / 2.0
+    away = np.maximum(np.maximum(-grid, grid - size), 0) / half
+    low = away.max(axis=1, initial=0)  # to the box around V
+    high = low + (1.0 if inside else 2.0)
+    first = _touches(grid, low, sums, size, inside)
+    for _ in range(int(np.ceil(np.log2(size.max()))) + 1):  # until high - low <= 1 / e
+        middle = (low + high) / 2
+        hit = _touches(grid, middle, sums, size, inside)
+        high, low = np.where(hit, middle, high), np.where(hit, low, middle)
+    reach = low[:, None] * half
+    up = (np.floor(grid + reach) + 1 - grid) / half
+    down = (grid - np.ceil(grid - reach) + 1) / half
+    walls = np.sort(np.minimum(np.concatenate([up, down], axis=1), high[:, None]), axis=1)
+    found = np.maximum(np.maximum.reduce(away, axis=1), walls[:, -1])
+    for i in range(4, -1, -1):
+        hit = _touches(grid, (walls[:, i] + walls[:, i + 1]) / 2, sums, size, inside)
+        found = np.where(hit, walls[:, i], found)
+    return np.where(first, away.max(axis=1, initial=0), found)
+
+
+def _touches(
+    grid: Float64[np.ndarray, "n 3"],
+    reach: Float64[np.ndarray, " n"],
+    sums: Int32[np.ndarray, "x1 y1 z1"],
+    size: Int64[np.ndarray, "3"],
+    inside: bool,
+) -> Bool[np.ndarray, " n"]:
+    """Does the closed box grid +- reach e touch a voxel of V, or, from inside, one that is not?"""
+    rim = reach[:, None] * (size / 2.0)
+    low = np.ceil(grid - rim).astype(np.int64) - 1
+    high = np.floor(grid + rim).astype(np.int64) + 1  # one past the last voxel
+    out = (low < 0).any(axis=1) | (high > size).any(axis=1)
+    low, high = low.clip(0, size), high.clip(0, size)
+    high = np.maximum(low, high)
+    strides = np.array(sums.strides) // sums.itemsize
+    flat = sums.reshape(-1)
+    a, b = low * strides, high * strides
+    count = np.zeros(len(grid), dtype=np.int64)
+    for x, sx in ((b[:, 0], 1), (a[:, 0], -1)):
+        for y, sy in ((b[:, 1], 1), (a[:, 1], -1)):
+            xy = x + y
+            count += (sx * sy) * (flat[xy + b[:, 2]].astype(np.int64) - flat[xy + a[:, 2]])
+    if not inside:
+        return count > 0
+    return out | (count < (high - low).prod(axis=1))
