@@ -18,6 +18,7 @@
 #include "loss.hpp"
 #include "pool.hpp"
 #include "render.hpp"
+#include "roofline.hpp"
 
 namespace nb = nanobind;
 using namespace splat;
@@ -291,6 +292,7 @@ NB_MODULE(_ext, m) {
     current->exp2(x.data(), y.data(), (int64_t)x.shape(0));
   }, nb::arg("x"), nb::arg("y"), "y = 2^x for x in [-100, 0], as the kernels compute it.");
 
+  register_roofline(m);
   m.def("photometric", &photometric_loss, nb::arg("image"), nb::arg("truth"), nb::arg("mask").none(),
         nb::arg("dssim"), nb::arg("gradient").none(), "The loss; its gradient goes into `gradient`.");
   m.def("adam", &adam_update, nb::arg("values"), nb::arg("gradients"), nb::arg("first"), nb::arg("second"),

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "pool.hpp"
+#include "stages.hpp"
 
 namespace splat {
 namespace {
@@ -51,6 +52,7 @@ size_t State::bytes() const {
 }
 
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state) {
+  StageClock clock;
   state.count = model.count;
   state.channels = model.channels;
   state.stride = (model.channels + 2 + 3) / 4 * 4;
@@ -64,7 +66,9 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   const Projection projection = state.projection(radii);
   over_gaussians(threads, model.count,
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
+  clock.lap(STAGE_PROJECT);
   bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
+  clock.lap(STAGE_BIN);
 
   const size_t pixels = (size_t)camera.width * camera.height;
   for (size_t i = 0; i < pixels * pictures.contributors; ++i) {
@@ -76,9 +80,11 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   const Tiles tiles = state.view();
   parallel(threads, state.tiles(),
            [&](int tile, int worker) { k.render_tile(tiles, pictures, scratch[worker], tile); });
+  clock.lap(STAGE_BLEND);
 }
 
 void backward(const Model& model, PictureGradients pictures, const ModelGradients& out, int threads, State& state) {
+  StageClock clock;
   const Kernels& k = kernels();
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
   const int stride = sum_stride(features);
@@ -92,11 +98,13 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
     k.backward_tile(tiles, pictures, scratch[worker], features, tile, sums.data() + (size_t)tiles.start[tile] * stride,
                     stride);
   });
+  clock.lap(STAGE_BLEND_BACKWARD);
   const Projection projection = state.projection(nullptr);
   over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
     k.backward_project(state.camera, model, projection, sums.data(), stride, state.bins.slot_start.data(),
                        state.bins.slots.data(), out, first, last);
   });
+  clock.lap(STAGE_PROJECT_BACKWARD);
 }
 
 }  // namespace splat

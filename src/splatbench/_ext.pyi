@@ -23,6 +23,15 @@ def compiler() -> str:
 def exp2(x: Tensor, y: Tensor) -> None:
     """y = 2^x for x in [-100, 0], as the kernels compute it."""
 
+def stage_seconds() -> dict[str, float]:
+    """Wall seconds of project, bin, blend, blend_backward and project_backward of the last calls."""
+
+def roofline(seconds: float, bytes: int) -> dict[str, float]:
+    """flops, blend_pairs, blend_backward_pairs and bytes a second of all threads at this SIMD level."""
+
+def count_pairs(splats: Tensor, width: int, height: int) -> dict[str, float]:
+    """Pairs that an image cannot do without: contributing, and lanes of 4x4 blocks."""
+
 class Model:
     """Arrays of a set of Gaussians."""
 
