@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from splatbench.methods.city.ground import ground
 from splatbench.reference import boxes, partition_density, spectral, stitching, view_sampling
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.partition_density import DensitySettings
@@ -13,7 +14,7 @@ from splatbench.reference.scene import Scene
 from splatbench.reference.stitching import StitchSettings, TrainedBlock
 from splatbench.reference.view_sampling import SamplingSettings
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_plan
-from splatbench.suites.partition import ground, partition_row, partitions
+from splatbench.suites.partition import partition_row, partitions
 
 BLOCKS = 4
 

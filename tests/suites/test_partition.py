@@ -12,13 +12,15 @@ from helpers.clouds import tracked
 from helpers.real_scenes import real_scene
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatbench.datasets.opening import open_scene
+from splatbench.methods.city import coarse_change as rule
+from splatbench.methods.city.ground import ground
+from splatbench.methods.city.partition import Partition, PartitionSettings, near_square
 from splatbench.reference.camera import project_points
 from splatbench.reference.errors import DataError, UsageError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
 from splatbench.suites import partition
 from splatbench.suites.gallery import blocks as pictures
-from splatbench.suites.partition import Blocks
 
 COLUMNS = {
     "scene", "k", "method", "load_std_over_mean", "load_max_over_mean", "edge_cut", "views_mean",
@@ -41,11 +43,11 @@ def small_scene(points: int = 300) -> Scene:
 
 def test_a_row_by_hand():
     scene = small_scene(60)
-    place = partition.ground(scene, voxel_size=100.0)  # one voxel: nothing to cut
+    place = ground(scene, voxel_size=100.0)  # one voxel: nothing to cut
     labels = (torch.arange(60) >= 20).long()
     a, b = (int(place.loads[labels == k].sum()) for k in (0, 1))
     views = (place.trained, torch.zeros_like(place.trained))
-    row = partition.partition_row(place, Blocks(method="m", labels=labels, views=views), 2)
+    row = partition.partition_row(place, Partition(method="m", labels=labels, views=views), 2)
     mean = (a + b) / 2
     assert row["load_max_over_mean"] == pytest.approx(max(a, b) / mean)
     assert row["load_std_over_mean"] == pytest.approx(abs(a - b) / 2 / mean)
@@ -54,10 +56,10 @@ def test_a_row_by_hand():
 
 def test_the_cut_counts_neighbouring_voxels_of_different_blocks():
     scene = small_scene()
-    place = partition.ground(scene, voxel_size=0.5)
+    place = ground(scene, voxel_size=0.5)
     side = (place.positions[:, 0] > place.positions[:, 0].min() + 1.0).long()  # a voxel wall
     views = (place.trained, place.trained)
-    row = partition.partition_row(place, Blocks(method="m", labels=side, views=views), 2)
+    row = partition.partition_row(place, Partition(method="m", labels=side, views=views), 2)
     cells = ((place.positions - place.positions.min(dim=0).values) / 0.5).long()
     occupied = {tuple(cell) for cell in cells.tolist()}
     across = sum((2, y, z) in occupied for x, y, z in occupied if x == 1)
@@ -81,7 +83,7 @@ def test_every_method_gives_a_row(k):
 
 
 def test_test_views_belong_to_no_block():
-    place = partition.ground(small_scene(), voxel_size=0.25)
+    place = ground(small_scene(), voxel_size=0.25)
     for found in partition.partitions(place, 2):
         for chosen in found.views:
             assert not chosen[list(place.scene.test)].any()
@@ -100,7 +102,7 @@ def test_loads_that_cannot_be_balanced_are_noted():
     ("k", "shape"), [(1, (1, 1)), (4, (2, 2)), (8, (4, 2)), (7, (7, 1)), (12, (4, 3))]
 )
 def test_near_squares(k, shape):
-    assert partition.near_square(k) == shape
+    assert near_square(k) == shape
 
 
 def test_wrong_numbers_of_blocks_are_refused():
@@ -113,12 +115,12 @@ def test_wrong_numbers_of_blocks_are_refused():
 def test_narrowed_cameras_see_the_same():
     scene = small_scene(30)
     camera = scene.views[0].camera
-    small = partition.narrowed(camera, 12)
+    small = rule.narrowed(camera, 12)
     assert (small.width, small.height) == (12, 9)
     pixel, _ = project_points(camera, scene.points.positions)
     half, _ = project_points(small, scene.points.positions)
     torch.testing.assert_close(half, pixel / 2)
-    assert partition.narrowed(camera, 24) is camera
+    assert rule.narrowed(camera, 24) is camera
 
 
 @pytest.mark.real
@@ -126,18 +128,23 @@ def test_narrowed_cameras_see_the_same():
 def test_odbp_balances_seneca_to_one_percent(k):
     """Std / mean at most 1 %, for at most 15 % more cut than as many METIS runs at 5 %."""
     scene = open_scene(real_scene("seneca"), Protocol(name="p", source="ours"))
-    place = partition.ground(scene)
+    place = ground(scene)
     ours, paper = (
         partition.partition_row(place, found, k)
         for found in (
-            partition.odbp_blocks(place, k, "odbp", imbalance=0.01, seeds=10),
-            partition.odbp_blocks(place, k, "odbp_paper", imbalance=0.05, seeds=10),
+            partition.odbp_blocks(place, k, "odbp", settings=PartitionSettings()),
+            partition.odbp_blocks(
+                place, k, "odbp_paper", settings=PartitionSettings(imbalance=0.05)
+            ),
         )
     )
     assert ours["load_std_over_mean"] <= 0.01
     assert ours["edge_cut"] <= 1.15 * paper["edge_cut"]
     assert not ours["note"]
-    others = [partition.blockgaussian_blocks(place, k), partition.vastgaussian_blocks(place, k)]
+    others = [
+        partition.blockgaussian_blocks(place, k, PartitionSettings()),
+        partition.vastgaussian_blocks(place, k),
+    ]
     for found in others:
         assert partition.partition_row(place, found, k)["load_std_over_mean"] > 0.1
 

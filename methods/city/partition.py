@@ -1,0 +1,272 @@
+"""Cut a scene into blocks: who owns each point, where each block lies, which views train it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int64
+from torch import Tensor
+
+from splatbench.methods.city.blocks_of_partition import (
+    contracted_regions,
+    ground_regions,
+    oriented_regions,
+    voxel_regions,
+)
+from splatbench.methods.city.coarse_change import coarse_change, point_model
+from splatbench.methods.city.ground import Ground, ground
+from splatbench.methods.city.regions import AnyRegion
+from splatbench.methods.schedules import require
+from splatbench.reference import odbp, partition_cameras, partition_density, partition_grid
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.odbp import OdbpPartition, OdbpSettings
+from splatbench.reference.partition_cameras import CameraGrid
+from splatbench.reference.partition_density import DensitySettings
+from splatbench.reference.scene import Scene
+from splatbench.reference.visibility import covering_views
+
+MethodName = Literal["odbp", "blockgaussian", "vastgaussian", "citygaussian"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartitionSettings:
+    """How a scene is cut and who sees a block."""
+
+    method: MethodName = "odbp"
+    """odbp: equal rendering load over voxels; blockgaussian: rectangles halved by point density;
+    vastgaussian: equally many cameras; citygaussian: uniform grid in contracted space."""
+    voxel_size: float | None = None
+    """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side."""
+    imbalance: float = 0.01
+    """odbp: loads are to lie within (1 +- this) of their mean; 0.05 in the paper."""
+    seeds: int = 10
+    """odbp: METIS seeds that are tried."""
+    margin: float = 0.05
+    """odbp, blockgaussian: a block is widened by this share of its extent before it looks for its
+    points and views; what lies in the widened block is trained by it."""
+    view_share: float = 0.3
+    """odbp, blockgaussian: tau_view, share of a view's points in the block from which it is taken."""
+    block_share: float = 0.1
+    """odbp, blockgaussian: tau_block, share of the block's points in the view likewise."""
+    change: float = 0.08
+    """citygaussian: 1 - SSIM without the block from which a view is taken (published: 0.05 to 0.12)."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no partition can follow."""
+        size = self.voxel_size
+        require(size is None or size > 0, "partition.voxel_size", size, "> 0 or None")
+        require(self.imbalance > 0, "partition.imbalance", self.imbalance, "> 0")
+        require(self.seeds >= 1, "partition.seeds", self.seeds, ">= 1")
+        require(self.margin >= 0, "partition.margin", self.margin, ">= 0")
+        for name in ("view_share", "block_share", "change"):
+            value = getattr(self, name)
+            require(0 <= value <= 1, f"partition.{name}", value, "0 to 1")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Partition:
+    """One partition of a scene's points and training views."""
+
+    method: str
+    labels: Int64[Tensor, " n"]
+    """Block of each sparse point; blocks may be empty."""
+    views: tuple[Bool[Tensor, " v"], ...]
+    """For each block, which of all views it trains on."""
+    points: tuple[Bool[Tensor, " n"], ...] = ()
+    """For each block, the sparse points that it trains and densifies; all that it owns are there."""
+    regions: tuple[AnyRegion, ...] = ()
+    """Where each block lies, in the scene's frame."""
+    note: str = ""
+    """What went wrong, in one line; empty if nothing did."""
+
+
+def partition(
+    scene: Scene,
+    blocks: int,
+    settings: PartitionSettings,
+    *,
+    backend: str = "cpu",
+    coarse: Gaussians | None = None,
+) -> Partition:
+    """Cut a scene into K blocks. One block is the whole scene: all views, all points.
+
+    Args:
+        scene: With training views and sparse points.
+        blocks: K >= 1.
+        settings: Which partition.
+        backend: Rasterizer for CityGaussian's rule.
+        coarse: CityGaussian's coarse model; None: one Gaussian a sparse point.
+
+    Raises: UsageError for K < 1; DataError for more blocks than there are distinct points (odbp) or
+        training cameras (vastgaussian), or a scene without views or points.
+    """
+    require(blocks >= 1, "blocks", blocks, ">= 1")
+    place = ground(scene, settings.voxel_size)
+    if settings.method == "odbp":
+        found = odbp_blocks(place, blocks, "odbp", settings=settings)
+    elif settings.method == "blockgaussian":
+        found = blockgaussian_blocks(place, blocks, settings)
+    elif settings.method == "vastgaussian":
+        found = vastgaussian_blocks(place, blocks)
+    else:
+        found = citygaussian_blocks(place, blocks, backend, settings.change, coarse)
+    if blocks == 1:
+        every = torch.ones_like(place.loads, dtype=torch.bool)
+        return Partition(
+            method=found.method, labels=found.labels, views=(place.trained,), points=(every,),
+            regions=found.regions, note=found.note,
+        )  # fmt: skip
+    return found
+
+
+def near_square(blocks: int) -> tuple[int, int]:
+    """Columns x rows = blocks with columns >= rows, as near to a square as there is."""
+    rows = next(n for n in range(int(blocks**0.5), 0, -1) if blocks % n == 0)
+    return blocks // rows, rows
+
+
+def odbp_blocks(place: Ground, blocks: int, name: str, *, settings: PartitionSettings) -> Partition:
+    """ODBP's blocks; views by the points a block holds, with BlockGaussian's shares.
+
+    DPGS does not say how views are assigned. Its auxiliary box is no help: the bounds of a ragged
+    block with one stray point can span the scene, and ghosts are not what a block is trained for.
+    """
+    found = odbp.partition(
+        place.positions, place.loads,
+        OdbpSettings(blocks=blocks, voxel_size=place.voxel_size, imbalance=settings.imbalance,
+                     seeds=settings.seeds),
+    )  # fmt: skip
+    regions = voxel_regions(found, place.frame)
+    return Partition(
+        method=name, labels=found.labels, regions=regions, note=_note(found),
+        points=_widened(place, found.labels, regions, settings.margin),
+        views=_covering(place, [found.labels == b for b in range(blocks)], settings),
+    )  # fmt: skip
+
+
+def blockgaussian_blocks(place: Ground, blocks: int, settings: PartitionSettings) -> Partition:
+    """BlockGaussian's rectangles, halved by the fullest until there are K.
+
+    Blocks with few points or views are kept, though the release drops them: what they cover would
+    be in no block.
+    """
+    depth = blocks  # K leaves need at most K - 1 halvings in a row
+    halving = DensitySettings(max_points=0, max_depth=depth, max_blocks=blocks)
+    ground_positions = place.positions[:, :2]
+    found = partition_density.split(ground_positions, halving)
+    heights = partition_density.height_bounds(place.positions[:, 2])
+    regions = oriented_regions(found, place.frame, heights)
+    labels = partition_density.owner_rectangle(found, ground_positions)
+    points = _widened(place, labels, regions, settings.margin)
+    return Partition(
+        method="blockgaussian", labels=labels, regions=regions, points=points,
+        views=_covering(place, list(points), settings),
+    )  # fmt: skip
+
+
+def vastgaussian_blocks(place: Ground, blocks: int) -> Partition:
+    """VastGaussian's cells over the training cameras, with its visibility-based selection."""
+    cameras = tuple(view.camera for view in place.scene.train_views)
+    centres = torch.stack([camera.centre for camera in cameras]) @ place.frame.T
+    grid = partition_cameras.camera_grid(centres[:, :2], *near_square(blocks))
+    labels = partition_cameras.owner_cell(grid, place.positions[:, :2])
+    views, points = [], []
+    for block in range(blocks):
+        found = partition_cameras.select(
+            grid, block, place.frame, cameras, place.scene.points.positions
+        )
+        views.append(torch.zeros_like(place.trained).masked_scatter(place.trained, found.views))
+        points.append(found.points | (labels == block))
+    return Partition(
+        method="vastgaussian", labels=labels, views=tuple(views), points=tuple(points),
+        regions=ground_regions(_reaching(grid, place.positions[:, :2]), place.frame),
+    )  # fmt: skip
+
+
+def citygaussian_blocks(
+    place: Ground,
+    blocks: int,
+    backend: str,
+    threshold: float = PartitionSettings.change,
+    coarse: Gaussians | None = None,
+) -> Partition:
+    """CityGaussian's uniform grid in contracted space, views by the change of a coarse model.
+
+    Cells are not grown to hold 25,000 Gaussians before the change is measured: in a scene with
+    fewer than some hundred thousand that would be most of it. Every block starts from all points.
+    """
+    foreground = partition_grid.central_box(place.positions)
+    cells = (*near_square(blocks), 1)
+    unit = partition_grid.contract(place.positions, foreground)
+    model = coarse or point_model(place)
+    of_model = partition_grid.contract(model.means.double() @ place.frame.T, foreground)
+    centres = torch.stack([view.camera.centre for view in place.scene.views]) @ place.frame.T
+    inside = partition_grid.contract(centres, foreground)
+    change = coarse_change(place, backend, model)
+    chosen = []
+    for cell in range(blocks):
+        grown = partition_grid.grown_cell(of_model, cells, cell, enough=0)
+        chosen.append(
+            place.trained
+            & partition_grid.needed_views(
+                inside, cells, cell, lambda v, held=grown: change(v, held), threshold=threshold
+            )
+        )
+    return Partition(
+        method="citygaussian", labels=partition_grid.cell_of(unit, cells), views=tuple(chosen),
+        points=(torch.ones(len(unit), dtype=torch.bool),) * blocks,
+        regions=contracted_regions(foreground, cells, place.frame),
+    )  # fmt: skip
+
+
+def _reaching(grid: CameraGrid, ground: Float64[Tensor, "n 2"]) -> CameraGrid:
+    """The grid with its outermost walls moved out to the middle 98 % of the points.
+
+    Outer cells own all that is beyond the flight; only what a wall's distance is measured by changes.
+    Cells without width (cameras on one line) get a thousandth of the scene's.
+    """
+    low, high = torch.from_numpy(np.quantile(ground.numpy(), [0.01, 0.99], axis=0))
+    columns, rows = grid.column_walls.clone(), grid.row_walls.clone()
+    columns[0], columns[-1] = columns[0].minimum(low[0]), columns[-1].maximum(high[0])
+    rows[:, 0], rows[:, -1] = rows[:, 0].minimum(low[1]), rows[:, -1].maximum(high[1])
+    gap = 1e-3 * float((high - low).max().clamp(min=1e-9))
+    return CameraGrid(column_walls=_apart(columns, gap), row_walls=_apart(rows, gap))
+
+
+def _apart(walls: Float64[Tensor, "*lines n"], gap: float) -> Float64[Tensor, "*lines n"]:
+    """Ascending walls, each moved up to at least `gap` above the one before."""
+    steps = gap * torch.arange(walls.shape[-1], dtype=walls.dtype)
+    return (walls - steps).cummax(dim=-1).values + steps
+
+
+def _widened(
+    place: Ground, labels: Int64[Tensor, " n"], regions: tuple[AnyRegion, ...], margin: float
+) -> tuple[Bool[Tensor, " n"], ...]:
+    """Points in each region widened by a margin, and those that the block owns."""
+    positions: Float64[Tensor, "n 3"] = place.scene.points.positions
+    return tuple(
+        (region.distance(positions) <= 1 + margin) | (labels == block)
+        for block, region in enumerate(regions)
+    )
+
+
+def _covering(
+    place: Ground, held: list[Bool[Tensor, " n"]], settings: PartitionSettings
+) -> tuple[Bool[Tensor, " v"], ...]:
+    """Training views that cover the points of each block by either of the two shares."""
+    return tuple(
+        place.trained
+        & covering_views(
+            place.scene.points, points, len(place.scene.views),
+            view_share=settings.view_share, block_share=settings.block_share,
+        )
+        for points in held
+    )  # fmt: skip
+
+
+def _note(found: OdbpPartition) -> str:
+    """What to say of a partition whose loads miss the bound."""
+    if found.balanced:
+        return ""
+    return f"loads differ from the mean by up to {found.worst:.1%}; the bound could not be met"
