@@ -1,0 +1,77 @@
+"""The seam mask of a partition on a plane, where the rim's width can be worked out by hand."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from splatbench.metrics.seam_partition import partition_seam_mask, surface_points
+from splatbench.reference.boxes import OrientedBox
+from splatbench.reference.camera import Camera, project_points
+from splatbench.reference.rotation import rotation_matrix
+
+WIDTH, HEIGHT, DEPTH = 80, 60, 10.0
+
+
+def nadir(turn: float = 0.0) -> Camera:
+    """Looks down z from 10 units at the plane z = 10; a pixel is 0.1 units wide there."""
+    pose = torch.eye(4, dtype=torch.float64)
+    half = torch.tensor([math.cos(turn / 2), 0.0, 0.0, math.sin(turn / 2)], dtype=torch.float64)
+    pose[:3, :3] = rotation_matrix(half[None])[0]
+    K = torch.tensor([[100.0, 0, 40], [0, 100, 30], [0, 0, 1]], dtype=torch.float64)
+    return Camera(K=K, world_to_camera=pose, width=WIDTH, height=HEIGHT)
+
+
+def box(x: float, half: float = 2.0) -> OrientedBox:
+    """As wide as `half` along x around x, and endless along y and z."""
+    return OrientedBox(
+        centre=torch.tensor([x, 0.0, DEPTH], dtype=torch.float64),
+        rotation=torch.eye(3, dtype=torch.float64),
+        half=torch.tensor([half, 50.0, 50.0], dtype=torch.float64),
+    )
+
+
+def flat(value: float = DEPTH) -> torch.Tensor:
+    return torch.full((HEIGHT, WIDTH), value)
+
+
+def test_two_boxes_that_touch_share_a_rim_of_a_tenth_of_their_halves():
+    mask = partition_seam_mask(nadir(), flat(), (box(-2.0), box(2.0)))
+    columns = torch.where(mask.any(dim=0))[0]
+    # |X| <= 0.1 * 2 units: pixels of 0.1 units, centres at +-0.05 and +-0.15
+    assert columns.tolist() == [38, 39, 40, 41]
+    assert mask[:, columns].all()
+
+
+def test_a_gap_wider_than_the_rims_has_no_seam_and_a_third_box_changes_nothing_elsewhere():
+    apart = partition_seam_mask(nadir(), flat(), (box(-2.3), box(2.3)))
+    assert not apart.any()
+    two = partition_seam_mask(nadir(), flat(), (box(-2.0), box(2.0)))
+    far = partition_seam_mask(nadir(), flat(), (box(-2.0), box(2.0), box(100.0)))
+    assert torch.equal(two, far)
+
+
+def test_one_region_none_and_sky_have_no_seam():
+    assert not partition_seam_mask(nadir(), flat(), ()).any()
+    assert not partition_seam_mask(nadir(), flat(), (box(0.0),)).any()
+    for nothing in (math.inf, 0.0, math.nan):
+        assert not partition_seam_mask(nadir(), flat(nothing), (box(-2.0), box(2.0))).any()
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.permutations([-4.0, 0.0, 4.0]))
+def test_order_of_regions_does_not_matter(order):
+    want = partition_seam_mask(nadir(), flat(), (box(-4.0), box(0.0), box(4.0)))
+    assert torch.equal(partition_seam_mask(nadir(), flat(), [box(x) for x in order]), want)
+
+
+@settings(deadline=None, max_examples=20)
+@given(turn=st.floats(-3, 3), seed=st.integers(0, 99))
+def test_surface_points_project_back_to_pixel_centres(turn, seed):
+    depth = 1 + 9 * torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(seed))
+    points = surface_points(nadir(turn), depth)
+    pixels, z = project_points(nadir(turn), points.reshape(-1, 3))
+    assert z.reshape(HEIGHT, WIDTH).numpy() == pytest.approx(depth.double().numpy(), rel=1e-12)
+    assert pixels[WIDTH + 3].tolist() == pytest.approx([3.5, 1.5], abs=1e-9)
