@@ -2,19 +2,16 @@
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from splatbench.datasets.colmap_model import Model
 from splatbench.reference.scene import SparsePoints
 
 
-def read_points(model: Model, shift: Float[Tensor, "3"]) -> SparsePoints:
+def read_points(model: Model) -> SparsePoints:
     """All points in order of their ids; a view counts once a point, unregistered images do not.
 
     Args:
         model: The checked model.
-        shift: Subtracted from the positions, float64.
     """
     index = model.index
     order = np.argsort(index.point_ids)
@@ -31,7 +28,7 @@ def read_points(model: Model, shift: Float[Tensor, "3"]) -> SparsePoints:
     starts = np.zeros(len(points) + 1, dtype=np.int64)
     np.cumsum(np.bincount(pairs[:, 0], minlength=len(points)), out=starts[1:])
     return SparsePoints(
-        positions=torch.from_numpy(np.stack([point.xyz for point in points])) - shift,
+        positions=torch.from_numpy(np.stack([point.xyz for point in points])),
         colours=torch.from_numpy(np.stack([point.color for point in points])),
         track_starts=torch.from_numpy(starts),
         track_views=torch.from_numpy(pairs[:, 1].copy()),

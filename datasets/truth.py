@@ -25,6 +25,9 @@ from splatbench.datasets.undistort import (
 )
 from splatbench.reference.errors import DataError
 
+_SHARE = 1e-4
+"""Of a pixel, below which a share is rounding of the bilinear weights."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
@@ -42,6 +45,10 @@ class Truth:
     """Shared by the views of a scene: where a camera's pinhole pixels lie in its photos."""
     background: tuple[float, float, float] | None = None
     """SRGB that transparent pixels are laid on; None: a transparent photo is refused."""
+    valid: Path | None = None
+    """Mask image of the photo: 0 where a pixel must not be used."""
+    sky: Path | None = None
+    """Mask image of the photo: above 0 where there is sky."""
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
@@ -60,13 +67,41 @@ class Truth:
     @property
     def has_mask(self) -> bool:
         """Whether pixels may be invalid."""
-        return self.undistortion is not None and self.undistortion.masked
+        outside = self.undistortion is not None and self.undistortion.masked
+        return outside or self.valid is not None
 
     def mask(self) -> Bool[Tensor, "h w"]:
-        """Pixels to which the filter brings nothing from outside the photo."""
+        """Pixels to which the filter brings nothing from outside the photo or its mask."""
+        if self.valid is not None:
+            good = self._flag(self.valid)
+        elif self.undistortion is not None:
+            good = torch.ones(self.photo_size[::-1])
+        else:
+            return torch.ones(self.size[::-1], dtype=torch.bool)
         if self.undistortion is None:
-            return torch.ones(self.size[1], self.size[0], dtype=torch.bool)
-        return shrink_mask(valid_pixels(self._positions(self.undistortion)), self.size, self.filter)
+            return shrink_mask(good > 0, self.size, self.filter)
+        positions = self._positions(self.undistortion)
+        # bilinear: a pixel that a masked one has any share in is masked
+        inside = undistort_image(good[..., None], positions)[..., 0] > 1 - _SHARE
+        return shrink_mask(inside & valid_pixels(positions), self.size, self.filter)
+
+    def sky_mask(self) -> Bool[Tensor, "h w"]:
+        """Pixels that are sky by more than half their area. Raises: DataError naming the file."""
+        assert self.sky is not None
+        share = self._flag(self.sky)
+        if self.undistortion is not None:
+            share = undistort_image(share[..., None], self._positions(self.undistortion))[..., 0]
+        return resample(share[..., None].expand(-1, -1, 3), self.size, "area")[..., 0] > 0.5
+
+    def _flag(self, path: Path) -> Float[Tensor, "h w"]:
+        """1 where a mask image is above 0."""
+        flags = (read_photo(path).amax(-1) > 0).float()
+        if flags.shape != self.photo_size[::-1]:
+            raise DataError(
+                f"{path}: mask is {flags.shape[1]} x {flags.shape[0]}, its photo is "
+                f"{self.photo_size[0]} x {self.photo_size[1]}; use the masks of these photos"
+            )
+        return flags
 
     def _positions(self, plan: Undistortion) -> Float[Tensor, "h w 2"]:
         return self.positions.get(plan, lambda: photo_positions(plan))

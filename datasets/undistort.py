@@ -181,8 +181,8 @@ def photo_positions(plan: Undistortion) -> Float[Tensor, "h w 2"]:
 
 
 def undistort_image(
-    image: Float[Tensor, "h w 3"], positions: Float[Tensor, "h2 w2 2"]
-) -> Float[Tensor, "h2 w2 3"]:
+    image: Float[Tensor, "h w c"], positions: Float[Tensor, "h2 w2 2"]
+) -> Float[Tensor, "h2 w2 c"]:
     """Sample a photo bilinearly at positions of `photo_positions`; zeros where they are NaN.
 
     Within half a pixel of the photo's border the nearest pixel's value holds.

@@ -82,6 +82,7 @@ def _check(protocol: Protocol, where: str) -> None:
         (protocol.width is not None and protocol.width < 1, f"width is {protocol.width}, not >= 1"),
         (not 1 <= protocol.factor < float("inf"), f"factor is {protocol.factor}, not >= 1"),
         (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
+        (protocol.hold_first < 0, f"hold_first is {protocol.hold_first}, expected 0 or more"),
         (not protocol.metrics, "metrics is empty; name at least one"),
         (
             not all(0 <= value <= 1 for value in protocol.background),
@@ -93,6 +94,7 @@ def _check(protocol: Protocol, where: str) -> None:
         for key, names in (
             ("metrics", protocol.metrics),
             ("test_names", protocol.test_names),
+            ("sensors", protocol.sensors),
             ("colour_fit", protocol.colour_fit),
         )
     ]

@@ -25,6 +25,12 @@ class Protocol:
     """crop: no invalid border pixel is left; keep: all source pixels stay, invalid ones masked."""
     hold: int = 8
     """Every hold-th of the name-sorted views is test (indices 0, hold, ...); 0: none."""
+    hold_first: int = 0
+    """Index of the first held-out one: hold_first, hold_first + hold, ..."""
+    hold_unit: Literal["view", "time"] = "view"
+    """What is counted: name-sorted views, or moments in time, each with all its cameras."""
+    sensors: tuple[str, ...] = ()
+    """Names of the cameras that are used, in training and in testing; empty: all."""
     test_names: tuple[str, ...] = ()
     """Names of the test views; when given, `hold` is ignored."""
     drop_test_points: bool = False

@@ -23,6 +23,8 @@ class View:
     """Reads the mask of valid pixels (True: scored and supervised); None: all are valid."""
     load_depth: Callable[[], Float[Tensor, "h w"]] | None = None
     """Reads true z-depth in scene units where it is known (inf: nothing hit); None: unknown."""
+    load_sky: Callable[[], Bool[Tensor, "h w"]] | None = None
+    """Reads the mask of the sky (True: sky) where it is known; None: unknown."""
     time: float | None = None
     """Seconds since the scene's first view; None: static."""
     sensor: str = ""

@@ -5,14 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.datasets.doors.posed import (
-    Layout,
-    PosedPhoto,
-    checked_pose,
-    open_layout,
-    pinhole_camera,
-    positive,
-)
+from splatbench.datasets.assemble import open_layout
+from splatbench.datasets.doors.posed import checked_pose, pinhole_camera, positive
+from splatbench.datasets.layout import Layout, PosedPhoto
 from splatbench.datasets.photos import list_photos, photo_size
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol

@@ -11,16 +11,15 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
+from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.doors.posed import (
     OPENGL_TO_OPENCV,
-    Layout,
-    PosedPhoto,
     checked_pose,
     find_photo,
-    open_layout,
     pinhole_camera,
     positive,
 )
+from splatbench.datasets.layout import Layout, PosedPhoto
 from splatbench.datasets.photos import list_photos
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol

@@ -11,21 +11,14 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
-from splatbench.datasets.doors.posed import (
-    OPENGL_TO_OPENCV,
-    Layout,
-    PosedPhoto,
-    checked_pose,
-    open_layout,
-    pinhole_camera,
-    positive,
-)
+from splatbench.datasets.assemble import open_layout
+from splatbench.datasets.doors.posed import OPENGL_TO_OPENCV, checked_pose, pinhole_camera, positive
+from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
 from splatbench.datasets.photos import list_photos, photo_size
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
 
-FULL_SIZE_FOLDERS = ("photos", "images")
 PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 """Nerfstudio reads all of these with the same parameters: k1, k2, k3 radial, p1, p2 tangential."""
 FISHEYE = "OPENCV_FISHEYE"
@@ -92,7 +85,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 camera=_camera({**data, **frame}, where),
                 camera_to_world=opengl_pose(frame, where),
                 split="test" if split == "test" else "train" if split else None,
-                scaled=protocol.images not in FULL_SIZE_FOLDERS,
+                factor=copy_factor(protocol.images),
             )
         )
     layout = Layout(

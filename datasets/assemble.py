@@ -1,0 +1,234 @@
+"""From what an adapter has read to a Scene under a protocol: the one place for all adapters."""
+
+import copy
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from splatbench.datasets.depth_maps import depth_loader
+from splatbench.datasets.frame import origin_shift, up_vector
+from splatbench.datasets.images import TensorCache
+from splatbench.datasets.layout import Layout, PosedPhoto
+from splatbench.datasets.lidar import sample_sweeps
+from splatbench.datasets.photos import photo_size
+from splatbench.datasets.resize import scale_intrinsics, scaled_size
+from splatbench.datasets.sparse_points import seen_in_training
+from splatbench.datasets.splits import split_hash, split_views
+from splatbench.datasets.truth import Truth
+from splatbench.datasets.undistort import Undistortion, is_pinhole, plan_undistortion
+from splatbench.reference.camera import Camera
+from splatbench.reference.errors import DataError, UsageError
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.scene import Scene, SparsePoints, View
+
+POSITION_BYTES = 512 * 2**20
+"""Bound of the undistortion maps that a scene keeps: 8 bytes a pixel, so one camera of 64 MP."""
+Pinholes = dict[tuple[object, ...], tuple[Tensor, tuple[int, int], Undistortion | None]]
+
+
+def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
+    """Make the Scene: views, split, shift, points and the facts of the record.
+
+    The split is the protocol's test_names, else the one that the set ships, else every hold-th.
+    With `drop_test_points` the sweeps of held-out moments are left out too. Photos are only
+    looked at (size), not decoded.
+
+    Args:
+        folder: The scene's folder.
+        layout: What the adapter read.
+        protocol: Cameras, sizes, undistortion, split and background.
+
+    Raises: DataError naming file and fault; UsageError for a protocol that does not fit.
+    """
+    layout = _chosen_sensors(folder, layout, protocol)
+    photos = sorted(layout.photos, key=lambda photo: photo.name)
+    names = [photo.name for photo in photos]
+    twice = sorted({a for a, b in pairwise(names) if a == b})
+    if not names or twice:
+        fault = f"has the image {twice[0]!r} twice" if twice else "lists no images"
+        raise DataError(f"{[*layout.description, folder][0]}: {fault}; expected one entry an image")
+    poses = np.stack([photo.camera_to_world for photo in photos])
+    centres = poses[:, :, 3]
+    shift = origin_shift(centres)
+    rotations = poses[:, :, :3].transpose(0, 2, 1)
+    up, up_source = np.array(layout.up), layout.up_source
+    if layout.up is None:
+        up, up_source = up_vector(rotations, centres)
+    train, test, split_source = _split(folder, photos, protocol)
+    points, every = _points(layout, photos, train, protocol)
+    return Scene(
+        name=folder.resolve().name,
+        root=folder,
+        views=_views(folder, photos, rotations, centres - shift, protocol, layout.flatten),
+        train=train,
+        test=test,
+        points=replace(points, positions=points.positions - torch.from_numpy(shift)),
+        up=torch.from_numpy(up),
+        units=layout.units,
+        shift=torch.from_numpy(shift),
+        left_out=layout.left_out,
+        facts=layout.facts
+        | ({"cameras_sha256": _hash(folder, layout.description)} if layout.description else {})
+        | {
+            "adapter": layout.adapter,
+            "photos_sha256": _photos_hash(photos),
+            "split_sha256": split_hash(names, test),
+            "split_source": split_source,
+            "up_source": up_source,
+            "points": f"{len(points)} of {every}",
+            **{name: version(name) for name in ("pycolmap", "pillow", "torch")},
+            "opencv": version("opencv-contrib-python-headless"),
+        },
+    )
+
+
+def _chosen_sensors(folder: Path, layout: Layout, protocol: Protocol) -> Layout:
+    if not protocol.sensors:
+        return layout
+    known = {photo.sensor for photo in layout.photos}
+    for sensor in protocol.sensors:
+        if sensor not in known:
+            raise DataError(
+                f"{folder}: has no camera {sensor!r}, which protocol {protocol.name} uses; "
+                f"it has {', '.join(map(repr, sorted(known)))}"
+            )
+    reason = f"protocol {protocol.name} uses other cameras"
+    others = [(p.name, reason) for p in layout.photos if p.sensor not in protocol.sensors]
+    photos = [photo for photo in layout.photos if photo.sensor in protocol.sensors]
+    return replace(layout, photos=photos, left_out=(*layout.left_out, *others))
+
+
+def _split(
+    folder: Path, photos: Sequence[PosedPhoto], protocol: Protocol
+) -> tuple[tuple[int, ...], tuple[int, ...], str]:
+    shipped = [photo.split for photo in photos]
+    if protocol.test_names or None in shipped:
+        names, times = [photo.name for photo in photos], [photo.time for photo in photos]
+        return *split_views(names, protocol, times), "protocol"
+    train = tuple(i for i, split in enumerate(shipped) if split == "train")
+    test = tuple(i for i, split in enumerate(shipped) if split == "test")
+    if not train:
+        raise DataError(f"{folder}: the data set's split has no training view")
+    return train, test, "data set"
+
+
+def _points(
+    layout: Layout, photos: Sequence[PosedPhoto], train: tuple[int, ...], protocol: Protocol
+) -> tuple[SparsePoints, int]:
+    """(points in the original frame, how many there would be without the protocol's rule)."""
+    points, sweeps = layout.points, layout.sweeps
+    if protocol.drop_test_points:
+        trained = {photos[i].time for i in train}
+        points = seen_in_training(points, train)
+        sweeps = [sweep for sweep in sweeps if sweep.time in trained]
+    if layout.sweeps:
+        points = sample_sweeps(sweeps)
+        return points, len(points)
+    return points, len(layout.points)
+
+
+def _views(
+    folder: Path,
+    photos: Sequence[PosedPhoto],
+    rotations: Float64[np.ndarray, "n 3 3"],
+    centres: Float64[np.ndarray, "n 3"],
+    protocol: Protocol,
+    flatten: bool,
+) -> tuple[View, ...]:
+    """One view a photo; photos of equal cameras and size share their undistortion."""
+    positions = TensorCache(POSITION_BYTES)
+    pinholes: Pinholes = {}
+    poses = np.tile(np.eye(4), (len(photos), 1, 1))
+    poses[:, :3, :3] = rotations
+    poses[:, :3, 3] = -np.einsum("nij,nj->ni", rotations, centres)
+    start = min((photo.time for photo in photos if photo.time is not None), default=0.0)
+    views = []
+    for photo, pose in zip(photos, torch.from_numpy(poses), strict=True):
+        size = photo_size(photo.path)
+        K, full, plan = _pinhole(photo, size, protocol, pinholes)
+        try:
+            scaled = scaled_size(*full, protocol)
+        except UsageError as error:
+            raise UsageError(f"{photo.path}: {error}") from None
+        truth = Truth(
+            path=photo.path,
+            photo_size=size,
+            undistortion=plan,
+            size=scaled,
+            filter=protocol.filter,
+            positions=positions,
+            background=protocol.background if flatten else None,
+            valid=photo.valid,
+            sky=photo.sky,
+        )
+        views.append(
+            View(
+                name=photo.name,
+                camera=Camera(
+                    K=scale_intrinsics(K, full, scaled),
+                    world_to_camera=pose,
+                    width=scaled[0],
+                    height=scaled[1],
+                ),
+                load=truth.image,
+                load_mask=truth.mask if truth.has_mask else None,
+                load_depth=None if plan else depth_loader(folder, photo.name, size, scaled),
+                load_sky=truth.sky_mask if photo.sky else None,
+                time=None if photo.time is None else photo.time - start,
+                sensor=photo.sensor,
+            )
+        )
+    return tuple(views)
+
+
+def _pinhole(
+    photo: PosedPhoto, size: tuple[int, int], protocol: Protocol, known: Pinholes
+) -> tuple[Float[Tensor, "3 3"], tuple[int, int], Undistortion | None]:
+    """(K, size, undistortion) of a photo at its file's size; equal cameras share them."""
+    camera = photo.camera
+    key = (camera.model_name, camera.width, camera.height, *camera.params.tolist(), *size)
+    if key in known:
+        return known[key]
+    if size != (camera.width, camera.height):
+        expected = camera.width / photo.factor, camera.height / photo.factor
+        # a copy has whole pixels: each side is within one of the exact quotient
+        near = all(abs(a - b) < 1 for a, b in zip(size, expected, strict=True))
+        if photo.factor == 1 or not near:
+            raise DataError(
+                f"{photo.path}: photo is {size[0]} x {size[1]}, its camera says "
+                f"{camera.width} x {camera.height}; use the photos that were calibrated"
+            )
+        camera = copy.deepcopy(camera)
+        camera.rescale(*size)
+    if is_pinhole(camera):
+        known[key] = torch.from_numpy(camera.calibration_matrix()), size, None
+        return known[key]
+    try:
+        plan = plan_undistortion(camera, protocol.undistort)
+    except DataError as error:
+        raise DataError(f"{photo.path}: {error}") from None
+    known[key] = plan.K, (plan.width, plan.height), plan
+    return known[key]
+
+
+def _hash(folder: Path, files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in files:
+        data = path.read_bytes()
+        digest.update(f"{path.relative_to(folder).as_posix()} {len(data)}\n".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def _photos_hash(photos: Sequence[PosedPhoto]) -> str:
+    """Sha256 over names and sizes in bytes; contents are hashed with the results, as scored."""
+    lines = [f"{photo.name} {photo.path.stat().st_size}\n" for photo in photos]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()

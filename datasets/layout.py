@@ -1,0 +1,96 @@
+"""A scene as a data set's files describe it, before a protocol's rules: what every adapter reads."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pycolmap
+import torch
+from jaxtyping import Float64
+
+from splatbench.reference.scene import SparsePoints
+
+FULL_SIZE_FOLDERS = ("photos", "images")
+"""Two names of the folder that has the photos as calibrated."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PosedPhoto:
+    """A photo as a data set describes it, its pose in our axes already."""
+
+    name: str
+    """Unique in the scene; views are sorted by it."""
+    path: Path
+    camera: pycolmap.Camera
+    """Size, intrinsics and distortion as calibrated."""
+    camera_to_world: Float64[np.ndarray, "3 4"]
+    """OpenCV camera axes (right, down, forward) to the scene's frame."""
+    split: Literal["train", "test"] | None = None
+    """What the set ships; None where it ships no split."""
+    factor: int = 1
+    """The file may be a copy this many times smaller than calibrated (see `copy_factor`)."""
+    valid: Path | None = None
+    """Mask image of the photo's size: 0 where a pixel must not be used."""
+    sky: Path | None = None
+    """Mask image of the photo's size: above 0 where there is sky."""
+    time: float | None = None
+    """Seconds from any start."""
+    sensor: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sweep:
+    """One turn of a LiDAR."""
+
+    time: float
+    """As the photos'."""
+    read: Callable[[], Float64[np.ndarray, "n 3"]]
+    """Reads all its points, in the scene's frame."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Layout:
+    """A data set's scene as read from its files."""
+
+    adapter: str
+    photos: Sequence[PosedPhoto]
+    description: Sequence[Path] = ()
+    """Files that say where the cameras are; their bytes are hashed for the record."""
+    points: SparsePoints = field(
+        default_factory=lambda: plain_points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
+    )
+    sweeps: Sequence[Sweep] = ()
+    """Where there are any, a bounded sample of their points stands for `points`."""
+    up: tuple[float, float, float] | None = None
+    """Unit vector against gravity where the format fixes it; None: guessed from the cameras."""
+    up_source: str = "data set"
+    units: str = "sfm"
+    left_out: tuple[tuple[str, str], ...] = ()
+    flatten: bool = False
+    """Transparent photos are laid on the protocol's background instead of refused."""
+    facts: dict[str, str] = field(default_factory=dict)
+    """Further facts for the record."""
+
+
+def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> SparsePoints:
+    """Points without tracks.
+
+    Args:
+        positions: In the scene's frame.
+        colours: uint8 RGB, n x 3.
+    """
+    return SparsePoints(
+        positions=torch.from_numpy(positions),
+        colours=torch.from_numpy(colours),
+        track_starts=torch.zeros(len(positions) + 1, dtype=torch.int64),
+        track_views=torch.zeros(0, dtype=torch.int64),
+    )
+
+
+def copy_factor(folder: str) -> int:
+    """N of a folder of copies NAME_<N>, whose photos have 1/N of the calibrated sides; else 1."""
+    named = re.search(r"_(\d+)$", folder)
+    return max(int(named.group(1)), 1) if named else 1
