@@ -1,11 +1,19 @@
 """Opens a scene by its registered name or its folder; one line here for each kind of folder."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from splatbench.datasets.colmap import open_colmap
-from splatbench.datasets.doors import levir_nvs, mega_nerf, transforms
+from splatbench.datasets.added_views import with_tests
+from splatbench.datasets.doors import (
+    levir_nvs,
+    llff,
+    matrix_city,
+    mega_nerf,
+    photo_tourism,
+    transforms,
+)
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
@@ -30,10 +38,22 @@ ADAPTERS = (
         open=open_colmap,
     ),
     Adapter(
+        name="photo-tourism",
+        looks_for="a COLMAP model in dense/sparse, photos in dense/images, one .tsv",
+        recognises=photo_tourism.recognises,
+        open=photo_tourism.open_photo_tourism,
+    ),
+    Adapter(
         name="nerfstudio",
         looks_for="transforms.json",
         recognises=lambda folder: (folder / "transforms.json").is_file(),
         open=transforms.open_nerfstudio,
+    ),
+    Adapter(
+        name="matrixcity",
+        looks_for="pose/<block>/transforms_train.json, or train/<block>/transforms.json",
+        recognises=matrix_city.recognises,
+        open=matrix_city.open_matrix_city,
     ),
     Adapter(
         name="blender",
@@ -46,6 +66,12 @@ ADAPTERS = (
         looks_for="train/metadata and val/metadata with .pt files",
         recognises=mega_nerf.recognises,
         open=mega_nerf.open_mega_nerf,
+    ),
+    Adapter(
+        name="llff",
+        looks_for="poses_bounds.npy",
+        recognises=llff.recognises,
+        open=llff.open_llff,
     ),
     Adapter(
         name="levir-nvs",
@@ -73,6 +99,19 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
         from splatbench.datasets.registry import find_scene
 
         folder = find_scene(str(spec))
+    if not protocol.test_folder:
+        return _open_folder(folder, protocol)
+    whole = replace(protocol, hold=0, test_folder="")
+    tests = folder / protocol.test_folder
+    if not tests.is_dir():
+        raise DataError(
+            f"{tests}: no such folder, but protocol {protocol.name!r} takes its test views from it"
+        )
+    return with_tests(_open_folder(folder, whole), _open_folder(tests, whole))
+
+
+def _open_folder(folder: Path, protocol: Protocol) -> Scene:
+    """Open a folder with the first adapter that recognises it."""
     for adapter in ADAPTERS:
         if adapter.recognises(folder):
             return adapter.open(folder, protocol)

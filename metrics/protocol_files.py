@@ -81,6 +81,10 @@ def _check(protocol: Protocol, where: str) -> None:
         (sizes, "both width and factor are given; choose one"),
         (protocol.width is not None and protocol.width < 1, f"width is {protocol.width}, not >= 1"),
         (not 1 <= protocol.factor < float("inf"), f"factor is {protocol.factor}, not >= 1"),
+        (
+            bool(protocol.test_folder and protocol.test_names),
+            "both test_folder and test_names are given; choose one",
+        ),
         (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
         (protocol.hold_first < 0, f"hold_first is {protocol.hold_first}, expected 0 or more"),
         (not protocol.metrics, "metrics is empty; name at least one"),

@@ -33,6 +33,9 @@ class Protocol:
     """Names of the cameras that are used, in training and in testing; empty: all."""
     test_names: tuple[str, ...] = ()
     """Names of the test views; when given, `hold` is ignored."""
+    test_folder: str = ""
+    """Folder inside the scene's, a scene of its own in the same frame: its views are the test views,
+    and all of the scene's own are for training (`hold` is ignored)."""
     drop_test_points: bool = False
     """Leave out sparse points that only test views see."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -38,6 +38,8 @@ def test_what_ours_change():
         "width_500": {"width": 500},
         "brighton_250": {"width": 250, "test_names": ("dji_0026.jpg",)},
         "brighton_500": {"width": 500, "test_names": ("dji_0026.jpg",)},
+        "city_400": {"width": 400},
+        "city_unseen": {"width": 320, "test_folder": "unseen"},
         "float": {"rounding": "float"},
         "truncate": {"rounding": "truncate"},
         "3dgs": {

@@ -63,6 +63,20 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
     assert len(truth.blind_facades(stage.caster, cloud, train, tests)) > 50
 
 
+def test_the_city_is_tested_where_it_was_not_flown(made):
+    folder, plan = made("city")
+    scene = open_scene(folder, replace(PROTOCOL, test_folder=city.UNSEEN))
+    assert {v.name for v in scene.train_views} == {s.name for s in plan.shots if not s.group}
+    assert {v.name for v in scene.test_views} == {s.name for s in plan.shots if s.group}
+    for view in scene.test_views:
+        shot = next(s for s in plan.shots if s.name == view.name)
+        gap = view.camera.world_to_camera - shot.camera.world_to_camera
+        # the file keeps a unit quaternion: rounding of a rotation, times a hundred metres
+        assert float((gap[:3, :3]).abs().max()) < 1e-12
+        shift = shot.camera.rotation @ scene.shift
+        assert float((gap[:3, 3] - shift).abs().max()) < 1e-9
+
+
 def test_the_relit_tunnel_has_the_same_depth_and_other_light(made):
     folder, _ = made("tunnel")
     relit = exporting.read_frame(folder / tunnel.RELIT, "stop_0000_camera_0.png")

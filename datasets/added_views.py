@@ -1,0 +1,48 @@
+"""Test views that a scene's own flight never had, from a second scene in the same frame."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from splatbench.datasets.splits import split_hash
+from splatbench.reference.errors import DataError
+from splatbench.reference.scene import Scene, View
+
+
+def with_tests(scene: Scene, tests: Scene) -> Scene:
+    """The scene with all of its views for training, and those of `tests` as its test views.
+
+    Points and their tracks stay the scene's: no test view observes any.
+
+    Args:
+        scene: What is trained on.
+        tests: In the same original frame; its shift may be another.
+    Raises: DataError where a view's name is in both, or the units differ.
+    """
+    both = {view.name for view in scene.views} & {view.name for view in tests.views}
+    if both:
+        raise DataError(f"{tests.root}: test view {min(both)!r} has the name of a training view")
+    if tests.units != scene.units:
+        raise DataError(f"{tests.root}: units are {tests.units!r}, the scene's {scene.units!r}")
+    moved = tuple(_moved(view, scene.shift - tests.shift) for view in tests.views)
+    views = sorted((*scene.views, *moved), key=lambda view: view.name)
+    index = {view.name: i for i, view in enumerate(views)}
+    names = [view.name for view in views]
+    test = tuple(sorted(index[view.name] for view in tests.views))
+    new = torch.tensor([index[view.name] for view in scene.views])
+    points = replace(scene.points, track_views=new[scene.points.track_views.long()])
+    facts = {"split_sha256": split_hash(names, test), "tests": tests.name}
+    facts |= {f"tests_{key}": tests.facts[key] for key in ("photos_sha256",) if key in tests.facts}
+    return replace(
+        scene, views=tuple(views), test=test, points=points, facts=scene.facts | facts,
+        train=tuple(sorted(index[view.name] for view in scene.views)),
+    )  # fmt: skip
+
+
+def _moved(view: View, shift: Float64[Tensor, "3"]) -> View:
+    """The view with its pose in a frame whose origin lies `shift` further on: t' = t + R shift."""
+    pose = view.camera.world_to_camera.clone()
+    pose[:3, 3] += pose[:3, :3] @ shift
+    return replace(view, camera=replace(view.camera, world_to_camera=pose))

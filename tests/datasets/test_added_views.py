@@ -1,0 +1,66 @@
+"""Test views from a scene of their own: nothing moves, nothing trains on them."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from helpers.tiny_scene import camera, tiny_scene
+from splatbench.datasets.added_views import with_tests
+from splatbench.datasets.opening import open_scene
+from splatbench.reference.camera import project_points
+from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
+from splatbench.reference.scene import Scene
+
+
+def renamed(scene: Scene, prefix: str) -> Scene:
+    views = tuple(replace(view, name=prefix + view.name) for view in scene.views)
+    return replace(scene, views=views)
+
+
+def tracked(scene: Scene) -> Scene:
+    """Point i is observed by view i modulo their number."""
+    count = len(scene.points)
+    points = replace(
+        scene.points,
+        track_starts=torch.arange(count + 1),
+        track_views=torch.arange(count) % len(scene.views),
+    )
+    return replace(scene, points=points)
+
+
+def test_all_own_views_train_and_tracks_keep_their_views():
+    scene = renamed(tracked(tiny_scene()), "m")
+    both = with_tests(scene, renamed(tiny_scene(views=2), "a"))  # sorts before the scene's
+    assert [view.name for view in both.test_views] == ["a0.png", "a1.png"]
+    assert [view.name for view in both.train_views] == [view.name for view in scene.views]
+    names = [both.views[i].name for i in both.points.track_views.tolist()]
+    assert names == [scene.views[i].name for i in scene.points.track_views.tolist()]
+    assert [view.name for view in both.views] == sorted(view.name for view in both.views)
+
+
+def test_another_shift_of_the_test_views_changes_no_pixel():
+    scene = replace(tiny_scene(), shift=torch.tensor([100.0, 20.0, 5.0], dtype=torch.float64))
+    away = torch.tensor([103.0, 18.0, 5.5], dtype=torch.float64)
+    pose = camera(0).world_to_camera.clone()
+    pose[:3, 3] += pose[:3, :3] @ (away - scene.shift)  # the same camera, told from `away`
+    tests = renamed(replace(tiny_scene(views=1), shift=away, train=(0,), test=()), "t")
+    view = replace(tests.views[0], camera=replace(camera(0), world_to_camera=pose))
+    both = with_tests(scene, replace(tests, views=(view,)))
+    points = scene.points.positions
+    want, _ = project_points(camera(0), points)
+    found, _ = project_points(both.test_views[0].camera, points)
+    assert torch.allclose(found, want, atol=1e-9)
+
+
+def test_names_in_both_and_other_units_are_refused():
+    with pytest.raises(DataError, match=r"test view '0\.png' has the name of a training view"):
+        with_tests(tiny_scene(), tiny_scene(views=1))
+    with pytest.raises(DataError, match="units are 'metres', the scene's 'sfm'"):
+        with_tests(tiny_scene(), replace(renamed(tiny_scene(), "t"), units="metres"))
+
+
+def test_a_scene_without_the_folder_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no such folder, but protocol 'p' takes its test views"):
+        open_scene(tmp_path, Protocol(name="p", source="test", test_folder="unseen"))
