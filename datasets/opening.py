@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatbench.datasets.colmap import open_colmap
 from splatbench.datasets.added_views import with_tests
+from splatbench.datasets.colmap import open_colmap
 from splatbench.datasets.doors import (
     levir_nvs,
     llff,
