@@ -5,6 +5,7 @@ Both give camera-to-world matrices with OpenGL camera axes (right, up, back).
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pycolmap
 from jaxtyping import Float64
 
 from splatbench.datasets.assemble import open_layout
+from splatbench.datasets.doors.ply_points import read_ply_points
 from splatbench.datasets.doors.posed import OPENGL_TO_OPENCV, checked_pose, pinhole_camera, positive
 from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
 from splatbench.datasets.photos import list_photos, photo_size
@@ -26,8 +28,17 @@ BLENDER_FILES = ("transforms_train.json", "transforms_test.json")
 VALIDATION = "validation view: the paper trains on the training and tests on the test views"
 
 
-def read_frames(path: Path) -> tuple[dict[str, object], list[dict[str, object]]]:
-    """(everything else, frames) of a transforms file. Raises: DataError naming the fault."""
+def read_frames(
+    path: Path, key: str = "file_path", kind: type = str
+) -> tuple[dict[str, object], list[dict[str, object]]]:
+    """(everything else, frames) of a transforms file.
+
+    Args:
+        path: The file.
+        key: Field that names a frame's image.
+        kind: Type of that field.
+    Raises: DataError naming the fault.
+    """
     try:
         data = json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -36,11 +47,12 @@ def read_frames(path: Path) -> tuple[dict[str, object], list[dict[str, object]]]
         raise DataError(f"{path}: not a JSON file ({error})") from None
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
-        raise DataError(f"{path}: has no list 'frames'; expected a nerfstudio or Blender file")
+        raise DataError(f"{path}: has no list 'frames'; expected a transforms file")
     for i, frame in enumerate(frames):
-        if not isinstance(frame.get("file_path"), str):
+        if not isinstance(frame.get(key), kind):
             raise DataError(
-                f"{path}: frame {i} has file_path {frame.get('file_path')!r}, expected a file name"
+                f"{path}: frame {i} has {key} {frame.get(key)!r}, expected a value of type "
+                f"{kind.__name__}"
             )
     return data, frames
 
@@ -58,9 +70,12 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     A frame's own number wins over the file's. `test_filenames` is the test split (without it
     `val_filenames`); images that no list names are left out. `protocol.images` other than
     "photos" or "images" names the folder of smaller copies beside the frames' own.
-    No sparse points are read: releases disagree on the frame of `ply_file_path`.
+    `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Pixels
+    where the image of `mask_path` is black are not used; copies have theirs in masks_N.
 
-    Raises: DataError for cameras that are no pinhole even undistorted, for masks, for files.
+    Raises: DataError for cameras that are no pinhole even undistorted, or for files.
+
+    Source: nerfstudio 1.1, nerfstudio_dataparser.py.
     """
     path = folder / "transforms.json"
     data, frames = read_frames(path)
@@ -69,8 +84,6 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     for frame in frames:
         name = Path(str(frame["file_path"])).as_posix()
         where = f"{path}: frame {name}"
-        if "mask_path" in frame:
-            raise DataError(f"{where}: has a mask_path; masks of nerfstudio are not supported")
         split = None if lists is None else lists.get(name)
         if lists is not None and split is None:
             left_out.append((name, "in neither the training nor the test list of transforms.json"))
@@ -86,12 +99,32 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 camera_to_world=opengl_pose(frame, where),
                 split="test" if split == "test" else "train" if split else None,
                 factor=copy_factor(protocol.images),
+                valid=_mask(folder, frame, copy_factor(protocol.images), where),
             )
         )
     layout = Layout(
         adapter="nerfstudio", photos=photos, description=[path], left_out=tuple(left_out)
     )
+    cloud = data.get("ply_file_path")
+    if cloud is not None:
+        if not isinstance(cloud, str):
+            raise DataError(f"{path}: ply_file_path is {cloud!r}, expected a file name")
+        file = folder / cloud
+        layout = replace(layout, points=read_ply_points(file), description=[path, file])
     return open_layout(folder, layout, protocol)
+
+
+def _mask(folder: Path, frame: dict[str, object], factor: int, where: str) -> Path | None:
+    """Mask image of a frame, where it names one. Raises: DataError if it is not there."""
+    name = frame.get("mask_path")
+    if name is None:
+        return None
+    file = folder / str(name)
+    if factor > 1:
+        file = folder / f"masks_{factor}" / file.name
+    if not file.is_file():
+        raise DataError(f"{file}: mask is missing, but {where} names it")
+    return file
 
 
 def _lists(path: Path, data: dict[str, object], known: set[str]) -> dict[str, str] | None:
