@@ -32,6 +32,10 @@ class TensorCache:
         self._making: dict[Hashable, Lock] = {}
         self._lock = Lock()
 
+    def __reduce__(self) -> tuple[type["TensorCache"], tuple[int]]:
+        """Sent to another process it starts empty there."""
+        return TensorCache, (self.limit,)
+
     def __len__(self) -> int:
         """Return the number of tensors kept."""
         return len(self._kept)

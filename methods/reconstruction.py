@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -24,6 +24,7 @@ FORMAT = "splatbench model"
 FORMAT_VERSION = 1
 ARRAYS = "model.safetensors"
 DESCRIPTION = "model.json"
+KINDS = ("explicit", "city")
 FIELDS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 
 
@@ -53,6 +54,8 @@ class Reconstruction(Protocol):
 class ExplicitModel:
     """Gaussians and what is needed to draw and export them."""
 
+    kind: ClassVar[str] = "explicit"
+    """What load_reconstruction tells models apart by."""
     model: Gaussians
     method: str
     """Name of the row that made it; "import" for a foreign file."""
@@ -85,28 +88,71 @@ class ExplicitModel:
             sh=model.sh, background=background, mode=self.mode,
         )  # fmt: skip
 
+    def arrays(self) -> dict[str, Tensor]:
+        """What model.safetensors holds."""
+        return {name: getattr(self.model, name) for name in FIELDS}
+
+    def more(self, folder: Path) -> dict[str, Any]:
+        """Write what other files a kind of model has; what model.json says of them."""
+        del folder
+        return {}
+
     def save(self, folder: Path) -> None:
         """Write `folder`/model.safetensors and, last, model.json, which holds its hash.
 
         A folder that was interrupted has no model.json and is refused by `load_reconstruction`.
         """
         (folder / DESCRIPTION).unlink(missing_ok=True)
-        write_tensors(folder / ARRAYS, {name: getattr(self.model, name) for name in FIELDS})
-        facts = {
-            "format": FORMAT,
-            "version": FORMAT_VERSION,
-            "kind": "explicit",
-            "method": self.method,
-            "settings": dict(self.settings),
-            "mode": self.mode,
-            "shift": self.shift.tolist(),
-            "units": self.units,
-            "primitives": self.primitives,
-            "degree": self.model.degree,
-            "arrays_sha256": sha256(folder / ARRAYS),
-            "versions": {"splatbench": __version__, "torch": torch.__version__},
-        }
-        write_text(folder / DESCRIPTION, json.dumps(facts, indent=2) + "\n")
+        write_tensors(folder / ARRAYS, self.arrays())
+        write_description(
+            folder, method=self.method, settings=self.settings, mode=self.mode, shift=self.shift,
+            units=self.units, primitives=self.primitives, degree=self.model.degree,
+            kind=self.kind, more=self.more(folder),
+        )  # fmt: skip
+
+
+def write_description(
+    folder: Path,
+    *,
+    method: str,
+    settings: Mapping[str, Any],
+    mode: Mode,
+    shift: Float[Tensor, "3"],
+    units: str,
+    primitives: int,
+    degree: int,
+    kind: str = ExplicitModel.kind,
+    more: Mapping[str, Any] | None = None,
+) -> None:
+    """Write model.json beside arrays that lie there complete: it holds their hash.
+
+    Args:
+        folder: With model.safetensors.
+        method: As in ExplicitModel, like settings, mode, shift and units.
+        settings: JSON-ready.
+        mode: How the model is rasterized.
+        shift: Float64; back to the original frame.
+        units: Name of the length unit.
+        primitives: Number of Gaussians.
+        degree: Of the spherical harmonics.
+        kind: One of KINDS.
+        more: What that kind of model says besides.
+    """
+    facts = {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "kind": kind,
+        "method": method,
+        "settings": dict(settings),
+        "mode": mode,
+        "shift": shift.tolist(),
+        "units": units,
+        "primitives": primitives,
+        "degree": degree,
+        "arrays_sha256": sha256(folder / ARRAYS),
+        "versions": {"splatbench": __version__, "torch": torch.__version__},
+    } | dict(more or {})
+    write_text(folder / DESCRIPTION, json.dumps(facts, indent=2) + "\n")
 
 
 def describe(folder: Path) -> dict[str, Any]:
@@ -128,8 +174,8 @@ def describe(folder: Path) -> dict[str, Any]:
             f"{path}: version {facts.get('version')!r}, this splatbench reads {FORMAT_VERSION}; "
             "use the version that wrote it"
         )
-    if facts.get("kind") != "explicit":
-        raise DataError(f"{path}: kind {facts.get('kind')!r}, expected 'explicit'")
+    if facts.get("kind") not in KINDS:
+        raise DataError(f"{path}: kind {facts.get('kind')!r}, expected {' or '.join(KINDS)}")
     return facts
 
 
@@ -149,23 +195,44 @@ def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction
         raise DataError(
             f"{path}: its sha256 is not the one in {DESCRIPTION}; copy the folder again"
         )
-    missing = [name for name in FIELDS if name not in arrays]
-    if missing:
-        raise DataError(f"{path}: no array {missing[0]!r}. Expected {', '.join(FIELDS)}")
-    model = Gaussians(**{name: arrays[name] for name in FIELDS})
-    check_gaussians(model, path)
+    if facts["kind"] == "city":
+        from splatbench.methods.city.model import load_city  # it builds on this module
+
+        return load_city(folder, facts, arrays, backend=backend)
+    model = gaussians_in(arrays, path)
     try:
-        shift = torch.tensor(facts["shift"], dtype=torch.float64)
-        if shift.shape != (3,):
-            raise ValueError(f"shift has shape {tuple(shift.shape)}, expected 3 numbers")
-        if facts["mode"] not in ("classic", "antialiased"):
-            raise ValueError(f"mode {facts['mode']!r}, expected 'classic' or 'antialiased'")
-        return ExplicitModel(
-            model=model, method=str(facts["method"]), settings=dict(facts["settings"]),
-            mode=facts["mode"], shift=shift, units=str(facts["units"]), backend=backend,
-        )  # fmt: skip
+        return ExplicitModel(model=model, backend=backend, **described(facts))
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
+
+
+def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
+    """The Gaussians among named arrays, checked.
+
+    Raises: DataError, naming `source`.
+    """
+    missing = [name for name in FIELDS if name not in arrays]
+    if missing:
+        raise DataError(f"{source}: no array {missing[0]!r}. Expected {', '.join(FIELDS)}")
+    model = Gaussians(**{name: arrays[name] for name in FIELDS})
+    check_gaussians(model, source)
+    return model
+
+
+def described(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """What model.json says that any model has beside its arrays.
+
+    Raises: KeyError, TypeError or ValueError for what is missing or wrong.
+    """
+    shift = torch.tensor(facts["shift"], dtype=torch.float64)
+    if shift.shape != (3,):
+        raise ValueError(f"shift has shape {tuple(shift.shape)}, expected 3 numbers")
+    if facts["mode"] not in ("classic", "antialiased"):
+        raise ValueError(f"mode {facts['mode']!r}, expected 'classic' or 'antialiased'")
+    return {
+        "method": str(facts["method"]), "settings": dict(facts["settings"]),
+        "mode": facts["mode"], "shift": shift, "units": str(facts["units"]),
+    }  # fmt: skip
 
 
 def check_gaussians(model: Gaussians, source: Path) -> None:

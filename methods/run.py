@@ -30,9 +30,16 @@ class Run:
     report: Callable[[int, int, dict[str, float]], None] = say_nothing
     """Called as report(step, total, values) every few steps while training."""
     on_stage: Callable[[str, float], None] = time_nothing
-    """Called as on_stage(stage, wall seconds) for "init" and "train"; a continued run's seconds
-    include those before the interruption."""
+    """Called as on_stage(stage, wall seconds) for "init" and "train", or the stages of a city; a
+    continued run's seconds include those before the interruption."""
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
     image_bytes: int = 2**30
     """Most bytes of training images kept in memory; the others are read again each time."""
+    engine: str = "processes"
+    """Where the blocks of a city are trained, see splatbench.methods.city.executor."""
+    workers: int = 1
+    """Blocks that are trained at the same time; they share the threads."""
+    cache: Path | None = None
+    """Folder of trained blocks that runs may share: equal blocks are trained once. None: the run's
+    own checkpoint folder."""

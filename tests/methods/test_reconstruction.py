@@ -96,7 +96,7 @@ SPOILERS = {
     "model.json: not JSON": lambda f: (f / "model.json").write_text("{"),
     "model.json: not a model of splatbench": lambda f: (f / "model.json").write_text("[1]"),
     "version 2, this splatbench reads 1": lambda f: edit(f, version=2),
-    "kind 'anchors', expected 'explicit'": lambda f: edit(f, kind="anchors"),
+    "kind 'anchors', expected explicit or city": lambda f: edit(f, kind="anchors"),
     "shift has shape": lambda f: edit(f, shift=[1.0]),
     "mode 'blurred'": lambda f: edit(f, mode="blurred"),
     "sha256 is not the one": flip_a_byte,

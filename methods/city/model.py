@@ -1,0 +1,89 @@
+"""A reconstruction that knows the blocks it was made of."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from splatbench.methods.city.blocks import BlockFacts
+from splatbench.methods.files import sha256, write_bytes
+from splatbench.methods.reconstruction import (
+    ARRAYS,
+    DESCRIPTION,
+    ExplicitModel,
+    described,
+    gaussians_in,
+)
+from splatbench.reference import container, packing
+from splatbench.reference.errors import DataError
+
+CONTAINER = "model.sbgs"
+"""The compressed Gaussians, where a model is compressed."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CityModel(ExplicitModel):
+    """Gaussians of all blocks together, and where each comes from."""
+
+    kind: ClassVar[str] = "city"
+    blocks: Int64[Tensor, " n"]
+    """Block that trained each Gaussian."""
+    distances: Float[Tensor, " n"]
+    """Normalised distance of each Gaussian to its own block: at most 1 in its core."""
+    block_facts: tuple[BlockFacts, ...]
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Wall seconds of each stage; a continued run's include those before."""
+    packed: bytes | None = None
+    """The compressed file that `model` was read from; None: not compressed."""
+
+    def arrays(self) -> dict[str, Tensor]:
+        """Blocks and distances; and the Gaussians, unless they are in a file of their own."""
+        mine = {"blocks": self.blocks.int(), "distances": self.distances.float()}
+        return mine if self.packed is not None else super().arrays() | mine
+
+    def more(self, folder: Path) -> dict[str, Any]:
+        """Write the compressed Gaussians; facts of blocks and stages."""
+        path = folder / CONTAINER
+        path.unlink(missing_ok=True)
+        facts: dict[str, Any] = {
+            "blocks": [asdict(facts) for facts in self.block_facts],
+            "stage_seconds": dict(self.stage_seconds),
+        }
+        if self.packed is not None:
+            write_bytes(path, self.packed)
+            facts["container"] = {"bytes": len(self.packed), "sha256": sha256(path)}
+        return facts
+
+
+def load_city(
+    folder: Path, facts: Mapping[str, Any], arrays: Mapping[str, Tensor], *, backend: str
+) -> CityModel:
+    """The model of a folder whose model.json and arrays were read already.
+
+    Raises: DataError, in one line, for what is missing or damaged.
+    """
+    path = folder / ARRAYS
+    packed = None
+    if (stored := facts.get("container")) is not None:
+        path = folder / CONTAINER
+        if not path.is_file() or sha256(path) != stored["sha256"]:
+            raise DataError(f"{path}: missing, or not the file of {DESCRIPTION}; copy it again")
+        packed = path.read_bytes()
+        arrays = dict(arrays) | vars(packing.unpack(container.decode(packed)))
+    model = gaussians_in(arrays, path)
+    try:
+        blocks, distances = arrays["blocks"].long(), arrays["distances"]
+        if blocks.shape != (len(model),) or distances.shape != (len(model),):
+            raise ValueError(f"{len(blocks)} blocks and {len(distances)} distances for "
+                             f"{len(model)} Gaussians")  # fmt: skip
+        return CityModel(
+            model=model, backend=backend, blocks=blocks, distances=distances, packed=packed,
+            block_facts=tuple(BlockFacts(**block) for block in facts["blocks"]),
+            stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},
+            **described(facts),
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None

@@ -1,0 +1,60 @@
+"""What sparse points are to a block: its own, context that explains its views, or ghosts."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float64, Int8, Int64
+from torch import Tensor
+
+from splatbench.reference.ghosts import block_boxes, ghosts
+from splatbench.reference.scene import SparsePoints
+from splatbench.reference.visibility import track_lengths
+
+OWN, CONTEXT, GHOST = 0, 1, 2
+"""Trained and densified; trained, not densified; rendered only. What has no role is left out."""
+LEFT_OUT = -1
+Auxiliary = Literal["none", "context", "ghosts", "both"]
+"""none: own points only; context: and all that the block's views see, trained, not densified
+(BlockGaussian); ghosts: and what lies in the auxiliary box, rendered only (DPGS); both: ghosts in
+the auxiliary box, context beyond it."""
+
+
+def roles_of(
+    points: SparsePoints,
+    own: Bool[Tensor, " n"],
+    views: Bool[Tensor, " v"],
+    labels: Int64[Tensor, " n"],
+    block: int,
+    upright: Float64[Tensor, "n 3"],
+    auxiliary: Auxiliary,
+) -> Int8[Tensor, " n"]:
+    """Role of each sparse point in one block; LEFT_OUT for those it does not start from.
+
+    Args:
+        points: All of the scene.
+        own: What the block trains and densifies.
+        views: What it trains on.
+        labels: Who owns each point.
+        block: Which block.
+        upright: Positions in the ground frame, whose axes the auxiliary box follows.
+        auxiliary: What else takes part.
+
+    Source: BlockGaussian, Sec. 3.2 (auxiliary points) and its release; DPGS, Sec. 3.3, Eq. 7
+        (ghosts).
+    """
+    roles = torch.full((len(points),), LEFT_OUT, dtype=torch.int8)
+    if auxiliary in ("context", "both"):
+        roles[seen_points(points, views)] = CONTEXT
+    if auxiliary in ("ghosts", "both") and bool((labels == block).any()):
+        _, around = block_boxes(upright, labels, block)
+        roles[ghosts(upright, labels, block, around)] = GHOST
+    roles[own] = OWN
+    return roles
+
+
+def seen_points(points: SparsePoints, views: Bool[Tensor, " v"]) -> Bool[Tensor, " n"]:
+    """Points that at least one of the views sees."""
+    owner = torch.repeat_interleave(torch.arange(len(points)), track_lengths(points))
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    seen[owner[views[points.track_views.long()]]] = True
+    return seen
