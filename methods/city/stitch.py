@@ -1,0 +1,209 @@
+"""Twin of reference.stitching for blocks of millions: from disk, one block in memory at a time."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float64, Int64, UInt8
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from splatbench.methods.city.block_model import BlockModel
+from splatbench.methods.morton import morton_order
+from splatbench.reference.errors import UsageError
+from splatbench.reference.stitching import (
+    COMPETITIVE,
+    CORE,
+    DROPPED,
+    StitchSettings,
+    TrainedBlock,
+    keep_probability,
+    quality,
+    weight,
+    zones,
+)
+
+SCORED = ("means", "opacity_logits", "log_scales")
+WALL = 1e-9
+"""So near to d = 1 a place may be in two cores, or in none, by rounding."""
+Outside = Literal["drop", "nearest"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Rim:
+    """What competes of one block."""
+
+    rows: Int64[Tensor, " m"]
+    """Indices in the block."""
+    means: Float64[Tensor, "m 3"]
+    distance: Float64[Tensor, " m"]
+    quality: Float64[Tensor, " m"]
+
+
+def stitch(
+    blocks: Sequence[BlockModel],
+    settings: StitchSettings,
+    generator: torch.Generator,
+    *,
+    threads: int | None = None,
+) -> tuple[Bool[Tensor, " _"], ...]:
+    """Twin of reference.stitching.stitch: same generator state, same kept set; rims are O(n log n).
+
+    Held at once: the rims of all blocks (64 bytes a competitive primitive), one block's positions
+    and qualities (32 bytes a primitive) with their k-d tree, and a byte a primitive of the answer.
+    Every block's numbers are drawn in the order of the regions' centres, for all its primitives, so
+    neither the order of the blocks nor what competes changes the number that a primitive gets.
+
+    Args:
+        blocks: All blocks; their order does not matter.
+        settings: How they compete.
+        generator: Of the draws.
+        threads: For the neighbour search; None: all cores. Results do not depend on it.
+
+    Returns: Which primitives of each block stay.
+
+    Raises: UsageError for settings without sense; DataError for damaged block models.
+
+    Source: StitchGS, Sec. 3.2.3.
+    """
+    if settings.neighbours < 1 or not 0 <= settings.sharpness < float("inf"):
+        raise UsageError(f"{settings}: expected neighbours >= 1 and a finite sharpness >= 0")
+    zoned = [_zones_and_rim(block, settings) for block in blocks]
+    rims = [rim for _, rim in zoned]
+    unit = _unit(rims, settings)
+    start = -torch.inf if settings.keep_unopposed else 0.0
+    rivals = [torch.full((len(rim.rows),), start, dtype=torch.float64) for rim in rims]
+    workers = threads or os.cpu_count() or 1
+    for j, other in enumerate(blocks):
+        _compete(other, zoned[j][0], j, rims, rivals, unit, settings, workers)
+    kept = [torch.zeros(0, dtype=torch.bool)] * len(blocks)
+    for i in sorted(range(len(blocks)), key=lambda i: blocks[i].region.centre.tolist()):
+        zone, rim = zoned[i]
+        draw = torch.rand(len(zone), generator=generator, dtype=torch.float64)
+        own = weight(rim.distance) * (rim.quality / unit)
+        chance = keep_probability(own, rivals[i], settings.sharpness)
+        chance = torch.where(rivals[i].isneginf(), 1.0, chance)
+        kept[i] = zone == CORE
+        kept[i][rim.rows] = draw[rim.rows] < chance
+    return tuple(kept)
+
+
+def cut_hard(
+    blocks: Sequence[BlockModel], outside: Outside = "drop"
+) -> tuple[Bool[Tensor, " _"], ...]:
+    """Hard merge: block i keeps what lies in its core; where cores touch, the first nearest block.
+
+    Args:
+        blocks: In the order in which ties go.
+        outside: What lies in no core is dropped, as the papers do, or kept by the "nearest" block.
+
+    Returns: Which primitives of each block stay; no place is kept by two blocks.
+
+    Source: CityGaussian, Sec. 3.2; VastGaussian, Sec. 4.3; StitchGS, Sec. 4 (hard cuts).
+    """
+    return tuple(
+        torch.cat(
+            [
+                _owned(blocks, i, part["means"].double(), outside)
+                for part in block.slices(("means",))
+            ]
+            or [torch.zeros(0, dtype=torch.bool)]
+        )
+        for i, block in enumerate(blocks)
+    )
+
+
+def _owned(
+    blocks: Sequence[BlockModel], block: int, means: Float64[Tensor, "n 3"], outside: Outside
+) -> Bool[Tensor, " n"]:
+    """Which places the block keeps; the others' distances are asked for only where it is not clear."""
+    away = blocks[block].region.distance(means)
+    kept = away <= 1
+    open_ = (away >= 1 - WALL) if outside == "nearest" else (away >= 1 - WALL) & kept
+    rows = open_.nonzero()[:, 0]
+    mine = torch.ones(len(rows), dtype=torch.bool)
+    for j, other in enumerate(blocks):
+        if j != block and len(rows):
+            theirs = other.region.distance(means[rows])
+            mine &= theirs >= away[rows] if j > block else theirs > away[rows]
+    kept[rows] = mine
+    return kept
+
+
+def _zones_and_rim(block: BlockModel, settings: StitchSettings) -> tuple[UInt8[Tensor, " n"], _Rim]:
+    """Zone of each primitive, and the competitive ones."""
+    zone, parts, start = [torch.zeros(0, dtype=torch.uint8)], [], 0
+    for part in block.slices(SCORED):
+        means = part["means"].double()
+        away = block.region.distance(means)
+        zone.append(zones(away).to(torch.uint8))
+        rows = (zone[-1] == COMPETITIVE).nonzero()[:, 0]
+        scored = _quality(block, {name: values[rows] for name, values in part.items()}, settings)
+        parts.append((rows + start, means[rows], away[rows], scored))
+        start += len(means)
+    if not parts:
+        none = torch.zeros(0, dtype=torch.float64)
+        return zone[0], _Rim(
+            rows=none.long(), means=none.reshape(0, 3), distance=none, quality=none
+        )
+    rows, means, away, scored = (torch.cat(column) for column in zip(*parts, strict=True))
+    return torch.cat(zone), _Rim(rows=rows, means=means, distance=away, quality=scored)
+
+
+def _quality(
+    block: BlockModel, part: dict[str, Tensor], settings: StitchSettings
+) -> Float64[Tensor, " n"]:
+    """Q of some primitives of the block."""
+    return quality(TrainedBlock(box=block.region, **part), settings)
+
+
+def _unit(rims: Sequence[_Rim], settings: StitchSettings) -> Float64[Tensor, ""]:
+    """What qualities are divided by: their median over all that competes, or 1."""
+    one = torch.ones((), dtype=torch.float64)
+    if not settings.normalise or not sum(len(rim.rows) for rim in rims):
+        return one
+    unit = torch.cat([rim.quality for rim in rims]).median()
+    return unit if unit > 0 else one
+
+
+def _compete(
+    other: BlockModel,
+    zone: UInt8[Tensor, " n"],
+    index: int,
+    rims: Sequence[_Rim],
+    rivals: Sequence[Float64[Tensor, " _"]],
+    unit: Float64[Tensor, ""],
+    settings: StitchSettings,
+    workers: int,
+) -> None:
+    """Raise the rivals' scores of all other rims by what the block has near them."""
+    reach = {
+        i: weight(other.region.distance(rim.means))
+        for i, rim in enumerate(rims)
+        if i != index and len(rim.rows)
+    }
+    reach = {i: w for i, w in reach.items() if bool((w > 0).any())}
+    alive = zone != DROPPED
+    if not reach or not bool(alive.any()):
+        return
+    means, scored, start = [], [], 0
+    for part in other.slices(SCORED):
+        held = alive[start : start + len(part["means"])]
+        start += len(held)
+        part = {name: values[held] for name, values in part.items()}
+        means.append(part["means"].double())
+        scored.append(_quality(other, part, settings) / unit)
+    qualities = torch.cat(scored)
+    tree = KDTree(torch.cat(means).numpy())
+    count = min(settings.neighbours, tree.n)
+    for i, w in reach.items():
+        near = (w > 0).nonzero()[:, 0]
+        near = near[morton_order(rims[i].means[near])]  # neighbours in a row share the tree's nodes
+        for rows in near.split(2**18):
+            found = tree.query(rims[i].means[rows].numpy(), k=count, workers=workers)[1]
+            ids = torch.from_numpy(np.asarray(found, dtype=np.int64)).reshape(len(rows), count)
+            score = w[rows] * qualities[ids].mean(dim=1)
+            rivals[i][rows] = rivals[i][rows].maximum(score)

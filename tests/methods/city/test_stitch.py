@@ -1,0 +1,196 @@
+"""The fast merge against the reference, from memory and from disk, and what it writes."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.torch import load_file
+
+from splatbench.methods.city import block_model, merge, regions
+from splatbench.methods.city import stitch as fast
+from splatbench.methods.city.block_model import BlockModel
+from splatbench.methods.city.voxel_region import VoxelRegion
+from splatbench.methods.reconstruction import ExplicitModel, load_reconstruction
+from splatbench.reference import stitching
+from splatbench.reference.boxes import OrientedBox, Region
+from splatbench.reference.errors import DataError, UsageError
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.stitching import AS_RELEASED, StitchSettings, TrainedBlock
+
+SEEDS = st.integers(0, 2**16)
+D = torch.float64
+OURS = StitchSettings()
+
+
+def generator(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def gaussians(means: torch.Tensor, g: torch.Generator, bands: int = 4) -> Gaussians:
+    count = len(means)
+    return Gaussians(
+        means=means.float(),
+        quaternions=torch.randn(count, 4, generator=g),
+        log_scales=torch.randn(count, 3, generator=g) - 2,
+        opacity_logits=torch.randn(count, generator=g),
+        sh=torch.randn(count, bands, 3, generator=g),
+    )
+
+
+def cube(x: float) -> OrientedBox:
+    return OrientedBox(
+        centre=torch.tensor([x, 0, 0], dtype=D), rotation=torch.eye(3, dtype=D),
+        half=torch.ones(3, dtype=D),
+    )  # fmt: skip
+
+
+def rough(x: float) -> VoxelRegion:
+    """A cube with a bite out of its far corner."""
+    cells = torch.ones(4, 4, 4).bool()
+    cells[2:, 2:, 2:] = False
+    low = torch.tensor([x - 1, -1, -1], dtype=D)
+    return VoxelRegion(frame=torch.eye(3, dtype=D), low=low, side=0.5, cells=cells)
+
+
+def blocks(count: int, size: int, seed: int, kind: str = "cube") -> list[BlockModel]:
+    """Regions side by side along x, primitives within 1.3 half-extents, half of them on the rims."""
+    g = generator(seed)
+    found = []
+    for i in range(count):
+        local = 2.6 * torch.rand(size, 3, generator=g, dtype=D) - 1.3
+        local[: size // 2, 0] = 1.05 * local[: size // 2, 0].sign()
+        region: Region = cube(2.0 * i) if kind == "cube" else rough(2.0 * i)
+        means = local + torch.tensor([2.0 * i, 0, 0])
+        found.append(BlockModel(region=region, model=gaussians(means, g)))
+    return found
+
+
+def trained(block: BlockModel) -> TrainedBlock:
+    assert isinstance(block.model, Gaussians)
+    m = block.model
+    return TrainedBlock(
+        box=block.region, means=m.means, opacity_logits=m.opacity_logits, log_scales=m.log_scales
+    )
+
+
+def on_disk(made: list[BlockModel], folder) -> list[BlockModel]:
+    stored = []
+    for i, block in enumerate(made):
+        assert isinstance(block.model, Gaussians)
+        ExplicitModel(model=block.model, method="3dgs").save(folder / str(i))
+        stored.append(replace(block, model=folder / str(i)))
+    return stored
+
+
+@settings(max_examples=60)
+@given(
+    count=st.integers(1, 5), size=st.integers(0, 60), seed=SEEDS, k=st.sampled_from([1, 5, 11]),
+    kind=st.sampled_from(["cube", "voxels"]),
+    how=st.sampled_from([OURS, AS_RELEASED, replace(OURS, sharpness=0.0), replace(OURS, sharpness=2.0)]),
+)  # fmt: skip
+def test_a_seed_keeps_what_the_reference_keeps(count, size, seed, k, kind, how):
+    scene = blocks(count, size, seed, kind)
+    how = replace(how, neighbours=k)
+    want = stitching.stitch(tuple(map(trained, scene)), how, generator(seed))
+    found = fast.stitch(scene, how, generator(seed))
+    for mine, other in zip(found, want, strict=True):
+        assert torch.equal(mine, other)
+
+
+@settings(max_examples=5)
+@given(seed=SEEDS)
+def test_from_disk_and_in_slices_the_same_is_kept(seed, tmp_path_factory):
+    scene = blocks(3, 50, seed)
+    stored = on_disk(scene, tmp_path_factory.mktemp("blocks"))
+    want = fast.stitch(scene, OURS, generator(seed))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(block_model, "CHUNK", 7)
+        found = fast.stitch(stored, OURS, generator(seed), threads=1)
+    assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
+    order = torch.randperm(3, generator=generator(seed)).tolist()
+    shuffled = fast.stitch([stored[i] for i in order], OURS, generator(seed))
+    assert all(torch.equal(shuffled[place], want[i]) for place, i in enumerate(order))
+
+
+@settings(max_examples=30)
+@given(count=st.integers(1, 4), size=st.integers(0, 60), seed=SEEDS)
+def test_a_hard_cut_gives_each_place_to_one_block(count, size, seed):
+    scene = blocks(count, size, seed)
+    shapes = [block.region for block in scene]
+    for outside in ("drop", "nearest"):
+        kept = fast.cut_hard(scene, outside)
+        for i, (block, mask) in enumerate(zip(scene, kept, strict=True)):
+            assert isinstance(block.model, Gaussians)
+            means = block.model.means.double()
+            owner = regions.nearest_region(shapes, means)
+            core = shapes[i].distance(means) <= 1
+            want = (owner == i) & (core if outside == "drop" else True)
+            assert torch.equal(mask, want)
+
+
+def test_a_place_on_a_wall_has_one_owner():
+    wall = torch.tensor([[1.0, 0, 0]])
+    g = generator(0)
+    scene = [BlockModel(region=cube(x), model=gaussians(wall, g)) for x in (0.0, 2.0)]
+    assert [mask.tolist() for mask in fast.cut_hard(scene)] == [[True], [False]]
+    assert [mask.tolist() for mask in fast.cut_hard(scene[::-1])] == [[True], [False]]
+
+
+@pytest.mark.parametrize("wrong", [{"neighbours": 0}, {"sharpness": -1.0}])
+def test_settings_without_sense_are_refused(wrong):
+    with pytest.raises(UsageError):
+        fast.stitch([], replace(OURS, **wrong), generator(0))
+
+
+@settings(max_examples=8)
+@given(seed=SEEDS, count=st.integers(1, 4), stored=st.booleans())
+def test_the_merged_folder_holds_what_is_kept_block_after_block(
+    seed, count, stored, tmp_path_factory
+):
+    folder = tmp_path_factory.mktemp("merge")
+    scene = blocks(count, 40, seed)
+    source = on_disk(scene, folder / "blocks") if stored else scene
+    kept = fast.stitch(source, OURS, generator(seed))
+    shift = torch.tensor([5e5, 4e6, 0], dtype=D)
+    counts = merge.write_merged(
+        folder / "m", source, kept, method="stitchgs", settings={"eta": 30.0}, shift=shift,
+        units="metres", mode="antialiased",
+    )  # fmt: skip
+    assert counts == tuple(int(mask.sum()) for mask in kept)
+    back = load_reconstruction(folder / "m")
+    assert isinstance(back, ExplicitModel)
+    assert (back.units, back.mode, back.method) == ("metres", "antialiased", "stitchgs")
+    assert torch.equal(back.shift, shift)
+    for name in vars(back.model):
+        parts = [getattr(b.model, name)[mask] for b, mask in zip(scene, kept, strict=True)]
+        assert torch.equal(getattr(back.model, name), torch.cat(parts))
+    assert set(load_file(folder / "m" / "model.safetensors")) == set(vars(back.model))
+
+
+def test_merges_without_sense_are_refused(tmp_path):
+    scene = blocks(2, 20, 0)
+    keywords = {"method": "x", "settings": {}, "shift": torch.zeros(3, dtype=D)}
+    nothing = [torch.zeros(20).bool()] * 2
+    with pytest.raises(DataError, match="lost every primitive"):
+        merge.write_merged(tmp_path, scene, nothing, **keywords)
+    other = replace(scene[1], model=gaussians(torch.zeros(20, 3), generator(0), bands=1))
+    with pytest.raises(DataError, match="SH bands"):
+        merge.write_merged(tmp_path, [scene[0], other], nothing, **keywords)
+    with pytest.raises(DataError, match="expected 24"):
+        merge.write_float_stream(tmp_path / "x", {"a": (2, 3)}, iter([torch.zeros(1, 3)]))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_block_is_refused(tmp_path):
+    (stored,) = on_disk(blocks(1, 30, 0), tmp_path)
+    path = tmp_path / "0" / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(DataError, match="model.safetensors"):
+        fast.stitch([stored], OURS, generator(0))
+    facts = tmp_path / "0" / "model.json"
+    on_disk(blocks(1, 30, 0), tmp_path)
+    facts.write_text(facts.read_text().replace('"primitives": 30', '"primitives": 31'))
+    with pytest.raises(DataError, match="fewer primitives"):
+        fast.stitch([stored], OURS, generator(0))
