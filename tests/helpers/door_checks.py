@@ -1,0 +1,62 @@
+"""What every door must do, whatever the set: checked on fixtures that the tests write."""
+
+import os
+import resource
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from splatbench.datasets.opening import open_scene
+from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
+
+
+def protocol(**rules) -> Protocol:
+    return Protocol(name="test", source="test", **rules)
+
+
+def refused(folder: Path, said: str, **rules) -> None:
+    """The scene does not open, and one line says why."""
+    with pytest.raises(DataError, match=said) as caught:
+        open_scene(folder, protocol(**rules))
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+def without(path: Path, folder: Path, said: str, **rules) -> None:
+    """The scene does not open without a file or with rubbish in it; then it is put back."""
+    kept = path.read_bytes()
+    path.unlink()
+    refused(folder, said, **rules)
+    path.write_bytes(b"\x00\x01 rubbish")
+    refused(folder, path.name.replace(".", r"\."), **rules)
+    path.write_bytes(kept)
+    open_scene(folder, protocol(**rules))
+
+
+def opens_in_bounds(folder: Path, views: int, *, seconds: float = 15, mb: float = 200, **rules):
+    """The scene with many views opens within bounds of time and of added peak memory.
+
+    The largest resident set of the process never falls, so its growth bounds what opening took.
+    """
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.perf_counter()
+    scene = open_scene(folder, protocol(**rules))
+    took = time.perf_counter() - start
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 2**10
+    assert len(scene.views) == views
+    assert took < seconds
+    assert grown < mb
+    return scene
+
+
+def hard_links(source: Path, targets: list[Path]) -> None:
+    """One small file under many names; copies where a file system has no links."""
+    for target in targets:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(source, target)
+        except OSError:
+            shutil.copy(source, target)
