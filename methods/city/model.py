@@ -9,6 +9,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from splatbench.methods.city.blocks import BlockFacts
+from splatbench.methods.city.regions import AnyRegion, load_regions, save_regions
 from splatbench.methods.files import sha256, write_bytes
 from splatbench.methods.reconstruction import (
     ARRAYS,
@@ -23,6 +24,9 @@ from splatbench.reference.errors import DataError
 CONTAINER = "model.sbgs"
 """The compressed Gaussians, where a model is compressed."""
 
+REGIONS = "regions.safetensors"
+"""Where the blocks of the partition lie."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CityModel(ExplicitModel):
@@ -34,6 +38,8 @@ class CityModel(ExplicitModel):
     distances: Float[Tensor, " n"]
     """Normalised distance of each Gaussian to its own block: at most 1 in its core."""
     block_facts: tuple[BlockFacts, ...]
+    regions: tuple[AnyRegion, ...] = ()
+    """Where each block of the partition lies: seams are looked for between them."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Wall seconds of each stage; a continued run's include those before."""
     packed: bytes | None = None
@@ -48,6 +54,7 @@ class CityModel(ExplicitModel):
         """Write the compressed Gaussians; facts of blocks and stages."""
         path = folder / CONTAINER
         path.unlink(missing_ok=True)
+        save_regions(folder / REGIONS, self.regions)
         facts: dict[str, Any] = {
             "blocks": [asdict(facts) for facts in self.block_facts],
             "stage_seconds": dict(self.stage_seconds),
@@ -82,6 +89,7 @@ def load_city(
         return CityModel(
             model=model, backend=backend, blocks=blocks, distances=distances, packed=packed,
             block_facts=tuple(BlockFacts(**block) for block in facts["blocks"]),
+            regions=load_regions(folder / REGIONS),
             stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},
             **described(facts),
         )  # fmt: skip
