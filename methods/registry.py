@@ -3,9 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 from splatbench.methods import training
+from splatbench.methods.city import settings as city
+from splatbench.methods.city.pipeline import fit as fit_city
 from splatbench.methods.reconstruction import Reconstruction
 from splatbench.methods.run import Run
 from splatbench.reference.errors import UsageError
@@ -25,6 +28,12 @@ class Method:
     """One line."""
 
 
+def _city(name: str, settings: type, description: str) -> Method:
+    return Method(
+        name=name, settings=settings, fit=partial(fit_city, method=name), description=description
+    )
+
+
 METHODS: dict[str, Method] = {
     "3dgs": Method(
         name="3dgs",
@@ -32,7 +41,46 @@ METHODS: dict[str, Method] = {
         fit=training.fit,
         description="3D Gaussian Splatting (Kerbl et al. 2023): SfM points, adaptive density "
         "control, opacity reset, SH warm-up, L1 + 0.2 D-SSIM",
-    )
+    ),
+    **{
+        row.name: row
+        for row in (
+            _city(
+                "citygaussian",
+                city.CityGaussian,
+                "blocks of a uniform grid in contracted space, each fine-tuned from a coarse model; "
+                "hard merge (Liu et al. 2024)",
+            ),
+            _city(
+                "vastgaussian",
+                city.VastGaussian,
+                "camera-balanced grid, views by the visibility of a cell's airspace; hard merge "
+                "(Lin et al. 2024), without its appearance network",
+            ),
+            _city(
+                "blockgaussian",
+                city.BlockGaussian,
+                "rectangles halved by point density, what their views see beyond trained but not "
+                "densified; hard merge (Wu et al. 2025), without depth and pseudo views",
+            ),
+            _city(
+                "dpgs-partition",
+                city.DpgsPartition,
+                "blocks of equal rendering load (ODBP), frozen ghosts around each; hard merge",
+            ),
+            _city(
+                "stitchgs",
+                city.StitchGS,
+                "density split, balanced sampling, stochastic stitching, global refinement, "
+                "compression; each can be switched off",
+            ),
+            _city(
+                "odbp+stitch",
+                city.OdbpStitch,
+                "ODBP and ghosts of DPGS, sampling, stitching, refinement and compression of StitchGS",
+            ),
+        )
+    },
 }
 
 

@@ -29,6 +29,8 @@ def fit(
     backend: str = "cpu",
     threads: int | None = None,
     checkpoint_seconds: float = 30.0,
+    engine: str = "processes",
+    workers: int = 1,
 ) -> int:
     """Train, save the model to OUT/model, and score the held-out views.
 
@@ -45,6 +47,8 @@ def fit(
         backend: Rasterizer: cpu, reference or cuda.
         threads: Threads to use; None: as many as torch does.
         checkpoint_seconds: Seconds between checkpoints.
+        engine: Where the blocks of a city are trained: processes, inline or ray.
+        workers: Blocks of a city that are trained at the same time.
     """
     from splatbench.datasets.opening import open_scene
     from splatbench.methods.backends import get_backend
@@ -73,7 +77,7 @@ def fit(
         run = Run(
             folder=out, seed=seed, backend=backend, threads=threads, report=report,
             background=rules.background, on_stage=stages.__setitem__,
-            checkpoint_seconds=checkpoint_seconds,
+            checkpoint_seconds=checkpoint_seconds, engine=engine, workers=workers,
         )  # fmt: skip
         model = row.fit(opened, settings, run)
     model.save(out / "model")

@@ -1,0 +1,79 @@
+"""Memory that training the blocks will take, before anything has started."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from splatbench.methods.city.blocks import BlockJob
+from splatbench.methods.city.roles import OWN
+from splatbench.methods.memory import MEBIBYTE, available_mb
+from splatbench.reference.errors import MissingError
+
+PROCESS_MB = 450.0
+"""Resident size of a process that has imported torch and the kernels."""
+COPIES = 8
+"""Of a Gaussian's numbers while it trains: value, gradient, two moments, and as many again in
+densification and the rasterizer."""
+GROWTH = 8.0
+"""Gaussians at the end for each point at the start, unless `density.most` says fewer."""
+PIXEL_BYTES = 400
+"""Of the render, its gradients and the loss, for each pixel of a view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MemoryPlan:
+    """Estimated peak memory in 2^20 bytes."""
+
+    blocks: tuple[float, ...]
+    """Of each block's process."""
+    workers: int
+    available: float
+    """What the machine has left."""
+
+    @property
+    def total(self) -> float:
+        """Of the fullest blocks, as many as are trained at once."""
+        return sum(sorted(self.blocks, reverse=True)[: self.workers])
+
+    @property
+    def enough(self) -> int:
+        """Smallest number of blocks that would fit, if work divides evenly; 0 if none would."""
+        each = self.available / self.workers - PROCESS_MB
+        if each <= 0:
+            return 0
+        return math.ceil(len(self.blocks) * (max(self.blocks) - PROCESS_MB) / each)
+
+
+def block_memory_mb(job: BlockJob) -> float:
+    """Estimated peak memory of one block: process, images, Gaussians with all copies, pixels."""
+    cameras = [view.camera for view in job.scene.views]
+    pixels = [camera.width * camera.height for camera in cameras]
+    images = min(12 * sum(pixels), job.image_bytes)
+    own = int((job.roles == OWN).sum())
+    count = len(job.roles) - own + GROWTH * own
+    if job.settings.density.most is not None:
+        count = min(count, max(job.settings.density.most, len(job.roles)))
+    numbers = 11 + 3 * (job.settings.sh_degree + 1) ** 2
+    gaussians = count * 4 * numbers * COPIES
+    return PROCESS_MB + (images + gaussians + PIXEL_BYTES * max(pixels, default=0)) / MEBIBYTE
+
+
+def plan_memory(jobs: Sequence[BlockJob], workers: int) -> MemoryPlan:
+    """Estimate all blocks and refuse what cannot fit.
+
+    Raises: MissingError, with the number of blocks that would fit.
+    """
+    plan = MemoryPlan(
+        blocks=tuple(block_memory_mb(job) for job in jobs),
+        workers=min(workers, len(jobs)),
+        available=available_mb(),
+    )
+    if plan.total > plan.available:
+        fewer = f"use fewer workers than {plan.workers}" if plan.workers > 1 else ""
+        more = f"ask for at least {plan.enough} blocks" if plan.enough > len(jobs) else ""
+        advice = " or ".join(part for part in (more, fewer) if part) or "use smaller images"
+        raise MissingError(
+            f"training {plan.workers} of {len(jobs)} blocks at once takes about {plan.total:.0f} MB, "
+            f"{plan.available:.0f} MB are free; {advice}"
+        )
+    return plan

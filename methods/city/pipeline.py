@@ -1,0 +1,274 @@
+"""From a scene to one model: partition, blocks, stitch, refine, compress; each stage resumable."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from splatbench.methods import training
+from splatbench.methods.backends import get_backend
+from splatbench.methods.city import refine as refinement
+from splatbench.methods.city.block_model import BlockModel
+from splatbench.methods.city.blocks import BlockFacts, BlockJob, read_gaussians, select
+from splatbench.methods.city.executor import run_blocks
+from splatbench.methods.city.jobs import block_jobs
+from splatbench.methods.city.memory_plan import plan_memory
+from splatbench.methods.city.merge import write_merged
+from splatbench.methods.city.model import CityModel
+from splatbench.methods.city.partition import Partition, partition
+from splatbench.methods.city.settings import CitySettings
+from splatbench.methods.city.stages import Stages
+from splatbench.methods.city.stitch import cut_hard, stitch
+from splatbench.methods.files import read_tensors, write_bytes, write_tensors
+from splatbench.methods.reconstruction import ARRAYS, FIELDS
+from splatbench.methods.run import Run
+from splatbench.methods.training import Trainer
+from splatbench.reference import container, packing
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Merged:
+    """Gaussians of all blocks, and where each comes from."""
+
+    model: Gaussians
+    blocks: Int64[Tensor, " n"]
+    distances: Float[Tensor, " n"]
+
+    def take(self, rows: Tensor) -> "Merged":
+        """Some of them: a mask or indices."""
+        return Merged(
+            model=select(self.model, rows),
+            blocks=self.blocks[rows],
+            distances=self.distances[rows],
+        )
+
+
+def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityModel:
+    """Reconstruct a scene block by block.
+
+    Args:
+        scene: With sparse points, their tracks, and training views.
+        settings: Of the row; each stage has its own part of them.
+        run: Where checkpoints go; a run found there goes on at the stage that was broken off.
+        method: Name of the row.
+
+    Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
+        to another run; MissingError if the blocks cannot fit into memory.
+    """
+    with training.threads(run.threads), _work_folder(run) as folder:
+        key = json.dumps([method, scene.name, training.scene_digest(scene), asdict(settings),
+                          run.seed, run.background, run.backend])  # fmt: skip
+        stages = Stages(folder, key, run.on_stage)
+        progress = Progress(run, settings)
+        coarse = None
+        if settings.coarse_iterations:
+            coarse = folder / "coarse.safetensors"
+            stages.run("coarse", partial(_coarse, scene, settings, run, folder, coarse, progress))
+        found = _partition(stages, scene, settings, run, coarse)
+        jobs = block_jobs(
+            scene, found, settings.training, run, run.cache or folder / "blocks",
+            auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
+            sampling=settings.bins if settings.sampling == "balanced" else None,
+        )  # fmt: skip
+        trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
+        facts = tuple(BlockFacts(**block) for block in trained)
+        kept = stages.run(
+            "stitch", partial(_stitch, scene, settings, run, jobs, found, folder, method)
+        )["kept"]
+        merged, packed = _read_merged(folder / "merged"), None
+        if settings.gcr:
+            path = folder / "refined.safetensors"
+            stages.run("refine", partial(_refine, merged, scene, settings, run, path, progress))
+            merged = _read_refined(merged, path)
+        if settings.quantise:
+            path = folder / "model.sbgs"
+            stages.run("compress", partial(_compress, merged, settings, path))
+            packed = path.read_bytes()
+            merged = replace(merged, model=packing.unpack(container.decode(packed)))
+        run.on_stage("train", sum(stages.seconds.values()))
+    return CityModel(
+        model=merged.model, blocks=merged.blocks, distances=merged.distances, method=method,
+        settings=asdict(settings), mode=settings.mode, shift=scene.shift, units=scene.units,
+        backend=run.backend, stage_seconds=stages.seconds, packed=packed,
+        block_facts=tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True)),
+    )  # fmt: skip
+
+
+@contextmanager
+def _work_folder(run: Run) -> Iterator[Path]:
+    """The run's checkpoint folder, or one that is gone afterwards."""
+    if run.folder is not None:
+        folder = run.folder / "checkpoint"
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix="splatbench-") as name:
+        yield Path(name)
+
+
+class Progress:
+    """One count of steps over coarse model, blocks and refinement, for the run's report."""
+
+    def __init__(self, run: Run, settings: CitySettings) -> None:
+        """Start at nothing."""
+        self.report = run.report
+        self.blocks = [0] * settings.blocks
+        self.gaussians = [0.0] * settings.blocks
+        self.before = settings.coarse_iterations
+        each = settings.iterations
+        after = settings.refine.steps(each) if settings.gcr else 0
+        self.total = self.before + each * settings.blocks + after
+        self.after = self.before + each * settings.blocks
+
+    def coarse(self, step: int, total: int, values: dict[str, float]) -> None:
+        """A step of the coarse model."""
+        del total
+        self.report(step, self.total, values)
+
+    def block(self, index: int, step: int, total: int, values: dict[str, float]) -> None:
+        """A step of a block: Gaussians of all blocks so far together."""
+        del total
+        self.blocks[index] = step
+        self.gaussians[index] = values["gaussians"]
+        together = values | {"gaussians": sum(self.gaussians)}
+        self.report(self.before + sum(self.blocks), self.total, together)
+
+    def refine(self, step: int, total: int, values: dict[str, float]) -> None:
+        """A step of the refinement."""
+        del total
+        self.report(self.after + step, self.total, values)
+
+
+def _coarse(
+    scene: Scene,
+    settings: CitySettings,
+    run: Run,
+    folder: Path,
+    path: Path,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Train a model of the whole scene."""
+    own = replace(settings.training, iterations=settings.coarse_iterations)
+    at = replace(run, folder=folder / "coarse", report=progress.coarse)
+    trainer = Trainer(scene, own, at, get_backend(run.backend))
+    trainer.resume()
+    trainer.train()
+    model = trainer.gaussians()
+    write_tensors(path, {name: getattr(model, name) for name in FIELDS})
+    shutil.rmtree(folder / "coarse", ignore_errors=True)
+    return {"seconds": trainer.seconds}
+
+
+def _partition(
+    stages: Stages, scene: Scene, settings: CitySettings, run: Run, coarse: Path | None
+) -> Partition:
+    """Cut the scene; done again when a run goes on, because it is short and always the same."""
+    found: list[Partition] = []
+
+    def cut() -> dict[str, Any]:
+        model = coarse and read_gaussians(coarse)
+        found.append(
+            partition(scene, settings.blocks, settings.partition, backend=run.backend, coarse=model)
+        )
+        return {"note": found[0].note}
+
+    stages.run("partition", cut)
+    if not found:
+        cut()
+    return found[0]
+
+
+def _blocks(jobs: Sequence[BlockJob], run: Run, progress: Progress) -> dict[str, Any]:
+    """Train all blocks where the run says."""
+    if run.engine != "ray":  # a cluster's machines have memory of their own
+        plan_memory(jobs, run.workers)
+    facts = run_blocks(
+        jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=progress.block
+    )
+    workers = min(run.workers, len(jobs))
+    spent = sum(one.seconds for one in facts) / workers
+    return {"blocks": [asdict(one) for one in facts], "seconds": spent}
+
+
+def _stitch(
+    scene: Scene,
+    settings: CitySettings,
+    run: Run,
+    jobs: Sequence[BlockJob],
+    found: Partition,
+    folder: Path,
+    method: str,
+) -> dict[str, Any]:
+    """Merge the blocks into folder/merged, and write whose is whose."""
+    blocks = [
+        BlockModel(region=region, model=job.model)
+        for region, job in zip(found.regions, jobs, strict=True)
+    ]
+    kept = kept_rows(blocks, settings, run.seed, run.threads)
+    counts = write_merged(
+        folder / "merged", blocks, kept, method=method, settings=asdict(settings),
+        mode=settings.mode, shift=scene.shift, units=scene.units,
+    )  # fmt: skip
+    distances = [
+        block.region.distance(part["means"].double()).float()
+        for block in blocks
+        for part in block.slices(("means",))
+    ]
+    owners = torch.repeat_interleave(torch.arange(len(blocks)), torch.tensor(counts))
+    away = torch.cat(distances)[torch.cat(kept)]
+    write_tensors(folder / "merged" / "blocks.safetensors", {"blocks": owners, "distances": away})
+    return {"kept": counts}
+
+
+def kept_rows(
+    blocks: Sequence[BlockModel], settings: CitySettings, seed: int, threads: int | None
+) -> tuple[Bool[Tensor, " _"], ...]:
+    """Which Gaussians of each block the merge keeps; one block loses nothing."""
+    if len(blocks) == 1:
+        return (torch.ones(len(blocks[0]), dtype=torch.bool),)
+    if settings.merge == "hard":
+        return cut_hard(blocks, settings.outside)
+    generator = torch.Generator().manual_seed(seed)
+    return stitch(blocks, settings.stitch, generator, threads=threads)
+
+
+def _read_merged(folder: Path) -> Merged:
+    whose, _ = read_tensors(folder / "blocks.safetensors")
+    return Merged(model=read_gaussians(folder / ARRAYS), **whose)
+
+
+def _refine(
+    merged: Merged, scene: Scene, settings: CitySettings, run: Run, path: Path, progress: Progress
+) -> dict[str, Any]:
+    """Clean the merged model and fit its appearance over all training views."""
+    rows = refinement.clean(merged.model, settings.refine.clean)
+    model, seconds = refinement.refine(
+        select(merged.model, rows), scene, settings.refine, settings.training,
+        replace(run, report=progress.refine), path.parent / "refine",
+    )  # fmt: skip
+    write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
+    shutil.rmtree(path.parent / "refine", ignore_errors=True)
+    return {"seconds": seconds, "cleaned": int((~rows).sum())}
+
+
+def _read_refined(merged: Merged, path: Path) -> Merged:
+    tensors, _ = read_tensors(path)
+    return replace(merged.take(tensors["rows"]), model=read_gaussians(path))
+
+
+def _compress(merged: Merged, settings: CitySettings, path: Path) -> dict[str, Any]:
+    """Write the small file."""
+    content = container.encode(packing.pack(merged.model, settings.pack))
+    write_bytes(path, content)
+    return {"bytes": len(content)}

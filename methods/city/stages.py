@@ -1,0 +1,50 @@
+"""The stages of a run that are done, on disk: a killed run goes on at the one that was broken off."""
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from splatbench.methods.files import write_text
+from splatbench.reference.errors import UsageError
+
+
+class Stages:
+    """What each finished stage left to be known, and its seconds."""
+
+    def __init__(self, folder: Path, key: str, on_stage: Callable[[str, float], None]) -> None:
+        """Read what is there.
+
+        Raises: UsageError if the folder belongs to another run.
+        """
+        self.path, self.key, self.on_stage = folder / "city.json", key, on_stage
+        self.done: dict[str, dict[str, Any]] = {}
+        if self.path.exists():
+            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            if stored["key"] != key:
+                raise UsageError(
+                    f"{self.path}: belongs to a run with another scene, settings, seed, "
+                    "background or backend; remove the folder or choose another one"
+                )
+            self.done = stored["stages"]
+
+    def run(self, name: str, work: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
+        """Do a stage unless it is done; what `work` returns is JSON and kept.
+
+        `work` may name "seconds" itself, where a part of it was done before; else they are measured.
+        """
+        if name not in self.done:
+            started = time.perf_counter()
+            facts = work() or {}
+            passed = time.perf_counter() - started
+            facts["seconds"] = max(passed, facts.get("seconds", 0.0))
+            self.done[name] = facts
+            write_text(self.path, json.dumps({"key": self.key, "stages": self.done}) + "\n")
+        self.on_stage(name, self.done[name]["seconds"])
+        return self.done[name]
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Of each stage that is done."""
+        return {name: facts["seconds"] for name, facts in self.done.items()}
