@@ -1,6 +1,10 @@
 """One finished case: the record that everything downstream is derived from."""
 
+import math
 from dataclasses import dataclass, field
+
+AROUND = ("load", "init", "save", "score")
+"""Stages that every method has around its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +39,7 @@ class Result:
     metrics: dict[str, float]
     """Means over images of each per-image metric, then scene-level ones (psnr_of_mean_mse)."""
     stages: dict[str, float]
-    """Wall seconds by stage: load, init, train, score, save."""
+    """Wall seconds by stage: load, init, the method's own (train, or those of a city), save, score."""
     cpu_seconds: float
     peak_memory_mb: float
     """Peak resident memory of the process during the case, in 2^20 bytes."""
@@ -58,3 +62,9 @@ class Result:
     """Every scene that the suite declares: a mean over scenes is given only where all are there."""
     error: str = ""
     """One line saying why the case failed; empty for a finished one."""
+
+    @property
+    def training_seconds(self) -> float:
+        """Wall seconds of the method's own stages; nan where none was measured."""
+        own = [seconds for stage, seconds in self.stages.items() if stage not in AROUND]
+        return sum(own) if own else math.nan

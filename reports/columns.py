@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from splatbench.metrics.registry import METRICS
+from splatbench.metrics.scene_registry import SCENE_METRICS
 from splatbench.reference.errors import DataError
 from splatbench.reference.result import Result
 from splatbench.reports.statistics import Summary
@@ -82,7 +83,7 @@ def score_column(name: str, per_image: bool) -> Column:
     plain = name.removesuffix("_of_mean_mse")
     for fit in ("cc_affine_", "cc_quadratic_"):
         plain = plain.removeprefix(fit)
-    metric = METRICS.get(plain)
+    metric = METRICS.get(plain) or SCENE_METRICS.get(plain)
     unit = metric.unit if metric else ""
     return Column(
         key=name,
@@ -91,7 +92,7 @@ def score_column(name: str, per_image: bool) -> Column:
         higher_is_better=metric.higher_is_better if metric else None,
         digits=2 if unit == "dB" else 4,
         value=lambda result: result.metrics.get(name, math.nan),
-        per_image=per_image,
+        per_image=per_image and name not in SCENE_METRICS,
     )
 
 
@@ -102,7 +103,7 @@ COSTS = (
         unit="s",
         higher_is_better=False,
         digits=1,
-        value=lambda result: result.stages.get("train", math.nan),
+        value=lambda result: result.training_seconds,
         of_the_machine=True,
     ),
     Column(

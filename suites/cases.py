@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from splatbench.datasets.opening import open_scene
+from splatbench.methods.city.model import CityModel
 from splatbench.methods.files import write_text
 from splatbench.methods.reconstruction import load_reconstruction
 from splatbench.methods.registry import get_method
@@ -19,17 +20,19 @@ from splatbench.reference.result import Result
 from splatbench.reference.scene import Scene
 from splatbench.suites import measure
 from splatbench.suites.atomic import SUFFIX, new_folder
+from splatbench.suites.city_scores import city_scores
 from splatbench.suites.curve import Curve
 from splatbench.suites.environment import environment
 from splatbench.suites.held_out import score_views
 from splatbench.suites.records import RECORD_NAME, write_record
 from splatbench.suites.suite_files import Case, case_key
+from splatbench.suites.true_geometry import geometry_metrics
 
 CHECKPOINT_SECONDS = 15.0
 """A kill loses at most this much training."""
 OURS = (
     RECORD_NAME, "case.json", "trained.json", "curve.jsonl", "failure.txt",
-    "renders", "truth", "errors", "model", "checkpoint",
+    "renders", "truth", "errors", "seams", "blocks", "model", "checkpoint",
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
 
@@ -137,10 +140,14 @@ def _run(job: Job, tell: Tell) -> None:
     model = load_reconstruction(job.folder / "model", backend=job.backend)
     with measure.timed(before.stages, "score"):
         images, render_ms = score_views(scene, model, job.case.protocol, job.folder)
+        means = scene_metrics(images) | geometry_metrics(scene, model)
+        if isinstance(model, CityModel):
+            images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
+            means |= extra
     result = Result(
         **_identity(job),
         images=images,
-        metrics=scene_metrics(images),
+        metrics=means,
         stages=before.stages,
         cpu_seconds=before.cpu_seconds + measure.cpu_seconds() - started,
         peak_memory_mb=max(before.peak_memory_mb, measure.peak_memory_mb()),

@@ -119,7 +119,7 @@ def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -
     scene = scenes.get((names.get(record.scene, ""), record.protocol))
     if scene is None or not isinstance(iterations, int):
         return []
-    return [record.stages["train"] / _train_seconds(iterations, scene)]
+    return [record.training_seconds / _train_seconds(iterations, scene)]
 
 
 def _pixels(scene: Scene, index: int) -> int:

@@ -8,12 +8,18 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, sparse_points
+from splatbench.methods.city.blocks import BlockFacts
+from splatbench.methods.city.model import CityModel
+from splatbench.methods.city.regions import OrientedRegion
 from splatbench.methods.kernels.rasterizer import rasterize
 from splatbench.metrics.protocol_files import load_protocol
+from splatbench.metrics.scene_registry import SCENE_METRICS
 from splatbench.reference.boxes import OrientedBox
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.rasterizer import Mode
 from splatbench.reference.scene import Scene, View
+from splatbench.suites.city_scores import city_scores
+from splatbench.suites.held_out import score_views
 from splatbench.suites.seams import block_picture, mask_picture, score_seams
 
 PROTOCOL = replace(load_protocol("default"), rounding="float")
@@ -25,6 +31,7 @@ BOXES = tuple(
     )
     for x in (-1.5, 1.5)
 )
+BOXED = tuple(OrientedRegion(box=box) for box in BOXES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,6 +157,27 @@ def test_masked_pixels_are_on_no_seam(tmp_path):
     assert scores(wall(), tmp_path, of=masked)[1]["seam_coverage"] == 0
     open_rules = replace(PROTOCOL, masked=False)
     assert scores(wall(), tmp_path, open_rules, of=masked)[1]["seam_coverage"] > 0
+
+
+def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
+    of = wall(step=0.1)
+    facts = tuple(
+        BlockFacts(block=b, views=2, points=8, load=16, seconds=1.0 + b, peak_mb=9.0, primitives=4)
+        for b in range(2)
+    )
+    model = CityModel(
+        model=of.model, method="test", blocks=of.blocks, distances=of.distances, regions=BOXED,
+        block_facts=facts, packed=b"12345",
+    )  # fmt: skip
+    plain, _ = score_views(scene(), model, PROTOCOL, tmp_path)
+    images, found = city_scores(scene(), model, PROTOCOL, plain, tmp_path)
+    assert found["seam_psnr"] == scores(of, tmp_path)[1]["seam_psnr"]
+    assert found["seconds_max_over_mean"] == pytest.approx(2 / 1.5)
+    assert found["packed_bytes"] == 5
+    assert found.keys() <= SCENE_METRICS.keys()
+    for before, after in zip(plain, images, strict=True):
+        assert before.metrics.items() <= after.metrics.items()
+        assert after.metrics["seam_coverage"] > 0
 
 
 def test_pictures(tmp_path):
