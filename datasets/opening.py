@@ -7,12 +7,14 @@ from pathlib import Path
 from splatbench.datasets.added_views import with_tests
 from splatbench.datasets.colmap import open_colmap
 from splatbench.datasets.doors import (
+    kitti,
     levir_nvs,
     llff,
     matrix_city,
     mega_nerf,
     photo_tourism,
     transforms,
+    waymo,
 )
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
@@ -72,6 +74,30 @@ ADAPTERS = (
         looks_for="poses_bounds.npy",
         recognises=llff.recognises,
         open=llff.open_llff,
+    ),
+    Adapter(
+        name="kitti-raw",
+        looks_for="oxts/data and image_02/data, calibration files one folder up",
+        recognises=kitti.recognises_raw,
+        open=kitti.open_raw,
+    ),
+    Adapter(
+        name="kitti-tracking",
+        looks_for="a folder image_02/<sequence> with ../../calib/<sequence>.txt",
+        recognises=kitti.recognises_tracking,
+        open=kitti.open_tracking,
+    ),
+    Adapter(
+        name="drivestudio",
+        looks_for="ego_pose, extrinsics, intrinsics and images",
+        recognises=waymo.recognises_drivestudio,
+        open=waymo.open_drivestudio,
+    ),
+    Adapter(
+        name="pvg",
+        looks_for="calib, pose and image_0",
+        recognises=waymo.recognises_pvg,
+        open=waymo.open_pvg,
     ),
     Adapter(
         name="levir-nvs",

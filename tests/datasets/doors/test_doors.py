@@ -1,11 +1,12 @@
 import json
-import os
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
+from plyfile import PlyData, PlyElement
 
+from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused
 from helpers.posed_scenes import (
     POINTS,
     SIZE,
@@ -16,14 +17,9 @@ from helpers.posed_scenes import (
 )
 from splatbench.datasets.opening import open_scene
 from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
 
 F, C = (80.0, 84.0), (50.0, 34.0)
 K1, K2, P1, P2 = -0.1, 0.02, 0.03, -0.02
-
-
-def protocol(**rules) -> Protocol:
-    return Protocol(name="test", source="test", **rules)
 
 
 def bent(rays):
@@ -104,16 +100,107 @@ def test_nerfstudio_faults(tmp_path, change, said):
         open_scene(tmp_path, protocol())
 
 
+def fisheye(rays):
+    """COLMAP's and OpenCV's fisheye: theta (1 + k1 theta^2 + ...) along the ray's direction."""
+    r = np.linalg.norm(rays, axis=1, keepdims=True)
+    theta = np.arctan(r)
+    bent = theta * (1 + sum(k * theta ** (2 * n) for n, k in enumerate(FISHEYE, 1)))
+    return rays / r * bent
+
+
+FISHEYE = (0.3, -0.1, 0.05, -0.02)
+
+
+def test_nerfstudio_fisheye(tmp_path):
+    points = nerfstudio(tmp_path, distorted=False)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text()) | {"camera_model": "OPENCV_FISHEYE"}
+    data |= dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True))
+    for i, (name, point) in enumerate(points.items()):
+        blob(tmp_path / name, (fisheye(opengl_rays(opengl_to_world(i), point[None])) * F + C)[0])
+    path.write_text(json.dumps(data))
+    assert worst_error(open_scene(tmp_path, protocol()), points) < 0.1
+    path.write_text(json.dumps(data | {"k1": -FISHEYE[0]}))
+    assert worst_error(open_scene(tmp_path, protocol()), points) > 0.1
+    path.write_text(json.dumps(data | {"p1": 0.1}))
+    refused(tmp_path, "a fisheye camera has p1 0.1, p2 0.0; expected 0")
+
+
+def test_nerfstudio_points(tmp_path):
+    nerfstudio(tmp_path)
+    path, cloud = tmp_path / "transforms.json", tmp_path / "sparse_pc.ply"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"ply_file_path": cloud.name}))
+    refused(tmp_path, r"sparse_pc.ply: missing")
+    rows = [(*xyz, 10 * i, 20, 30) for i, xyz in enumerate(POINTS)]
+    kinds = [*((axis, "f4") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
+    vertices = PlyElement.describe(np.array(rows, dtype=kinds), "vertex")
+    PlyData([vertices]).write(cloud)
+    scene = open_scene(tmp_path, protocol())
+    torch.testing.assert_close(scene.points.positions, torch.tensor(POINTS), atol=1e-7, rtol=0)
+    assert scene.points.colours.tolist() == [[0, 20, 30], [10, 20, 30], [20, 20, 30]]
+    before = scene.facts["cameras_sha256"]
+    flat = np.array([tuple(row[:2]) for row in rows], dtype=kinds[:2])
+    PlyData([PlyElement.describe(flat, "vertex")]).write(cloud)
+    refused(tmp_path, r"sparse_pc.ply: not a PLY file with vertices x, y, z")
+    white = np.array([(*xyz,) for xyz in POINTS], dtype=kinds[:3])
+    PlyData([PlyElement.describe(white, "vertex")], text=True).write(cloud)
+    scene = open_scene(tmp_path, protocol())
+    assert scene.points.colours.unique().tolist() == [128]
+    assert scene.facts["cameras_sha256"] != before
+    cloud.write_bytes(b"ply\nrubbish")
+    refused(tmp_path, r"sparse_pc.ply: not a PLY file")
+
+
+def test_nerfstudio_masks(tmp_path):
+    nerfstudio(tmp_path, distorted=False)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text())
+    data["frames"][0]["mask_path"] = "masks/0.png"
+    path.write_text(json.dumps(data))
+    refused(tmp_path, r"masks/0.png: mask is missing, but .* frame images/0.png names it")
+    mask = np.full((SIZE[1], SIZE[0]), 255, np.uint8)
+    mask[:, :10] = 0
+    (tmp_path / "masks").mkdir()
+    Image.fromarray(mask).save(tmp_path / "masks/0.png")
+    first, second = open_scene(tmp_path, protocol()).views[:2]
+    assert first.load_mask is not None
+    assert second.load_mask is None
+    assert torch.equal(first.load_mask(), torch.from_numpy(mask > 0))
+    assert not first.load()[:, :10].any()
+    half = open_scene(tmp_path, protocol(factor=2.0)).views[0].load_mask()
+    assert (half[:, 5:].all(), half[:, :5].any()) == (True, False)
+    Image.fromarray(mask[:5]).save(tmp_path / "masks/0.png")
+    with pytest.raises(DataError, match="mask is 96 x 5, its photo is 96 x 72"):
+        first.load_mask()
+
+
+def test_masks_of_distorted_photos_touch_no_masked_pixel(tmp_path):
+    nerfstudio(tmp_path)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text())
+    data["frames"][0]["mask_path"] = "mask.png"
+    path.write_text(json.dumps(data))
+    mask = np.random.default_rng(0).integers(0, 30, (SIZE[1], SIZE[0])) > 0
+    Image.fromarray(255 * mask.astype(np.uint8)).save(tmp_path / "mask.png")
+    # red only where masked: no valid pixel of the truth may have any of it
+    red = np.zeros((*mask.shape, 3), np.uint8)
+    red[..., 0] = 255 * ~mask
+    Image.fromarray(red).save(tmp_path / "images/0.png")
+    view = open_scene(tmp_path, protocol()).views[0]
+    valid = view.load_mask()
+    assert 0.5 < valid.float().mean() < 1
+    assert view.load()[valid].max() < 1e-3
+
+
 def test_five_thousand_frames_open_lazily(tmp_path):
     nerfstudio(tmp_path, distorted=False)
     path = tmp_path / "transforms.json"
     data = json.loads(path.read_text())
     frame = data["frames"][0]
-    for i in range(5000):
-        os.link(tmp_path / "images/0.png", tmp_path / f"images/l{i:04d}.png")
+    hard_links(tmp_path / "images/0.png", [tmp_path / f"images/l{i:04d}.png" for i in range(5000)])
     data["frames"] = [frame | {"file_path": f"images/l{i:04d}.png"} for i in range(5000)]
     path.write_text(json.dumps(data))
-    assert len(open_scene(tmp_path, protocol()).views) == 5000
+    opens_in_bounds(tmp_path, 5000)
 
 
 def test_blender(tmp_path):

@@ -1,0 +1,192 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, without
+from helpers.posed_scenes import POINTS, SIZE, blob, opengl_to_world, worst_error
+from splatbench.datasets.opening import open_scene
+from splatbench.reference.errors import DataError
+
+F, C = (80.0, 84.0), (50.0, 34.0)
+K1, K2, P1, P2, K3 = -0.1, 0.02, 0.01, -0.01, 0.003
+FAR = np.array([2.1e4, -3e4, 40.0])
+"""Waymo's worlds are far from their origin."""
+
+
+def mount(camera):
+    """4 x 4 camera to vehicle, both with x forward, y left, z up."""
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_euler("zyx", [4 * camera, 2, -1], degrees=True).as_matrix()
+    motion[:3, 3] = [1.5, 0.05 * camera, 2.1]
+    return motion
+
+
+def vehicle(i):
+    """4 x 4 vehicle to world, so that camera 0 looks at the points."""
+    opengl = opengl_to_world(i)
+    waymo = np.eye(4)
+    waymo[:3] = np.stack([-opengl[:3, 2], -opengl[:3, 0], opengl[:3, 1], opengl[:3, 3] + FAR], 1)
+    return waymo @ np.linalg.inv(mount(0))
+
+
+def pixel(i, camera, point, bend):
+    """Waymo's own model: x forward is depth, u = -y / x and v = -z / x, bent by k1 k2 p1 p2 k3."""
+    x, y, z, _ = np.linalg.inv(vehicle(i) @ mount(camera)) @ [*(point + FAR), 1.0]
+    u, v = -y / x, -z / x
+    if bend:
+        r = u * u + v * v
+        d = 1 + K1 * r + K2 * r**2 + K3 * r**3
+        u, v = (
+            u * d + 2 * P1 * u * v + P2 * (r + 2 * u * u),
+            v * d + P1 * (r + 2 * v * v) + 2 * P2 * u * v,
+        )
+    return np.array([u, v]) * F + C
+
+
+def write_sky(path):
+    sky = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    sky[:20] = 255
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(sky).save(path)
+
+
+def drivestudio(folder, *, frames=4, paint=True):
+    points = {}
+    for name in ("ego_pose", "extrinsics", "intrinsics", "lidar"):
+        (folder / name).mkdir()
+    for camera in (0, 1):
+        bend = [K1, K2, P1, P2, K3] if camera == 0 else [0] * 5
+        np.savetxt(folder / f"intrinsics/{camera}.txt", [*F, *C, *bend])
+        np.savetxt(folder / f"extrinsics/{camera}.txt", mount(camera))
+    for i in range(frames):
+        np.savetxt(folder / f"ego_pose/{i:03d}.txt", vehicle(i))
+        if not paint:
+            continue
+        for camera in (0, 1):
+            name, point = f"images/{i:03d}_{camera}.jpg", POINTS[i % 3]
+            blob(folder / name, pixel(i, camera, point, camera == 0))
+            points[name] = point + FAR
+        rows = np.zeros((3, 14), np.float32)
+        inside = np.c_[POINTS + FAR, np.ones(3)] @ np.linalg.inv(vehicle(i)).T
+        rows[:, 3:6] = inside[:, :3]
+        rows.tofile(folder / f"lidar/{i:03d}.bin")
+        write_sky(folder / f"sky_masks/{i:03d}_1.png")
+    return points
+
+
+def pvg(folder, *, frames=4, paint=True):
+    """As the converter writes: KITTI's axes in the calibration, six-digit numbers."""
+    points = {}
+    axes = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    for name in ("calib", "pose", "velodyne"):
+        (folder / name).mkdir()
+    for i in range(frames):
+        name = f"0145{i:03d}"
+        lines = []
+        for camera in range(5):
+            P = [F[0], 0, C[0], 0, 0, F[1], C[1], 0, 0, 0, 1, 0]
+            lines.append(f"P{camera}: " + " ".join(f"{x:e}" for x in P))
+        lines.append("R0_rect: " + " ".join(f"{x:e}" for x in np.eye(3).ravel()))
+        for camera in range(5):
+            Tr = (axes @ np.linalg.inv(mount(camera)))[:3].ravel()
+            lines.append(f"Tr_velo_to_cam_{camera}: " + " ".join(f"{x:e}" for x in Tr))
+        (folder / f"calib/{name}.txt").write_text("\n".join(lines) + "\n")
+        np.savetxt(folder / f"pose/{name}.txt", vehicle(i))
+        if not paint:
+            continue
+        for camera in (0, 1):
+            file, point = f"image_{camera}/{name}.png", POINTS[i % 3]
+            blob(folder / file, pixel(i, camera, point, bend=False))
+            points[file] = point + FAR
+        rows = np.zeros((3, 6), np.float32)
+        rows[:, :3] = (np.c_[POINTS + FAR, np.ones(3)] @ np.linalg.inv(vehicle(i)).T)[:, :3]
+        rows.tofile(folder / f"velodyne/{name}.bin")
+        write_sky(folder / f"sky_1/{name}.png")
+    return points
+
+
+BOTH = pytest.mark.parametrize("write", [drivestudio, pvg])
+
+
+@BOTH
+def test_points_are_seen_where_they_were_painted(tmp_path, write):
+    points = write(tmp_path)
+    scene = open_scene(tmp_path, protocol(hold=2, hold_first=1, hold_unit="time"))
+    assert worst_error(scene, points) < 0.1
+    assert (scene.units, scene.up.tolist()) == ("metres", [0, 0, 1])
+    assert {view.sensor for view in scene.views} == {"front", "front_left"}
+    assert {round(scene.views[i].time, 6) for i in scene.test} == {0.1, 0.3}
+    assert len(scene.test) == len(scene.train) == 4
+
+
+@BOTH
+def test_lidar_sky_and_chosen_cameras(tmp_path, write):
+    write(tmp_path)
+    rules = {"hold": 2, "hold_unit": "time", "sensors": ("front_left",)}
+    scene = open_scene(tmp_path, protocol(**rules))
+    assert len(scene.views) == 4
+    assert len(scene.left_out) == 4
+    # float32 coordinates of metres around the vehicle
+    found = scene.points.positions + scene.shift - torch.from_numpy(np.tile(POINTS + FAR, (4, 1)))
+    assert found.abs().max() < 1e-5
+    assert scene.facts["sweeps"] == "4 of 4 frames"
+    assert len(open_scene(tmp_path, protocol(drop_test_points=True, **rules)).points) == 6
+    sky = scene.views[0].load_sky()
+    assert (sky[:20].all(), sky[20:].any()) == (True, False)
+    half = open_scene(tmp_path, protocol(factor=2.0, **rules)).views[0].load_sky()
+    assert (half[:10].all(), half[10:].any()) == (True, False)
+    assert scene.views[0].load_mask is None
+    assert open_scene(tmp_path, protocol()).views[0].load_sky is None  # has no file
+    refused(tmp_path, "has no camera 'back', .* it has 'front', 'front_left'", sensors=("back",))
+
+
+def test_drivestudio_faults(tmp_path):
+    drivestudio(tmp_path)
+    without(tmp_path / "intrinsics/0.txt", tmp_path, r"intrinsics/0\.txt: missing")
+    without(tmp_path / "extrinsics/1.txt", tmp_path, r"extrinsics/1\.txt: missing")
+    without(tmp_path / "images/002_1.jpg", tmp_path, "images/002_1: photo is missing with any of")
+    (tmp_path / "ego_pose/001.txt").write_text("1 2 3")
+    refused(tmp_path, r"ego_pose/001\.txt: has 3 words, expected 16 finite numbers")
+    np.savetxt(tmp_path / "ego_pose/001.txt", 2 * np.eye(4))
+    refused(tmp_path, r"001\.txt: the pose is no rotation")
+    np.savetxt(tmp_path / "ego_pose/001.txt", vehicle(1))
+    (tmp_path / "lidar/002.bin").write_bytes(b"1234")
+    refused(tmp_path, r"lidar/002\.bin: has 4 bytes, expected a multiple of 56")
+    (tmp_path / "lidar/002.bin").unlink()
+    blob(tmp_path / "images/009_0.jpg", np.array([3.0, 3.0]))
+    scene = open_scene(tmp_path, protocol())
+    assert scene.facts["sweeps"] == "3 of 4 frames"
+    assert scene.left_out == (("images/009_0.jpg", "no pose or no camera"),)
+    Image.new("L", (5, 5)).save(tmp_path / "sky_masks/000_1.png")
+    with pytest.raises(DataError, match="mask is 5 x 5, its photo is 96 x 72"):
+        open_scene(tmp_path, protocol()).views[1].load_sky()
+
+
+def test_pvg_faults(tmp_path):
+    pvg(tmp_path)
+    calib = tmp_path / "calib/0145001.txt"
+    whole = calib.read_text()
+    calib.write_text(whole.replace("Tr_velo_to_cam_1", "Tr"))
+    refused(tmp_path, r"0145001\.txt: has no Tr_velo_to_cam_1")
+    calib.write_text(whole.replace("P1: ", "P1: 1 "))
+    refused(tmp_path, "P1 has 13 numbers, expected 12")
+    calib.write_text(whole)
+    without(tmp_path / "pose/0145002.txt", tmp_path, r"pose/0145002\.txt: missing")
+    without(tmp_path / "image_1/0145000.png", tmp_path, "image_1/0145000: photo is missing")
+    blob(tmp_path / "image_0/9.png", np.array([3.0, 3.0]))
+    assert open_scene(tmp_path, protocol()).left_out[0][0] == "image_0/9.png"
+
+
+@BOTH
+def test_five_thousand_views(tmp_path, write):
+    write(tmp_path, frames=2500, paint=False)
+    blob(tmp_path / "one.png", np.array([5.0, 5.0]))
+    frames = [(i, c) for i in range(2500) for c in (0, 1)]
+    if write is drivestudio:
+        names = [f"images/{i:03d}_{c}.png" for i, c in frames]
+    else:
+        names = [f"image_{c}/0145{i:03d}.png" for i, c in frames]
+    hard_links(tmp_path / "one.png", [tmp_path / name for name in names])
+    opens_in_bounds(tmp_path, 5000)
