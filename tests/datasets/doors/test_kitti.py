@@ -171,14 +171,15 @@ def test_faults_of_tracking(tmp_path):
     refused(folder, r"oxts/0001\.txt: has 4 lines, expected one of 30 numbers for each of 5 photos")
 
 
+@pytest.mark.parametrize("frames", [500, pytest.param(2500, marks=pytest.mark.slow)])
 @BOTH
-def test_five_thousand_views(tmp_path, write):
-    folder, _ = write(tmp_path, frames=2500, paint=False)
+def test_thousands_of_views(tmp_path, write, frames):
+    folder, _ = write(tmp_path, frames=frames, paint=False)
     blob(tmp_path / "one.png", np.array([5.0, 5.0]))
     for camera in P:
         if write is raw:
-            names = [folder / f"image_{camera}/data/{i:010d}.png" for i in range(2500)]
+            names = [folder / f"image_{camera}/data/{i:010d}.png" for i in range(frames)]
         else:
-            names = [tmp_path / f"image_{camera}/0001/{i:06d}.png" for i in range(2500)]
+            names = [tmp_path / f"image_{camera}/0001/{i:06d}.png" for i in range(frames)]
         hard_links(tmp_path / "one.png", names)
-    opens_in_bounds(folder, 5000)
+    opens_in_bounds(folder, 2 * frames)
