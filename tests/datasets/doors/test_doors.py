@@ -277,18 +277,23 @@ def test_mega_nerf(tmp_path):
         open_scene(tmp_path, protocol())
 
 
-def test_levir_nvs(tmp_path):
+def levir_nvs(folder, *, views=4):
     points = {}
-    (tmp_path / "Cams").mkdir()
-    for i in range(4):
+    (folder / "Cams").mkdir()
+    for i in range(views):
         pose, point = opengl_to_world(i), POINTS[i % 3]
-        blob(tmp_path / f"Images/{i:03d}.png", (opengl_rays(pose, point[None]) * F + C)[0])
+        blob(folder / f"Images/{i:03d}.png", (opengl_rays(pose, point[None]) * F + C)[0])
         points[f"{i:03d}.png"] = point
         w2c = np.linalg.inv(pose @ np.diag([1.0, -1, -1, 1]))
         K = [[F[0], 0, C[0]], [0, F[1], C[1]], [0, 0, 1]]
         rows = [[",".join(f"{v:.9f}" for v in row) for row in m] for m in (w2c, K)]
         lines = ["extrinsic", *rows[0], "", "intrinsic", *rows[1], "", "1.0,9.0"]
-        (tmp_path / f"Cams/{i:03d}.txt").write_text("\n".join(lines))
+        (folder / f"Cams/{i:03d}.txt").write_text("\n".join(lines))
+    return points
+
+
+def test_levir_nvs(tmp_path):
+    points = levir_nvs(tmp_path)
     assert worst_error(open_scene(tmp_path, protocol()), points) < 0.1
     Image.new("RGB", SIZE).save(tmp_path / "Images/009.png")
     assert open_scene(tmp_path, protocol()).left_out == (("009.png", "no camera in Cams"),)
