@@ -7,6 +7,11 @@ AROUND = ("load", "init", "save", "score")
 """Stages that every method has around its own."""
 
 
+def row_name(method: str, variant: str) -> str:
+    """method@variant, or the method alone where it has no variant."""
+    return f"{method}@{variant}" if variant else method
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImageScore:
     """The scores of one test image."""
@@ -34,6 +39,8 @@ class Result:
     protocol_rules: dict[str, object]
     settings: dict[str, object]
     """Every setting of the method, defaults included."""
+    variant: str = ""
+    """What a suite calls these settings where it runs a method with several; "": it has one."""
     images: tuple[ImageScore, ...]
     """Sorted by name."""
     metrics: dict[str, float]
@@ -64,7 +71,14 @@ class Result:
     """One line saying why the case failed; empty for a finished one."""
 
     @property
+    def row(self) -> str:
+        """What a table calls the method with these settings: method, or method@variant."""
+        return row_name(self.method, self.variant)
+
+    @property
     def training_seconds(self) -> float:
         """Wall seconds of the method's own stages; nan where none was measured."""
+        if "train" in self.stages:
+            return self.stages["train"]
         own = [seconds for stage, seconds in self.stages.items() if stage not in AROUND]
         return sum(own) if own else math.nan

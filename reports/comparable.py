@@ -41,7 +41,7 @@ def _faults(one: Result, other: Result) -> list[str]:
 
 
 def _name(result: Result) -> str:
-    return f"{result.method} seed {result.seed}"
+    return f"{result.row} seed {result.seed}"
 
 
 def environment_notes(results: Sequence[Result]) -> list[str]:

@@ -67,7 +67,7 @@ def _labels(results: Sequence[Result]) -> dict[str, str]:
     every scene its own settings and still mean one row.
     """
     labels = {}
-    for method, own in _group(results, lambda r: r.method).items():
+    for method, own in _group(results, lambda r: r.row).items():
         scenes = _group(own, lambda r: r.scene).values()
         several = any(len({run_data.digest(r.settings) for r in scene}) > 1 for scene in scenes)
         flat = {run_data.case_key(r): dict(run_data.flatten(r.settings)) for r in own}

@@ -224,7 +224,7 @@ def _counts(results: Sequence[Result]) -> list[tuple[int, str]]:
     counted = {
         "case": len(results),
         "scene": len({result.scene for result in results}),
-        "method": len({result.method for result in results}),
+        "method": len({result.row for result in results}),
         "protocol": len({result.protocol for result in results}),
         "failed case": sum(bool(result.error) for result in results),
     }

@@ -13,7 +13,7 @@ NOT_IN_A_NAME = re.compile(r"[^\w\-. :/]")
 
 def case_name(result: Result) -> str:
     """The case as its folder names it: suite/scene/method/protocol/seed0."""
-    parts = (result.suite, result.scene, result.method, result.protocol, f"seed{result.seed}")
+    parts = (result.suite, result.scene, result.row, result.protocol, f"seed{result.seed}")
     return "/".join(parts)
 
 
@@ -34,6 +34,7 @@ def params(result: Result) -> dict[str, str]:
         "suite": result.suite,
         "scene": result.scene,
         "method": result.method,
+        "variant": result.variant,
         "seed": result.seed,
         "protocol": result.protocol,
         "settings": result.settings,

@@ -108,6 +108,7 @@ def record(result: Result) -> dict[str, object]:
         "suite": result.suite,
         "scene": result.scene,
         "method": result.method,
+        "variant": result.variant,
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,

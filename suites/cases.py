@@ -53,6 +53,12 @@ class Job:
     threads: int | None = None
     resume: bool = True
     """False: what is in the folder is removed first."""
+    workers: int = 1
+    """Blocks of a city that are trained at the same time."""
+    engine: str = "processes"
+    """Where they are trained."""
+    cache: Path | None = None
+    """Where cases of one suite share trained blocks; None: they do not."""
 
     @property
     def key(self) -> str:
@@ -184,6 +190,9 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             report=report,
             on_stage=spent.stages.__setitem__,
             checkpoint_seconds=CHECKPOINT_SECONDS,
+            workers=job.workers,
+            engine=job.engine,
+            cache=job.cache,
         ),
     )
     tell("save", 0, 0, {})
@@ -198,6 +207,7 @@ def _identity(job: Job) -> dict:
         "suite_scenes": job.suite_scenes,
         "scene": job.case.scene_name,
         "method": job.case.method,
+        "variant": job.case.variant,
         "seed": job.case.seed,
         "protocol": job.case.protocol.name,
         "protocol_rules": asdict(job.case.protocol),

@@ -1,5 +1,6 @@
 """Run a suite: every case once, resumable at any moment, one failing case never stops the others."""
 
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
@@ -80,6 +81,8 @@ def run_suite(
     backend: str = "cpu",
     threads: int | None = None,
     resume: bool = True,
+    workers: int = 1,
+    engine: str = "processes",
     launch: Launch = in_worker,
 ) -> tuple[Outcome, ...]:
     """Run all cases that are not finished yet, one after the other.
@@ -93,13 +96,19 @@ def run_suite(
         backend: Name of the rasterizer; part of what makes a result count as this case's.
         threads: Of torch and the kernels; None leaves them alone.
         resume: False starts every case over.
+        workers: Blocks of a city that are trained at the same time. Equal blocks of several cases
+            are trained once, in <folder>/<suite>/.blocks/.
+        engine: Where they are trained, see splatbench.methods.city.executor.
         launch: Runs a job to its record.
     Returns: One outcome a case, in the suite's order.
     Raises: UsageError if `only` matches nothing; also if the folder is in use.
     """
     cases = select(suite, only=only).cases
     outcomes = []
+    blocks = folder / suite.name / ".blocks"
     with Lock(folder / suite.name):
+        if not resume:
+            shutil.rmtree(blocks, ignore_errors=True)
         for index, case in enumerate(cases):
             job = Job(
                 case=case,
@@ -109,6 +118,9 @@ def run_suite(
                 backend=backend,
                 threads=threads,
                 resume=resume,
+                workers=workers,
+                engine=engine,
+                cache=blocks,
             )
             found = finished(job) if resume else "starts over"
             if isinstance(found, str):

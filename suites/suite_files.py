@@ -5,6 +5,7 @@ import hashlib
 import itertools
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from splatbench.methods.registry import METHODS
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.errors import UsageError
 from splatbench.reference.protocol import Protocol
+from splatbench.reference.result import row_name
 from splatbench.suites.typed_toml import build, read_toml, unknown
 
 FOLDER = Path(__file__).parent
@@ -33,6 +35,10 @@ class Block:
     seeds: tuple[int, ...] = (0,)
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
     """Method name to the settings that differ from its defaults."""
+    shared: dict[str, object] = field(default_factory=dict)
+    """Settings that every method of the block gets; its own in `settings` go first."""
+    variant: str = ""
+    """Tells these rows from those of the same methods in other blocks: they become method@variant."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +60,8 @@ class Case:
     method: str
     settings: Any
     """Instance of the method's settings dataclass."""
+    variant: str = ""
+    """Name of the row's settings, see Block; nothing but the folder and the row's name follow."""
     seed: int
     protocol: Protocol
 
@@ -63,9 +71,14 @@ class Case:
         return Path(self.scene).name if self.scene.startswith(PATH) else self.scene
 
     @property
+    def row(self) -> str:
+        """What tables call it: method, or method@variant."""
+        return row_name(self.method, self.variant)
+
+    @property
     def folder(self) -> Path:
-        """Relative folder of the case: <scene>/<method>/<protocol>/seed<k>."""
-        return Path(self.scene_name, self.method, self.protocol.name, f"seed{self.seed}")
+        """Relative folder of the case: <scene>/<row>/<protocol>/seed<k>."""
+        return Path(self.scene_name, self.row, self.protocol.name, f"seed{self.seed}")
 
     @property
     def label(self) -> str:
@@ -112,6 +125,21 @@ def load_suite(name_or_path: str | Path) -> Suite:
     )
 
 
+def quick_form(suite: str) -> str:
+    """Name of the reduced form of a suite: SUITE-quick, a file beside it.
+
+    Raises: UsageError for a suite that has none.
+    """
+    name = f"{suite}-quick"
+    if not (FOLDER / f"{name}.toml").is_file():
+        forms = sorted(path.stem.removesuffix("-quick") for path in FOLDER.glob("*-quick.toml"))
+        raise UsageError(
+            f"--quick: suite {suite!r} has no reduced form; studies have one, and "
+            f"{', '.join(forms) or 'no suite'}"
+        )
+    return name
+
+
 def case_key(case: Case, backend: str) -> str:
     """Hash of everything that a case's numbers depend on, apart from data, code and machine."""
     return key_of(
@@ -156,9 +184,13 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
     for name in block.settings:
         if name not in block.methods:
             raise unknown(f"{where}.settings", name, block.methods)
+    if not re.fullmatch(r"[\w.-]*", block.variant):
+        raise UsageError(f"{where}.variant: {block.variant!r}; use letters, digits, '-', '_', '.'")
     settings = {
         name: build(
-            METHODS[name].settings, block.settings.get(name, {}), f"{where}.settings.{name}"
+            METHODS[name].settings,
+            merged(block.shared, block.settings.get(name, {})),
+            f"{where}.settings.{name}",
         )
         for name in block.methods
     }
@@ -166,9 +198,28 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
     scenes = [_beside(name, path) for name in block.scenes]
     product = itertools.product(scenes, block.methods, protocols, block.seeds)
     return [
-        Case(scene=scene, method=method, settings=settings[method], seed=seed, protocol=protocol)
+        Case(
+            scene=scene,
+            method=method,
+            settings=settings[method],
+            variant=block.variant,
+            seed=seed,
+            protocol=protocol,
+        )
         for scene, method, protocol, seed in product
     ]
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """One table of two: where both have a table it is merged too, else `above` wins."""
+    both = dict(below)
+    for key, value in above.items():
+        mine = both.get(key)
+        if isinstance(mine, Mapping) and isinstance(value, Mapping):
+            both[key] = merged(mine, value)
+        else:
+            both[key] = value
+    return both
 
 
 def _beside(name: str, path: Path) -> str:

@@ -100,7 +100,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     return CityModel(
         model=merged.model, blocks=merged.blocks, distances=merged.distances, method=method,
         settings=asdict(settings), mode=settings.mode, shift=scene.shift, units=scene.units,
-        backend=run.backend, stage_seconds=stages.seconds, packed=packed,
+        backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, packed=packed,
         block_facts=tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True)),
     )  # fmt: skip
 

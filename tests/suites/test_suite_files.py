@@ -10,7 +10,7 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from splatbench.methods.registry import METHODS
 from splatbench.reference.errors import UsageError
 from splatbench.suites import cases
-from splatbench.suites.suite_files import FOLDER, case_key, load_suite
+from splatbench.suites.suite_files import FOLDER, case_key, load_suite, quick_form
 
 GOOD = """
 description = "For tests"
@@ -154,3 +154,29 @@ def test_a_missing_file_a_wrong_name_and_a_name_that_is_no_folder(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UsageError, match="not TOML"):
         load_suite(tmp_path / "binary.toml")
+
+
+def test_shared_settings_and_a_variant(tmp_path):
+    text = GOOD.replace(
+        "seeds = [0, 3]", 'variant = "long"\nshared = { iterations = 9, inner = { cap = 2 } }'
+    )
+    cases = load_suite(written(tmp_path, text)).cases
+    assert cases[0].settings == FakeSettings(
+        iterations=7, inner=fake_methods.Inner(rate=1.0, cap=2)
+    )
+    assert cases[0].label == "town/fake@long/default/seed0"
+    plain = load_suite(written(tmp_path, GOOD)).cases[0]
+    assert plain.row == "fake"
+    assert case_key(replace(cases[0], settings=plain.settings), "cpu") == case_key(plain, "cpu")
+    both = GOOD + text.split('description = "For tests"')[1]
+    assert len(load_suite(written(tmp_path, both)).cases) == 12  # no folder twice
+    with pytest.raises(UsageError, match="variant: 'a/b'; use letters"):
+        load_suite(written(tmp_path, text.replace('"long"', '"a/b"')))
+    with pytest.raises(UsageError, match="unknown 'iteration'"):
+        load_suite(written(tmp_path, text.replace("{ iterations", "{ iteration")))
+
+
+def test_the_reduced_form_is_the_suite_beside_it():
+    assert quick_form("city") == "city-quick"
+    with pytest.raises(UsageError, match="suite 'brighton' has no reduced form; .* and city"):
+        quick_form("brighton")

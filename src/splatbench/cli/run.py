@@ -26,6 +26,11 @@ def run(
     backend: str = "cpu",
     threads: int | None = None,
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    wait: float = 300.0,
+    page: Path | None = None,
+    rows: Path | None = None,
+    workers: int | None = None,
+    engine: str = "processes",
 ) -> int:
     """Run every scene x method x protocol x seed of a suite, and print the leaderboard.
 
@@ -46,26 +51,34 @@ def run(
         resume: Keep what is there (--no-resume: start the chosen cases over).
         backend: Rasterizer: cpu, reference or cuda.
         threads: Threads to use; None: as many as torch does.
-        quick: Reduced form of a study (suites have their own files, such as quick).
+        quick: Reduced form of a study, or of a suite that has one: the suite SUITE-quick.
+        wait: Seconds that study speed may lose to other processes; then it refuses rows.
+        page: Also write the study's Markdown page to this file, with its rows as JSON beside it.
+        rows: Make the page of the rows in this JSON file instead of measuring.
+        workers: Blocks of a city that are trained at the same time; None: one a core.
+        engine: Where the blocks of a city are trained: processes, inline or ray.
     """
     from splatbench.suites.studies.study import STUDIES
 
     if suite in STUDIES:
         from splatbench.cli.study import run_study
 
-        return run_study(suite, out, quick=quick)
-    if quick:
-        raise UsageError(f"--quick is for the studies {', '.join(STUDIES)}, not for suite {suite}")
+        return run_study(
+            suite, out, quick=quick, wait=wait, backend=backend, page=page, recorded=rows
+        )
+    if page is not None or rows is not None:
+        raise UsageError(f"--page and --rows are for the studies {', '.join(STUDIES)}")
     from splatbench.cli.report import print_tables, sync_cases
     from splatbench.methods.backends import get_backend
     from splatbench.reports.leaderboard import build_tables
     from splatbench.reports.mlflow_client import default_uri
+    from splatbench.suites.environment import usable_cores
     from splatbench.suites.runner import run_suite, select
     from splatbench.suites.scenes import make_scenes, without_absent
-    from splatbench.suites.suite_files import load_suite
+    from splatbench.suites.suite_files import load_suite, quick_form
 
     uri = default_uri(out)
-    whole = load_suite(suite)
+    whole = load_suite(quick_form(suite) if quick else suite)
     get_backend(backend)
     chosen, absent = without_absent(select(whole, only=only, seeds=seeds))
     for reason in absent:
@@ -78,7 +91,8 @@ def run(
     with output.progress() as bar:
         screen = _Screen(bar)
         outcomes = run_suite(
-            chosen, out, backend=backend, threads=threads, resume=resume,
+            chosen, out, backend=backend, threads=threads, resume=resume, engine=engine,
+            workers=usable_cores() if workers is None else workers,
             on_progress=screen.progress, on_result=screen.result,
         )  # fmt: skip
     if sync_cases(out / whole.name, uri):
@@ -131,6 +145,7 @@ def _record(outcome: "Outcome") -> dict[str, object]:
         "suite": result.suite,
         "scene": result.scene,
         "method": result.method,
+        "variant": result.variant,
         "protocol": result.protocol,
         "seed": result.seed,
         "status": outcome.status,
@@ -156,6 +171,7 @@ def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
             "suite": suite.name,
             "scene": case.scene_name,
             "method": case.method,
+            "variant": case.variant,
             "protocol": case.protocol.name,
             "seed": case.seed,
             "estimated_seconds": guess.seconds,
