@@ -76,3 +76,21 @@ def simd_level() -> str:
     except ImportError:
         return ""
     return _ext.simd_level()
+
+
+def machine(backend: str) -> dict[str, str]:
+    """`environment`, and memory, compiler and GPU: what a time depends on. No host name."""
+    import torch
+
+    said = environment(backend)
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        gigabytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
+        said["memory"] = f"{gigabytes:.0f} GiB"
+    if said["simd"]:
+        from splatbench import _ext
+
+        said["compiler"] = _ext.compiler()
+    if backend == "cuda" and torch.cuda.is_available():
+        said["gpu"] = torch.cuda.get_device_name()
+        said["gsplat"] = package_version("gsplat")
+    return said

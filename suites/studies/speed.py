@@ -1,223 +1,150 @@
-"""`bench run speed`: time and error of everything that has a twin."""
+"""`bench run speed`: error against speed, for everything that has a twin."""
 
-import os
-import resource
+import math
 import statistics
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
+from splatbench.reference.errors import UsageError
+from splatbench.suites.idle import SHARE, Patience, undisturbed
+from splatbench.suites.studies import speed_roofline
+from splatbench.suites.studies.speed_session import Open, Process, Session, Task, with_backend
+from splatbench.suites.twins.registry import COMPONENTS
+from splatbench.suites.twins.twin import Case, Component, Twin
 
-from splatbench import _ext
-from splatbench.methods.kernels import adam as native_adam
-from splatbench.methods.kernels import loss as native_loss
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.reference import losses as reference_losses
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.agreement import compare_gradients, largest_error
-from splatbench.reference.steps import step_pixels
-from splatbench.suites.studies.speed_scenes import speed_scene
-
-DISTURBED = 5.0
-"""Percent of a core that other processes may use before a row is marked."""
-SMALL = (300, 64, 48)
-"""Count, width and height of the scene that the dense float64 reference judges rasterizers on."""
-Call = Callable[[], Any]
+Row = dict[str, Any]
+ROUNDS, QUICK_ROUNDS = 5, 2
+"""Rounds of a case, and in the reduced form: in each, every twin has its turn."""
+TURN_SECONDS = 0.12
+"""Least length of a turn; a twin that takes longer runs once."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Twin:
-    """One implementation on one case."""
+def rows(
+    *, quick: bool, wait: float = 300.0, backend: str = "cpu", open_session: Open = Process
+) -> Iterator[Row]:
+    """A row a twin and case, then a row a stage of the engine against the machine's peak.
 
-    component: str
-    twin: str
-    case: str
-    forward: Call
-    backward: Callable[[Any], Any] | None
-    """Called with what `forward` returned."""
-    error: dict[str, Any]
-    """max_abs_error, grad_rel_l2, step_pixels, error_case."""
-    level: str | None = None
-    """SIMD level to run at; None: the one in use."""
+    Keys: component, twin, case, forward_ms, backward_ms (medians of interleaved runs; None where
+    there is none), max_abs_error, rms_error, grad_rel_l2, grad_cosine, step_pixels (against the
+    float64 reference on error_case), peak_mb (of a process that does nothing else), added_mb (of
+    that, beyond what it held before the first run), device_mb, contributing_pairs, usual (the twin
+    that users get), approximates, disturbed_percent (share of a core that other processes used
+    meanwhile, nan where the system does not tell), ok, note.
 
-
-def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
-    """A row a twin and case; medians of interleaved runs on the threads that torch has.
-
-    Keys: component, twin, case, forward_ms, backward_ms, max_abs_error, grad_rel_l2, step_pixels,
-    peak_mb (of the process so far), disturbed_percent (share of a core that other processes used
-    while the case was timed, nan where the system does not tell), error_case (what the errors were
-    measured on), ok (the errors are within 2e-5 and 1e-3), note.
+    Each case waits until the machine is idle. A round during which others used more than 5 % of a
+    core is thrown away and repeated, as long as `wait` lasts; then the row comes without times and
+    is not ok. The reduced form does not wait: it marks such rows, and its times mean little.
 
     Args:
-        quick: 2,000 and 20,000 Gaussians at 320x240 only, fewer repetitions.
+        quick: Small cases, fewer rounds.
+        wait: Seconds that may be lost to other processes in the whole study.
+        backend: "cpu", or "cuda" to add gsplat's twins.
+        open_session: How twins are run; in a process of its own each.
+
+    Raises: UsageError for another backend.
     """
-    small = ((2_000, 320, 240), (20_000, 320, 240))
-    cases = small if quick else (small[1], (100_000, 320, 240), (100_000, 800, 600))
-    repeats = 5 if quick else 15
-    for case in cases:
-        yield from timed(rasterizers(*case), repeats)
-    yield from timed(losses(320, 240), repeats)
-    yield from timed(optimizers(10_000), repeats)
+    if backend not in ("cpu", "cuda"):
+        raise UsageError(f"backend {backend!r}: the speed study compares cpu and cuda")
+    patience = Patience(0.0 if quick else wait)
+    named = "" if backend == "cpu" else backend
+    timer = Timer(quick=quick, patience=patience, backend=named, open_session=open_session)
+    for name in COMPONENTS:
+        yield from timer.component(with_backend(name, named))
+    yield from speed_roofline.rows(quick=quick, patience=patience)
 
 
-def rasterizers(count: int, width: int, height: int) -> list[Twin]:
-    """The native rasterizer at each SIMD level, from activated parameters."""
-    scene, gradient = speed_scene(count, width, height)
+class Timer:
+    """How cases are timed."""
 
-    def forward() -> Tensor:
-        leaves = scene.arguments(torch.float32)
-        return native.rasterize(scene.camera, *leaves[:4], sh=leaves[4]).colour
+    def __init__(self, *, quick: bool, patience: Patience, backend: str, open_session: Open):
+        """Keep the settings of the study."""
+        self.quick, self.patience = quick, patience
+        self.backend, self.open = backend, open_session
 
-    return [
-        Twin(component="rasterizer", twin=f"cpu {level}", case=f"{count} {width}x{height}",
-             forward=forward, backward=lambda image: image.backward(gradient), level=level,
-             error=rasterizer_error(level))
-        for level in _ext.simd_levels()
-    ]  # fmt: skip
+    def component(self, component: Component) -> Iterator[Row]:
+        """All rows of one component."""
+        session = self.open(
+            Task(component=component.name, size=component.judged, backend=self.backend)
+        )
+        errors = session.ask("judge")
+        session.close()
+        for case in (Case(size=component.judged, quick=True), *component.cases):
+            if component.reference is None and case.size == component.judged:
+                continue
+            if self.quick and not case.quick:
+                continue
+            twins = [twin for twin in component.twins if takes_part(component, twin, case)]
+            for row in self.case(component, case, twins):
+                yield row | {
+                    **errors[row["twin"]], "error_case": component.label(component.judged),
+                    "ok": errors[row["twin"]]["ok"] and not row["refused"],
+                }  # fmt: skip
 
+    def case(self, component: Component, case: Case, twins: list[Twin]) -> Iterator[Row]:
+        """Time the twins of one case in turns."""
+        backward = not case.forward_only
+        sessions: list[Session] = []
+        try:
+            for twin in twins:
+                sessions.append(
+                    self.open(Task(component=component.name, size=case.size, twin=twin.name,
+                                   backward=backward, backend=self.backend))
+                )  # fmt: skip
+            runs, percent = self.rounds(sessions)
+            pairs = sessions[0].ask("pairs")
+            for twin, session, times in zip(twins, sessions, runs, strict=True):
+                refused = not times
+                note = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
+                yield {
+                    "component": component.name, "twin": twin.name,
+                    "case": component.label(case.size), "size": list(case.size),
+                    "forward_ms": median([run[0] for run in times]),
+                    "backward_ms": median([run[1] for run in times]),
+                    **session.ask("memory"), "contributing_pairs": pairs,
+                    "usual": twin.name == component.usual, "growth": case.growth,
+                    "approximates": twin.approximates, "disturbed_percent": percent,
+                    "refused": refused,
+                    "note": f"refused: {note} for as long as the study may wait (--wait)"
+                    if refused else note,
+                }  # fmt: skip
+        finally:
+            for session in sessions:
+                session.close()
 
-def rasterizer_error(level: str) -> dict[str, Any]:
-    """Error of the native rasterizer against the float64 reference on the small scene."""
-    scene, gradient = speed_scene(*SMALL)
-    steps = step_pixels(
-        scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]), mode="classic"
-    )
-    gradient[steps] = 0
-    results = []
-    for rasterize, dtype in (
-        (reference.rasterize, torch.float64),
-        (native.rasterize, torch.float32),
-    ):
-        leaves = scene.arguments(dtype)
-        with simd_level(level):
-            image = rasterize(scene.camera, *leaves[:4], sh=leaves[4]).colour
-            image.backward(gradient.to(dtype))
-        results.append((image.detach(), [leaf.grad for leaf in leaves]))
-    (truth, true_gradients), (value, gradients) = results
-    return {
-        "max_abs_error": largest_error(value, truth, ignore=steps),
-        "grad_rel_l2": max(compare_gradients(a, b).relative_l2
-                           for a, b in zip(gradients, true_gradients, strict=True)),
-        "step_pixels": int(steps.sum()),
-        "error_case": "{} Gaussians {}x{}".format(*SMALL),
-    }  # fmt: skip
-
-
-class simd_level:
-    """Run at another SIMD level inside; None changes nothing."""
-
-    def __init__(self, name: str | None) -> None:
-        """Remember the level to use."""
-        self.name, self.before = name, _ext.simd_level()
-
-    def __enter__(self) -> None:
-        """Switch to the level."""
-        _ext.set_simd_level(self.name or self.before)
-
-    def __exit__(self, *error: object) -> None:
-        """Switch back."""
-        _ext.set_simd_level(self.before)
-
-
-def losses(width: int, height: int) -> list[Twin]:
-    """L1 + SSIM in torch float32 and native."""
-    generator = torch.Generator().manual_seed(0)
-    image, truth = (torch.rand(height, width, 3, generator=generator) for _ in range(2))
-
-    def run(function: Callable[..., Tensor], dtype: torch.dtype) -> tuple[Tensor, Tensor | None]:
-        leaf = image.to(dtype, copy=True).requires_grad_()  # a leaf of its own
-        value = function(leaf, truth.to(dtype))
-        value.backward()
-        return value.detach(), leaf.grad
-
-    true_value, true_gradient = run(reference_losses.photometric, torch.float64)
-    assert true_gradient is not None
-    twins = []
-    functions = {"torch": reference_losses.photometric, "native": native_loss.photometric}
-    for name, function in functions.items():
-        value, gradient = run(function, torch.float32)
-        assert gradient is not None
-        error = {
-            "max_abs_error": float((value.double() - true_value).abs()), "step_pixels": 0,
-            "grad_rel_l2": compare_gradients(gradient, true_gradient).relative_l2,
-            "error_case": "the same",
-        }  # fmt: skip
-        twins.append(
-            Twin(component="loss", twin=name, case=f"{width}x{height}", error=error,
-                 forward=lambda f=function: f(image.clone().requires_grad_(), truth),
-                 backward=lambda value: value.backward())
-        )  # fmt: skip
-    return twins
+    def rounds(self, sessions: list[Session]) -> tuple[list[list[tuple[float, float]]], float]:
+        """Runs of each session in the rounds that nobody disturbed, and the most others used."""
+        pids = [session.pid for session in sessions]
+        runs: list[list[tuple[float, float]]] = [[] for _ in sessions]
+        shares = [0.0]
+        self.patience.wait_for_idle(pids)
+        for _ in range(QUICK_ROUNDS if self.quick else ROUNDS):
+            turns, percent = undisturbed(
+                lambda: [session.ask("turn", TURN_SECONDS) for session in sessions],
+                self.patience, pids, anyway=self.quick,
+            )  # fmt: skip
+            if turns is None and any(runs):
+                continue  # the rounds that were quiet are enough
+            shares.append(percent)
+            for mine, turn in zip(runs, turns or [[] for _ in sessions], strict=True):
+                mine.extend(turn)
+        return runs, max(shares)
 
 
-def optimizers(count: int) -> list[Twin]:
-    """Adam's update of 59 numbers a Gaussian in torch and native, float32."""
-    generator = torch.Generator().manual_seed(0)
-    start, gradient = (torch.randn(count, 59, generator=generator) for _ in range(2))
-
-    def torchs(dtype: torch.dtype) -> tuple[Tensor, Call]:
-        value = torch.nn.Parameter(start.to(dtype, copy=True))
-        value.grad = gradient.to(dtype)
-        return value, torch.optim.Adam([value], lr=1e-2, eps=native_adam.EPSILON).step
-
-    def natives() -> tuple[Tensor, Call]:
-        value, first, second = start.clone(), torch.zeros_like(start), torch.zeros_like(start)
-        return value, lambda: native_adam.step([value], [gradient], [first], [second], [1e-2], 1)
-
-    truth, update = torchs(torch.float64)
-    update()
-    twins = []
-    for name, (value, step) in {"torch": torchs(torch.float32), "native": natives()}.items():
-        step()
-        error = float((value.detach().double() - truth.detach()).abs().max())
-        twins.append(
-            Twin(component="adam", twin=name, case=f"{count} x 59", forward=step, backward=None,
-                 error={"max_abs_error": error, "grad_rel_l2": 0.0, "step_pixels": 0,
-                        "error_case": "the first update"})
-        )  # fmt: skip
-    return twins
+def takes_part(component: Component, twin: Twin, case: Case) -> bool:
+    """Whether a twin is timed in a case."""
+    if case.growth:
+        return twin.name == component.usual
+    return case.size == component.judged or twin.most is None or case.size[0] <= twin.most
 
 
-def timed(twins: list[Twin], repeats: int) -> Iterator[dict[str, Any]]:
-    """Rows of twins that take turns; the first round is not counted."""
-    forward: list[list[float]] = [[] for _ in twins]
-    backward: list[list[float]] = [[] for _ in twins]
-    busy, own, wall = busy_seconds(), time.process_time(), time.perf_counter()
-    for _ in range(repeats + 1):
-        for i, twin in enumerate(twins):
-            with simd_level(twin.level):
-                start = time.perf_counter()
-                made = twin.forward()
-                middle = time.perf_counter()
-                if twin.backward is not None:
-                    twin.backward(made)
-                end = time.perf_counter()
-            forward[i].append(1e3 * (middle - start))
-            backward[i].append(1e3 * (end - middle) if twin.backward else 0.0)
-    others = busy_seconds() - busy - (time.process_time() - own)
-    percent = max(0.0, 100 * others / (time.perf_counter() - wall))
-    note = f"disturbed by other processes: {percent:.0f} % of a core" if percent > DISTURBED else ""
-    for i, twin in enumerate(twins):
-        error = twin.error
-        yield {
-            "component": twin.component, "twin": twin.twin, "case": twin.case,
-            "forward_ms": statistics.median(forward[i][1:]),
-            "backward_ms": statistics.median(backward[i][1:]), **error,
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-            "disturbed_percent": percent,
-            "ok": error["max_abs_error"] <= 2e-5 and error["grad_rel_l2"] <= 1e-3, "note": note,
-        }  # fmt: skip
+def median(values: list[float]) -> float | None:
+    """Of the values; None without any or without numbers."""
+    return statistics.median(values) if values and not math.isnan(values[0]) else None
 
 
-def busy_seconds() -> float:
-    """CPU seconds that all processes have used since the machine started; nan if not told."""
-    path = Path("/proc/stat")
-    if not path.exists():
-        return float("nan")
-    ticks = [int(x) for x in path.read_text().split("\n", 1)[0].split()[1:9]]
-    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
+def pictures(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Draw the study's pictures into the folder."""
+    from splatbench.suites.studies.speed_plot import draw  # matplotlib is slow to import
+
+    return draw(rows, folder)

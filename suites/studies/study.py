@@ -1,10 +1,11 @@
 """What a study is, and the list of them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from splatbench.suites.studies import memory, partition, speed, stability
+from splatbench.suites.studies import memory, partition, speed, speed_page, stability
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,6 +17,14 @@ class Study:
     """What a person sees; rows hold more, and --json prints all of it."""
     rows: Callable[..., Iterator[dict[str, Any]]]
     """Called with quick=True or False; a row that holds ok = False failed."""
+    options: frozenset[str] = frozenset()
+    """Which of "wait" and "backend" `rows` takes too."""
+    pictures: Callable[[Sequence[dict[str, Any]], Path], list[Path]] | None = None
+    """Draws the rows into a folder and returns the files."""
+    page: Callable[[Mapping[str, str], Sequence[dict[str, Any]], Sequence[str]], str] | None = None
+    """The Markdown page of machine, rows and the pictures' paths relative to it."""
+    logged: bool = False
+    """Whether the rows go to the tracking store too."""
 
 
 STUDIES = {
@@ -28,8 +37,10 @@ STUDIES = {
     "speed": Study(
         description="time, memory and error of everything that has a twin",
         columns=("component", "twin", "case", "forward_ms", "backward_ms", "max_abs_error",
-                 "grad_rel_l2", "step_pixels", "peak_mb", "disturbed_percent", "ok", "note"),
-        rows=speed.rows,
+                 "rms_error", "grad_rel_l2", "step_pixels", "peak_mb", "share", "value", "unit",
+                 "disturbed_percent", "ok", "note"),
+        rows=speed.rows, options=frozenset({"wait", "backend"}), pictures=speed.pictures,
+        page=speed_page.page, logged=True,
     ),
     "partition": Study(
         description="partitions of a scene side by side: balance, cut, views a block",

@@ -1,0 +1,1 @@
+"""Components with several implementations, side by side: what `bench run speed` measures."""

@@ -1,0 +1,128 @@
+"""Rasterizers, from activated parameters and from raw ones, on the random scenes of speed_scenes."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from splatbench import _ext
+from splatbench.methods.kernels import rasterizer as native
+from splatbench.methods.kernels.roofline import count_pairs
+from splatbench.reference import rasterizer as reference
+from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.steps import step_pixels
+from splatbench.suites.studies.speed_scenes import speed_scene
+from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+
+ACTIVATED = ("means", "quaternions", "scales", "opacities", "sh")
+Rasterize = Callable[..., Any]
+
+CASES = (
+    Case(size=(2_000, 320, 240), quick=True),
+    Case(size=(20_000, 320, 240), quick=True),
+    Case(size=(100_000, 320, 240)),
+    Case(size=(100_000, 800, 600)),
+)
+GROWTH = (
+    *(Case(size=(count, 800, 600), growth=True, quick=count == 10_000)
+      for count in (10_000, 30_000, 300_000, 1_000_000)),
+    *(Case(size=(100_000, width, width * 3 // 4), growth=True)
+      for width in (100, 200, 400, 1600, 3840)),
+    Case(size=(5_000_000, 1600, 1200), growth=True, forward_only=True),
+)  # fmt: skip
+
+
+def activated(size: Size) -> Problem:
+    """A random scene in the parameters that the image is defined by."""
+    scene, gradient = speed_scene(*size)
+    leaves = {name: getattr(scene, name) for name in ACTIVATED}
+    return _problem(scene.camera, leaves, gradient, lambda: [leaves[n] for n in ACTIVATED[:4]])
+
+
+def raw(size: Size) -> Problem:
+    """The same scene in the parameters that are trained: log scales and opacity logits."""
+    scene, gradient = speed_scene(*size)
+    leaves = {
+        "means": scene.means, "quaternions": scene.quaternions, "log_scales": scene.scales.log(),
+        "opacity_logits": scene.opacities.logit(), "sh": scene.sh,
+    }  # fmt: skip
+
+    def model() -> list[Tensor]:
+        g = Gaussians(**{name: value.double() for name, value in leaves.items()})
+        return [g.means, g.quaternions, g.scales, g.opacities]
+
+    return _problem(scene.camera, leaves, gradient, model)
+
+
+def _problem(
+    camera: Any, leaves: Leaves, gradient: Tensor, model: Callable[[], list[Tensor]]
+) -> Problem:
+    def steps() -> Tensor:
+        return step_pixels(camera, *(value.double() for value in model()), mode="classic")
+
+    return Problem(
+        leaves=leaves, given={"camera": camera}, cotangent=gradient, steps=steps,
+        pairs=lambda: count_pairs(camera, *model()).contributing,
+    )  # fmt: skip
+
+
+def draws(rasterize: Rasterize, keep: int = 16) -> Callable[..., Any]:
+    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use."""
+
+    def call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+        model = [leaves[name] for name in ACTIVATED[:4]]
+        return rasterize(given["camera"], *model, sh=leaves["sh"][:, :keep]).colour
+
+    return functional(call)
+
+
+def pipes(rasterize: Rasterize) -> Callable[..., Any]:
+    """`start` of a rasterizer behind the activations of the trained parameters."""
+
+    def call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+        g = Gaussians(**leaves)
+        return rasterize(
+            given["camera"], g.means, g.quaternions, g.scales, g.opacities, sh=g.sh
+        ).colour
+
+    return functional(call)
+
+
+def label(size: Size) -> str:
+    """E.g. 20000 320x240."""
+    return f"{size[0]} {size[1]}x{size[2]}"
+
+
+ONLY_JUDGED = 0
+"""`most` of the dense reference: it holds every pair in memory."""
+
+RASTERIZER = Component(
+    name="rasterizer",
+    problem=activated,
+    reference=Twin(name="reference float64", start=draws(reference.rasterize), dtype=torch.float64),
+    twins=(
+        *(Twin(name=f"cpu {level}", start=draws(native.rasterize), level=level)
+          for level in _ext.simd_levels()),
+        Twin(name="cpu, 1 thread", start=draws(native.rasterize), threads=1),
+        Twin(name="cpu, SH of degree 1", start=draws(native.rasterize, keep=4),
+             approximates="harmonics of degree 2 and 3 are left out"),
+        Twin(name="cpu, SH of degree 0", start=draws(native.rasterize, keep=1),
+             approximates="harmonics of degree 1 to 3 are left out"),
+        Twin(name="torch dense", start=draws(reference.rasterize), most=ONLY_JUDGED),
+    ),
+    usual=f"cpu {_ext.simd_levels()[-1]}",
+    judged=(1_000, 64, 48), tiny=(60, 32, 24), cases=(*CASES, *GROWTH), label=label,
+)  # fmt: skip
+
+PIPELINE = Component(
+    name="pipeline",
+    problem=raw,
+    reference=Twin(name="reference float64", start=pipes(reference.rasterize), dtype=torch.float64),
+    twins=(
+        Twin(name="cpu", start=pipes(native.rasterize)),
+        Twin(name="cpu, 1 thread", start=pipes(native.rasterize), threads=1),
+        Twin(name="torch dense", start=pipes(reference.rasterize), most=ONLY_JUDGED),
+    ),
+    usual="cpu", judged=(1_000, 64, 48), tiny=(60, 32, 24), cases=CASES, label=label,
+)  # fmt: skip

@@ -1,0 +1,63 @@
+"""One whole iteration of method 3dgs: render, loss, backward, optimiser, density statistics."""
+
+from dataclasses import replace
+
+import torch
+
+from splatbench.datasets.opening import open_scene
+from splatbench.datasets.registry import find_scene
+from splatbench.methods.backends import get_backend
+from splatbench.methods.run import Run
+from splatbench.methods.training import Settings, Trainer
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.reference.errors import MissingError
+from splatbench.reference.scene import Scene
+from splatbench.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
+
+SCENE = "brighton_beach"
+STAND_IN = "courtyard"
+PATIENCE = 6_000
+"""Most steps until the model has grown to the wished size."""
+
+
+def scene() -> Scene:
+    """The measured scene 250 px wide; the self-made one where it is not on this machine."""
+    try:
+        return open_scene(SCENE, load_protocol("brighton_250"))
+    except MissingError:
+        return open_scene(STAND_IN, replace(load_protocol("default"), width=250))
+
+
+def trained(size: Size) -> Problem:
+    """A run of 30,000 steps that has come so far that it holds size[0] Gaussians."""
+    return Problem(leaves={}, given={"scene": scene(), "gaussians": size[0]})
+
+
+def iterates(problem: Problem, _: Leaves) -> Forward:
+    """`start` that trains until the model is large enough; then a forward pass is one iteration."""
+    given = problem.given
+    trainer = Trainer(given["scene"], Settings(), Run(), get_backend("cpu"))
+    while len(trainer.gaussians()) < given["gaussians"] and trainer.step < PATIENCE:
+        trainer.advance()
+    return lambda: torch.tensor(trainer.advance())
+
+
+def label(size: Size) -> str:
+    """E.g. brighton_beach 250 px, 10000 Gaussians."""
+    try:
+        find_scene(SCENE)
+        name = SCENE
+    except MissingError:
+        name = STAND_IN
+    return f"{name} 250 px, {size[0]} Gaussians"
+
+
+TRAINING = Component(
+    name="training step",
+    problem=trained,
+    reference=None,
+    twins=(Twin(name="3dgs cpu", start=iterates),),
+    usual="3dgs cpu", judged=(0,), tiny=(0,),
+    cases=(Case(size=(10_000,)), Case(size=(50_000,))),
+    label=label,
+)  # fmt: skip
