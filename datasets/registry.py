@@ -18,6 +18,8 @@ from splatbench.reference.errors import DataError, MissingError, UsageError
 
 FILE = "registry.toml"
 """Beside this module; a data root may hold one of its own with further scenes."""
+SCENE = "<scene>"
+"""Stands for the scene's name in a set's `folders`."""
 DEFAULT_ROOTS = ("data", "../shared/data")
 Kind = Literal["real", "made", "public"]
 Report = Callable[[int, int], None]
@@ -80,8 +82,10 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
             entries.append(_entry(path, name, table))
             continue
         for part in scenes:
-            inside = {"part": part} if table.get("kind") == "made" else {}
-            entries.append(_entry(path, f"{name}/{part}", {**inside, **table}))
+            inside: dict[str, object] = {"part": part} if table.get("kind") == "made" else {}
+            if isinstance(table.get("folders"), list):
+                inside["folders"] = [str(f).replace(SCENE, part) for f in table["folders"]]
+            entries.append(_entry(path, f"{name}/{part}", {**table, **inside}))
     return tuple(entries)
 
 

@@ -39,7 +39,7 @@ def test_show(capsys, places):
     out = capsys.readouterr().out
     for part in ("CC0-1.0", "https://", str(places / "data" / "seneca"), "changed_files: sparse/0"):
         assert part in out
-    assert run("show", "kitti", "--json") == 0
+    assert run("show", "kitti_tracking/0001", "--json") == 0
     assert json.loads(capsys.readouterr().out)["present"] is False
 
 
@@ -61,8 +61,8 @@ def test_make(capsys, places):
 @pytest.mark.parametrize(
     ("args", "code", "words"),
     [
-        (("get", "waymo"), 3, "looked for"),
-        (("get", "wamo"), 2, "nearest is 'waymo'"),
+        (("get", "waymo_pvg/0145050"), 3, "looked for"),
+        (("get", "waymo_pvg/014505"), 2, "nearest is 'waymo_pvg/0145050'"),
         (("show", "nowhere"), 2, "nearest is"),
         (("make", "village", "x"), 2, "there are courtyard"),
         (("make", "courtyard", "x", "--preset", "huge"), 2, "small, medium, large"),

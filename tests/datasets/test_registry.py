@@ -32,7 +32,7 @@ def test_every_entry_says_what_a_user_needs():
         if entry.kind == "made":
             assert entry.world
         else:
-            assert entry.home.startswith("https://")
+            assert entry.home.startswith("https://") or "names no page" in entry.get
             assert entry.get or (entry.url and entry.sha256)
 
 
@@ -85,6 +85,14 @@ def test_a_data_root_adds_scenes_and_wins(roots):
     assert registry.get_entry("courtyard").kind == "real"
 
 
+def test_folders_of_a_set_name_its_scenes(roots):
+    more = 'folders = ["one/<scene>", "<scene>-two"]\nscenes = ["a", "b/c"]\n'
+    (roots[1] / "registry.toml").write_text(ENTRY + more)
+    assert registry.get_entry("mine/b/c").folders == ("one/b/c", "b/c-two")
+    (roots[0] / "a-two").mkdir()
+    assert registry.find_scene("mine/a") == roots[0] / "a-two"
+
+
 @pytest.mark.parametrize(
     ("text", "match"),
     [
@@ -134,7 +142,7 @@ def test_get_downloads_checks_and_unpacks(roots, tmp_path):
 
 def test_get_by_hand(roots):
     with pytest.raises(MissingError, match="register and download"):
-        registry.fetch_entry(registry.get_entry("kitti"))
+        registry.fetch_entry(registry.get_entry("kitti_tracking/0001"))
 
 
 def test_scenes_of_one_world_share_its_folder(roots):
