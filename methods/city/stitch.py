@@ -12,7 +12,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatbench.methods.city.block_model import BlockModel
+from splatbench.methods.city.voxel_region import VoxelRegion
 from splatbench.methods.morton import morton_order
+from splatbench.reference.boxes import Region
 from splatbench.reference.errors import UsageError
 from splatbench.reference.stitching import (
     COMPETITIVE,
@@ -29,6 +31,8 @@ from splatbench.reference.stitching import (
 SCORED = ("means", "opacity_logits", "log_scales")
 WALL = 1e-9
 """So near to d = 1 a place may be in two cores, or in none, by rounding."""
+BEYOND = 1.2
+"""Distances are not told apart from here on: all of them are beyond the rim."""
 Outside = Literal["drop", "nearest"]
 
 
@@ -138,7 +142,7 @@ def _zones_and_rim(block: BlockModel, settings: StitchSettings) -> tuple[UInt8[T
     zone, parts, start = [torch.zeros(0, dtype=torch.uint8)], [], 0
     for part in block.slices(SCORED):
         means = part["means"].double()
-        away = block.region.distance(means)
+        away = _clipped(block.region, means, 1.0)
         zone.append(zones(away).to(torch.uint8))
         rows = (zone[-1] == COMPETITIVE).nonzero()[:, 0]
         scored = _quality(block, {name: values[rows] for name, values in part.items()}, settings)
@@ -151,6 +155,13 @@ def _zones_and_rim(block: BlockModel, settings: StitchSettings) -> tuple[UInt8[T
         )
     rows, means, away, scored = (torch.cat(column) for column in zip(*parts, strict=True))
     return torch.cat(zone), _Rim(rows=rows, means=means, distance=away, quality=scored)
+
+
+def _clipped(region: Region, points: Float64[Tensor, "n 3"], low: float) -> Float64[Tensor, " n"]:
+    """Distances between `low` and a little beyond the rim: nothing here asks for others."""
+    if isinstance(region, VoxelRegion):
+        return region.clipped(points, low, BEYOND)
+    return region.distance(points)
 
 
 def _quality(
@@ -181,7 +192,7 @@ def _compete(
 ) -> None:
     """Raise the rivals' scores of all other rims by what the block has near them."""
     reach = {
-        i: weight(other.region.distance(rim.means))
+        i: weight(_clipped(other.region, rim.means, 0.0))
         for i, rim in enumerate(rims)
         if i != index and len(rim.rows)
     }

@@ -83,7 +83,10 @@ def test_the_distance_to_voxels_is_that_of_the_definition(size, share, seed):
     region = voxels(seed, size, share)
     spread = 2.5 * region.half.max()
     points = region.centre + spread * torch.randn(40, 3, generator=generator(seed + 1), dtype=D)
-    assert_close(region.distance(points), by_loop(region, points), rtol=0, atol=1e-12)
+    found = region.distance(points)
+    assert_close(found, by_loop(region, points), rtol=0, atol=1e-12)
+    for low, high in ((1.0, 1.2), (0.0, 1.2), (0.9, 3.0)):
+        assert torch.equal(region.clipped(points, low, high), found.clamp(low, high))
 
 
 @settings(max_examples=60)
