@@ -30,15 +30,15 @@ class Block:
     scenes: tuple[str, ...]
     """Registered names, or folders as "/...", "./..." or "../..." relative to the suite file."""
     methods: tuple[str, ...]
+    """Names, or "method@variant" for a method that runs with several settings: a row each."""
     protocols: tuple[str, ...]
     """Names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
     seeds: tuple[int, ...] = (0,)
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
-    """Method name to the settings that differ from its defaults."""
+    """Settings that differ from the defaults, by method and by "method@variant"; a variant has its
+    method's too, and its own go first."""
     shared: dict[str, object] = field(default_factory=dict)
-    """Settings that every method of the block gets; its own in `settings` go first."""
-    variant: str = ""
-    """Tells these rows from those of the same methods in other blocks: they become method@variant."""
+    """Settings that every row of the block has, unless `settings` says otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ class Case:
     settings: Any
     """Instance of the method's settings dataclass."""
     variant: str = ""
-    """Name of the row's settings, see Block; nothing but the folder and the row's name follow."""
+    """What follows the "@", see Block; only the folder and the row's name depend on it."""
     seed: int
     protocol: Protocol
 
@@ -178,36 +178,41 @@ def _cases(block: Block, path: Path, where: str) -> list[Case]:
             raise UsageError(f"{where}.{name}: empty; a block needs at least one")
     if min(block.seeds) < 0:
         raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(block.seeds)}")
-    for name in block.methods:
-        if name not in METHODS:
-            raise unknown(f"{where}.methods", name, METHODS)
+    parts = {row: _parts(row, f"{where}.methods") for row in block.methods}
+    known = {*parts, *(method for method, _ in parts.values())}
     for name in block.settings:
-        if name not in block.methods:
-            raise unknown(f"{where}.settings", name, block.methods)
-    if not re.fullmatch(r"[\w.-]*", block.variant):
-        raise UsageError(f"{where}.variant: {block.variant!r}; use letters, digits, '-', '_', '.'")
+        if name not in known:
+            raise unknown(f"{where}.settings", name, known)
     settings = {
-        name: build(
-            METHODS[name].settings,
-            merged(block.shared, block.settings.get(name, {})),
-            f"{where}.settings.{name}",
-        )
-        for name in block.methods
+        row: build(METHODS[method].settings, _table(block, method, row), f"{where}.settings.{row}")
+        for row, (method, _) in parts.items()
     }
     protocols = [load_protocol(_beside(name, path)) for name in block.protocols]
     scenes = [_beside(name, path) for name in block.scenes]
     product = itertools.product(scenes, block.methods, protocols, block.seeds)
     return [
         Case(
-            scene=scene,
-            method=method,
-            settings=settings[method],
-            variant=block.variant,
-            seed=seed,
-            protocol=protocol,
+            scene=scene, method=parts[row][0], settings=settings[row], variant=parts[row][1],
+            seed=seed, protocol=protocol,
         )
-        for scene, method, protocol, seed in product
-    ]
+        for scene, row, protocol, seed in product
+    ]  # fmt: skip
+
+
+def _parts(row: str, where: str) -> tuple[str, str]:
+    """Method and variant of "method" or "method@variant"."""
+    method, at, variant = row.partition("@")
+    if method not in METHODS:
+        raise unknown(where, method, METHODS)
+    if at and not re.fullmatch(r"[\w.-]+", variant):
+        raise UsageError(f"{where}: {row!r}; after '@' use letters, digits, '-', '_', '.'")
+    return method, variant
+
+
+def _table(block: Block, method: str, row: str) -> dict[str, Any]:
+    """Settings of a row: what all rows share, then its method's, then its own."""
+    own = block.settings.get(row, {}) if row != method else {}
+    return merged(merged(block.shared, block.settings.get(method, {})), own)
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:

@@ -156,24 +156,29 @@ def test_a_missing_file_a_wrong_name_and_a_name_that_is_no_folder(tmp_path):
         load_suite(tmp_path / "binary.toml")
 
 
-def test_shared_settings_and_a_variant(tmp_path):
-    text = GOOD.replace(
-        "seeds = [0, 3]", 'variant = "long"\nshared = { iterations = 9, inner = { cap = 2 } }'
+def test_shared_settings_and_variants(tmp_path):
+    text = GOOD.replace('["fake"]', '["fake", "fake@long"]').replace(
+        "seeds = [0, 3]", "shared = { iterations = 9, inner = { cap = 2 } }"
     )
+    text += '[blocks.settings."fake@long"]\niterations = 100\n'
     cases = load_suite(written(tmp_path, text)).cases
-    assert cases[0].settings == FakeSettings(
-        iterations=7, inner=fake_methods.Inner(rate=1.0, cap=2)
-    )
-    assert cases[0].label == "town/fake@long/default/seed0"
-    plain = load_suite(written(tmp_path, GOOD)).cases[0]
-    assert plain.row == "fake"
-    assert case_key(replace(cases[0], settings=plain.settings), "cpu") == case_key(plain, "cpu")
-    both = GOOD + text.split('description = "For tests"')[1]
-    assert len(load_suite(written(tmp_path, both)).cases) == 12  # no folder twice
-    with pytest.raises(UsageError, match="variant: 'a/b'; use letters"):
-        load_suite(written(tmp_path, text.replace('"long"', '"a/b"')))
-    with pytest.raises(UsageError, match="unknown 'iteration'"):
-        load_suite(written(tmp_path, text.replace("{ iterations", "{ iteration")))
+    plain, long = cases[0], cases[2]
+    assert plain.settings == FakeSettings(iterations=7, inner=fake_methods.Inner(rate=1.0, cap=2))
+    assert long.settings == replace(plain.settings, iterations=100)
+    assert (plain.row, long.row) == ("fake", "fake@long")
+    assert long.label == "town/fake@long/default/seed0"
+    assert case_key(replace(long, settings=plain.settings), "cpu") == case_key(plain, "cpu")
+    for wrong, message in (
+        (text.replace("fake@long", "fake@a/b"), "'fake@a/b'; after '@' use letters"),
+        (text.replace("fake@long", "fake@"), "'fake@'; after '@' use letters"),
+        (
+            text.replace('settings."fake@long"', 'settings."fake@lng"'),
+            "unknown 'fake@lng', did you mean",
+        ),
+        (text.replace("{ iterations", "{ iteration"), "unknown 'iteration'"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            load_suite(written(tmp_path, wrong))
 
 
 def test_the_reduced_form_is_the_suite_beside_it():
