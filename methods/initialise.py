@@ -1,5 +1,8 @@
 """Gaussians from structure-from-motion points."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -8,10 +11,12 @@ from torch import Tensor
 
 from splatbench.reference.errors import DataError
 from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.scene import Scene
+from splatbench.reference.scene import Scene, SparsePoints
 from splatbench.reference.spherical_harmonics import C0
 
 NEIGHBOURS = 3
+RANDOM_DEPTHS = (0.1, 10.0)
+"""Depths of random points, in extents of the scene."""
 LEAST_SQUARED = 1e-7
 """Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
 
@@ -53,6 +58,46 @@ def extent(scene: Scene) -> float:
     return 1.1 * radius
 
 
+def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
+    """The scene with points drawn at random where it has none; a scene with points as it is.
+
+    A point lies on the ray through a uniform place in the image of a uniform training camera, at a
+    depth that is log-uniform from 0.1 to 10 extents; colours are uniform. Every point is in sight,
+    whether cameras look inwards, ahead or down, near or far for how they are spread.
+
+    Args:
+        scene: Its points are looked at first.
+        count: Points to draw; 0 leaves the scene alone.
+        seed: Of the draw.
+
+    Source: ours; gsplat and the release's Blender scenes draw from a cube, which holds what
+        cameras look at only where they stand around it.
+    """
+    if len(scene.points) or not count or not scene.train:
+        return scene
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.rand(count, 3, generator=generator).double()
+    chosen = torch.randint(0, len(scene.train), (count,), generator=generator)
+    cameras = [view.camera for view in scene.train_views]
+    sizes = torch.tensor([[camera.width, camera.height] for camera in cameras]).double()
+    pixels = torch.cat([draws[:, :2] * sizes[chosen], torch.ones(count, 1)], dim=1)
+    near, far = (math.log(factor * max(extent(scene), 1e-6)) for factor in RANDOM_DEPTHS)
+    depth = (near + (far - near) * draws[:, 2:]).exp()
+    to_ray = torch.stack([camera.K.double().inverse() for camera in cameras])[chosen]
+    pose = torch.stack([camera.world_to_camera.double() for camera in cameras])[chosen]
+    local = depth * torch.einsum("nij,nj->ni", to_ray, pixels) - pose[:, :3, 3]
+    positions = torch.einsum("nji,nj->ni", pose[:, :3, :3], local)
+    return replace(
+        scene,
+        points=SparsePoints(
+            positions=positions,
+            colours=torch.randint(0, 256, (count, 3), generator=generator, dtype=torch.uint8),
+            track_starts=torch.zeros(count + 1, dtype=torch.int64),
+            track_views=torch.zeros(0, dtype=torch.int64),
+        ),
+    )
+
+
 def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
     """One isotropic Gaussian for each sparse point: its colour as SH DC, identity rotation.
 
@@ -71,7 +116,8 @@ def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
     if count == 0:
         raise DataError(
             f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
-            "reconstruct the scene again with more overlapping photos (`bench ingest`)"
+            "reconstruct the scene again with more overlapping photos (`bench ingest`), or set "
+            "random_points to start from points drawn at random"
         )
     distance = neighbour_distance(scene.points.positions, lone=0.01 * extent(scene))
     sh = torch.zeros(count, (degree + 1) ** 2, 3)

@@ -43,6 +43,9 @@ class Settings:
     """Steps until one more SH band is trained."""
     initial_opacity: float = 0.1
     """Opacity of the Gaussians that the sparse points become."""
+    random_points: int = 0
+    """Points that a scene without any starts from, drawn in sight of its cameras (100,000 in
+    gsplat); 0: such a scene is refused. Scenes with points keep theirs."""
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
     antialiased: bool = False
@@ -67,6 +70,7 @@ class Settings:
         require(self.sh_interval >= 0, "sh_interval", self.sh_interval, ">= 0")
         opacity = self.initial_opacity
         require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
+        require(self.random_points >= 0, "random_points", self.random_points, ">= 0")
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
 
 
@@ -88,6 +92,7 @@ def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
     backend = get_backend(run.backend)
     with threads(run.threads):
         started = time.perf_counter()
+        scene = initialise.with_random_points(scene, settings.random_points, run.seed)
         trainer = Trainer(scene, settings, run, backend)
         trainer.resume()
         run.on_stage("init", time.perf_counter() - started)

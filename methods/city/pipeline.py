@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.methods import training
+from splatbench.methods import initialise, training
 from splatbench.methods.backends import get_backend
 from splatbench.methods.city import refine as refinement
 from splatbench.methods.city.block_model import BlockModel
@@ -66,6 +66,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
         to another run; MissingError if the blocks cannot fit into memory.
     """
+    scene = initialise.with_random_points(scene, settings.random_points, run.seed)
     with training.threads(run.threads), _work_folder(run) as folder:
         key = json.dumps([method, scene.name, training.scene_digest(scene), asdict(settings),
                           run.seed, run.background, run.backend])  # fmt: skip

@@ -1,5 +1,6 @@
 """SfM points become Gaussians."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatbench.methods import initialise
+from splatbench.reference.camera import project_points
 from splatbench.reference.errors import DataError
 from splatbench.reference.spherical_harmonics import C0
 
@@ -70,3 +72,36 @@ def test_extent_of_cameras_in_one_place_comes_from_the_points():
 def test_nothing_to_start_from_is_refused(change, said):
     with pytest.raises(DataError, match=said):
         initialise.from_points(replace(tiny_scene(), **change), degree=0, opacity=0.1)
+
+
+def test_random_points_lie_where_a_training_camera_sees():
+    scene = replace(tiny_scene(), points=sparse_points(torch.zeros(0, 3)))
+    filled = initialise.with_random_points(scene, 500, seed=3)
+    positions = filled.points.positions
+    assert len(positions) == 500
+    reach = initialise.extent(scene)
+    seen, depths = torch.zeros(500, dtype=torch.bool), []
+    for view in scene.train_views:
+        pixels, depth = project_points(view.camera, positions)
+        size = torch.tensor([view.camera.width, view.camera.height])
+        seen |= ((pixels >= -1e-6) & (pixels <= size + 1e-6)).all(1) & (depth > 0.0999 * reach)
+        depths.append(depth)
+    assert seen.all()
+    # log10 of the depth is uniform on [-1, 1]: the median of n draws has a deviation of 1 / sqrt(n)
+    middle = torch.stack(depths).median().log10() - math.log10(reach)
+    assert abs(middle) < 5 / math.sqrt(500)
+    assert positions.std(dim=0).min() > 0.1 * reach
+    assert len(initialise.from_points(filled, degree=1, opacity=0.1)) == 500
+    again = initialise.with_random_points(scene, 500, seed=3).points
+    assert torch.equal(again.positions, positions)
+    other = initialise.with_random_points(scene, 500, seed=4).points
+    assert not torch.equal(other.positions, positions)
+
+
+def test_scenes_with_points_and_settings_without_random_ones_stay_as_they_are():
+    scene = tiny_scene()
+    assert initialise.with_random_points(scene, 500, seed=0) is scene
+    empty = replace(scene, points=sparse_points(torch.zeros(0, 3)))
+    assert initialise.with_random_points(empty, 0, seed=0) is empty
+    with pytest.raises(DataError, match="set random_points to start from points drawn at random"):
+        initialise.from_points(empty, degree=0, opacity=0.1)
