@@ -96,8 +96,8 @@ def peers(rows: Sequence[Row]) -> list[str]:
         "## Beside the public CPU peers",
         ("From raw parameters to the image and back to all parameter gradients, degree-3 harmonics; "
         "brighton_beach is one whole training iteration (render, loss, backward, optimiser, density "
-        "statistics). Peers were measured once on a machine of the same kind (2 cores, AVX-512), "
-        "idle, medians; their figures are in `suites/studies/speed_peers.csv`. Goals are ratios to "
+        "statistics). Peers were measured once on an idle machine of the same kind (2 cores of an "
+        "Intel Xeon with AVX-512 at some 3.4 GHz), medians; their figures are in `suites/studies/speed_peers.csv`. Goals are ratios to "
         "reach: must / aim."),
         table(("case", "peer", "peer ms", "ours ms", "ratio", "goal", "peer MB", "ours MB"), lines),
         "Versions: " + "; ".join(dict.fromkeys(notes)) + ".",

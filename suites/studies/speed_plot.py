@@ -76,9 +76,16 @@ def _pareto_panel(axes: Axes, component: str, points: list[tuple[str, float, flo
         )  # fmt: skip
     axes.set(xscale="log", yscale="log", title=component, xlabel="forward + backward, ms",
              ylabel="largest error")  # fmt: skip
-    axes.margins(0.15)
-    axes.grid(alpha=0.3)
+    whole_decades(axes)
     axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
+
+
+def whole_decades(axes: Axes) -> None:
+    """Logarithmic axes from one power of ten to another, with a grid."""
+    for low, high, limit in ((*axes.get_xlim(), axes.set_xlim), (*axes.get_ylim(), axes.set_ylim)):
+        limit(10.0 ** math.floor(math.log10(low)), 10.0 ** math.ceil(math.log10(high)))
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
 
 
 def growth(rows: Sequence[Row]) -> Figure | None:
@@ -108,6 +115,6 @@ def growth(rows: Sequence[Row]) -> Figure | None:
                    label=key.removesuffix("_ms"))  # fmt: skip
     for axes, title in ((left, "Gaussians"), (right, "contributing pairs")):
         axes.set(xscale="log", yscale="log", xlabel=title, ylabel="ms")
-        axes.grid(alpha=0.3)
+        whole_decades(axes)
         axes.legend(fontsize=7)
     return figure

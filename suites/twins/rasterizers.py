@@ -122,7 +122,6 @@ PIPELINE = Component(
     twins=(
         Twin(name="cpu", start=pipes(native.rasterize)),
         Twin(name="cpu, 1 thread", start=pipes(native.rasterize), threads=1),
-        Twin(name="torch dense", start=pipes(reference.rasterize), most=ONLY_JUDGED),
     ),
     usual="cpu", judged=(1_000, 64, 48), tiny=(60, 32, 24), cases=CASES, label=label,
 )  # fmt: skip
