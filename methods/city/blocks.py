@@ -133,8 +133,13 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     trainer.resume()
     trainer.train()
     model = select(trainer.gaussians(), trainer.roles != GHOST)
+    note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
     facts = replace(
-        job.facts, seconds=trainer.seconds, peak_mb=peak_memory_mb(), primitives=len(model)
+        job.facts,
+        seconds=trainer.seconds,
+        peak_mb=peak_memory_mb(),
+        primitives=len(model),
+        note=note,
     )
     return _finish(job, model, facts)
 

@@ -1,5 +1,6 @@
 """A scene small enough to train on in a test: random Gaussians seen by a few cameras."""
 
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -53,7 +54,7 @@ def tiny_scene(
         return View(
             name=f"{index}.png",
             camera=where,
-            load=lambda: photo,
+            load=partial(torch.clone, photo),
             load_mask=None if mask is None else mask.clone,
         )
 

@@ -8,9 +8,9 @@ import cv2
 import pytest
 import torch
 
-from helpers.clouds import tracked
+from helpers.city_scene import small_scene
 from helpers.real_scenes import real_scene
-from helpers.tiny_scene import random_gaussians, tiny_scene
+from helpers.tiny_scene import random_gaussians
 from splatbench.datasets.opening import open_scene
 from splatbench.methods.city import coarse_change as rule
 from splatbench.methods.city.ground import ground
@@ -27,18 +27,6 @@ COLUMNS = {
     "views_max", "note",
 }  # fmt: skip
 METHODS = ["odbp", "odbp_paper", "blockgaussian", "vastgaussian", "citygaussian"]
-
-
-def small_scene(points: int = 300) -> Scene:
-    """The tiny scene with tracks: a view sees the points that land in the middle of its image."""
-    scene = tiny_scene(views=9, points=points)
-    positions = scene.points.positions
-    seen = []
-    for view in scene.views:
-        pixel, _ = project_points(view.camera, positions)
-        seen.append((pixel - pixel.new_tensor([12, 9])).abs().amax(dim=1) < 7)
-    tracks = [torch.stack(seen)[:, i].nonzero()[:, 0].tolist() for i in range(points)]
-    return replace(scene, points=tracked(tracks, positions))
 
 
 def test_a_row_by_hand():
