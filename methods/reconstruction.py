@@ -180,14 +180,20 @@ def describe(folder: Path) -> dict[str, Any]:
 
 
 def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction:
-    """The model that `save` wrote into a folder.
+    """The model that `save` wrote into a folder, or a packed one.
 
     Args:
-        folder: With model.json and model.safetensors.
+        folder: With model.json and model.safetensors; or a file of methods.packing.
         backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version.
     """
+    if folder.is_file():
+        from splatbench.methods.packing_reader import read_packed  # it builds on this module
+
+        model, packed = read_packed(folder)
+        check_gaussians(model, folder)
+        return ExplicitModel(model=model, backend=backend, **vars(packed))
     facts = describe(folder)
     path = folder / ARRAYS
     arrays, _ = read_tensors(path)

@@ -1,33 +1,49 @@
 """`bench export MODEL`: a trained model as a file that other tools open."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from splatbench.cli import output
 
+if TYPE_CHECKING:
+    from splatbench.methods.reconstruction import Reconstruction
+
 
 def export(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     *,
-    ply: Path,
+    ply: Path | None = None,
+    packed: Path | None = None,
+    gate: float = 0.02,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> int:
-    """Write a trained model as a .ply with the original 3DGS release's properties.
+    """Write a trained model as a .ply with the original 3DGS release's properties, or packed small.
 
-    Positions return to the scene's original frame: where that is shifted (UTM, say), x, y, z are
-    written in float64, which some viewers do not read.
+    In a .ply positions return to the scene's original frame: where that is shifted (UTM, say), x, y, z are
+    written in float64, which some viewers do not read. A packed file keeps the local frame and says
+    the shift; `bench render` and `bench export` take it wherever they take a model folder.
 
     Args:
-        model: Model folder, as `bench fit` writes it.
+        model: Model folder, as `bench fit` writes it, or a packed file.
         ply: File to write.
+        packed: Packed file to write.
+        gate: Of a packed file: mean size of the view-dependent colour below which a Gaussian's is
+            dropped; 0 keeps all.
         local: Keep the scene's local frame, with all properties in float32, for any viewer.
     """
     from splatbench.methods.ply import write_ply
     from splatbench.methods.reconstruction import ExplicitModel, load_reconstruction
+    from splatbench.reference.errors import UsageError
 
+    if ply is None and packed is None:
+        raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
     loaded = load_reconstruction(model)
+    if packed is not None:
+        _pack(loaded, packed, gate)
+    if ply is None:
+        return 0
     shift = loaded.shift if isinstance(loaded, ExplicitModel) and not local else None
     write_ply(ply, loaded.gaussians(), shift)
     moved = [] if shift is None else [v for v in shift.tolist() if v]
@@ -35,3 +51,21 @@ def export(
     record = {"ply": str(ply), "gaussians": loaded.primitives, "frame": frame}
     output.emit(record, f"{ply}: {loaded.primitives} Gaussians, positions {frame}")
     return 0
+
+
+def _pack(model: "Reconstruction", path: Path, gate: float) -> None:
+    """Write a packed file and say how small it is."""
+    from splatbench.methods.packing import FileSettings, PackedFacts, write_packed
+    from splatbench.methods.reconstruction import ExplicitModel
+
+    names = ("mode", "shift", "units", "method", "settings")
+    known = (
+        {name: getattr(model, name) for name in names} if isinstance(model, ExplicitModel) else {}
+    )
+    report = write_packed(
+        path, model.gaussians(), settings=FileSettings(gate=gate), facts=PackedFacts(**known)
+    )
+    each = report.bytes / max(report.primitives, 1)
+    record = {"packed": str(path), "gaussians": report.primitives, "bytes": report.bytes,
+              "bytes_by_part": dict(report.bytes_by_part), "open_share": report.open_share}  # fmt: skip
+    output.emit(record, f"{path}: {report.primitives} Gaussians, {each:.1f} bytes each")

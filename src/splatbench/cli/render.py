@@ -23,7 +23,7 @@ def render(
     """Render a model's views to OUT as 8-bit PNGs (clamped, rounded half up) named after the views.
 
     Args:
-        model: Model folder, as `bench fit` writes it.
+        model: Model folder, as `bench fit` writes it, or a packed file.
         cameras: Name of a registered scene, a scene folder, or a .json file: a list of objects
             with name, width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
         out: Folder for the images.

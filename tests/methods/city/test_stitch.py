@@ -12,6 +12,7 @@ from splatbench.methods.city import block_model, merge, regions
 from splatbench.methods.city import stitch as fast
 from splatbench.methods.city.block_model import BlockModel
 from splatbench.methods.city.voxel_region import VoxelRegion
+from splatbench.methods.float_file import write_float_stream
 from splatbench.methods.reconstruction import ExplicitModel, load_reconstruction
 from splatbench.reference import stitching
 from splatbench.reference.boxes import OrientedBox, Region
@@ -178,8 +179,9 @@ def test_merges_without_sense_are_refused(tmp_path):
     other = replace(scene[1], model=gaussians(torch.zeros(20, 3), generator(0), bands=1))
     with pytest.raises(DataError, match="SH bands"):
         merge.write_merged(tmp_path, [scene[0], other], nothing, **keywords)
-    with pytest.raises(DataError, match="expected 24"):
-        merge.write_float_stream(tmp_path / "x", {"a": (2, 3)}, iter([torch.zeros(1, 3)]))
+    for rows, said in ((1, "fewer rows of a"), (3, "more rows of a")):
+        with pytest.raises(DataError, match=said):
+            write_float_stream(tmp_path / "x", {"a": (2, 3)}, [{"a": torch.zeros(rows, 3)}])
     assert not list(tmp_path.iterdir())
 
 
