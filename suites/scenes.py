@@ -15,18 +15,28 @@ def without_absent(suite: Suite) -> tuple[Suite, tuple[str, ...]]:
     Raises: UsageError for a scene that is neither registered nor a folder, and MissingError for one
         that is not optional and not here: better now than after hours of other cases.
     """
-    absent: dict[str, str] = {}
-    for scene in dict.fromkeys(case.scene for case in suite.cases):
-        try:
-            check_scene(scene)
-        except MissingError as error:
-            if scene not in suite.optional_scenes:
-                raise
-            absent[scene] = str(error)
+    absent = absences(suite)
+    for scene, reason in absent.items():
+        if scene not in suite.optional_scenes:
+            raise MissingError(reason)
     kept = tuple(case for case in suite.cases if case.scene not in absent)
     if not kept:
         raise MissingError(f"suite {suite.name}: no scene is here: {'; '.join(absent.values())}")
     return replace(suite, cases=kept), tuple(absent.values())
+
+
+def absences(suite: Suite) -> dict[str, str]:
+    """Scenes of the suite that are not here, each with where it was looked for and how to get it.
+
+    Raises: UsageError for a scene that is neither registered nor a folder.
+    """
+    absent = {}
+    for scene in dict.fromkeys(case.scene for case in suite.cases):
+        try:
+            check_scene(scene)
+        except MissingError as error:
+            absent[scene] = str(error)
+    return absent
 
 
 def check_scene(scene: str) -> None:

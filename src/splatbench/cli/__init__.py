@@ -75,6 +75,11 @@ COMMANDS = {
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
     ),
+    "published": Command(
+        module="published",
+        functions={"": "published"},
+        help="Show what the papers print beside our records, and whether they compare.",
+    ),
     "gallery": Command(
         module="gallery",
         functions={"": "gallery"},

@@ -1,5 +1,6 @@
 """`bench run SUITE`: all cases of a suite, then the tracking store and the leaderboard."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -47,7 +48,8 @@ def run(
         out: Folder for the results; each case has its own in OUT/SUITE/scene/method/protocol/seed.
         only: Run the cases that match this pattern on scene/method/protocol/seed, e.g. "town/*/seed0".
         seeds: Run the seeds 0 to N - 1 instead of the suite's.
-        dry_run: Print the cases with estimated time and memory, and run nothing.
+        dry_run: Print the cases with estimated time and memory, and how to get the scenes that are
+            not on this machine; run nothing.
         resume: Keep what is there (--no-resume: start the chosen cases over).
         backend: Rasterizer: cpu, reference or cuda.
         threads: Threads to use; None: as many as torch does.
@@ -74,20 +76,30 @@ def run(
     from splatbench.reports.mlflow_client import default_uri
     from splatbench.suites.environment import usable_cores
     from splatbench.suites.runner import run_suite, select
-    from splatbench.suites.scenes import make_scenes, without_absent
+    from splatbench.suites.scenes import absences, make_scenes, without_absent
     from splatbench.suites.suite_files import load_suite, quick_form
 
     uri = default_uri(out)
     whole = load_suite(quick_form(suite) if quick else suite)
     get_backend(backend)
-    chosen, absent = without_absent(select(whole, only=only, seeds=seeds))
-    for reason in absent:
-        output.log(f"left out: {reason}")
+    chosen = select(whole, only=only, seeds=seeds)
+    missing: dict[str, str] = {}
+    if dry_run:
+        missing = absences(chosen)
+        here = tuple(case for case in chosen.cases if case.scene not in missing)
+    else:
+        chosen, absent = without_absent(chosen)
+        here = chosen.cases
+        for reason in absent:
+            output.log(f"left out: {reason}")
     with output.progress() as bar:
         task = bar.add_task("making scenes", total=None, values="")
-        make_scenes(chosen, lambda done, total: bar.update(task, completed=done, total=total))
+        make_scenes(
+            replace(chosen, cases=here),
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
     if dry_run:
-        return _print_plan(chosen, out, backend)
+        return _print_plan(chosen, missing, out, backend)
     with output.progress() as bar:
         screen = _Screen(bar)
         outcomes = run_suite(
@@ -160,13 +172,16 @@ def _record(outcome: "Outcome") -> dict[str, object]:
     }
 
 
-def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
-    """Print each case with its estimates and their sum."""
+def _print_plan(suite: "Suite", missing: dict[str, str], out: Path, backend: str) -> int:
+    """Print each case with its estimates, and what has to be got for those that cannot run."""
     from splatbench.suites.estimate import estimate_suite
 
+    here = replace(suite, cases=tuple(c for c in suite.cases if c.scene not in missing))
+    guesses = iter(estimate_suite(here, out, backend))
     total = 0.0
-    for case, guess in zip(suite.cases, estimate_suite(suite, out, backend), strict=True):
-        total += guess.seconds
+    for case in suite.cases:
+        guess = None if case.scene in missing else next(guesses)
+        total += guess.seconds if guess else 0.0
         record = {
             "suite": suite.name,
             "scene": case.scene_name,
@@ -174,11 +189,19 @@ def _print_plan(suite: "Suite", out: Path, backend: str) -> int:
             "variant": case.variant,
             "protocol": case.protocol.name,
             "seed": case.seed,
-            "estimated_seconds": guess.seconds,
-            "estimated_memory_mb": guess.memory_mb,
-            "basis": guess.basis,
+            "estimated_seconds": guess.seconds if guess else None,
+            "estimated_memory_mb": guess.memory_mb if guess else None,
+            "basis": guess.basis if guess else "scene not on this machine",
+            "missing": missing.get(case.scene, ""),
         }
-        text = f"{guess.seconds:8.0f} s {guess.memory_mb:8.0f} MB  {case.label}  ({guess.basis})"
-        output.emit(record, text)
-    output.log(f"{len(suite.cases)} cases, about {total:.0f} s one after the other")
+        costs = (
+            f"{guess.seconds:8.0f} s {guess.memory_mb:8.0f} MB" if guess else f"{'not here':>22}"
+        )
+        output.emit(record, f"{costs}  {case.label}  ({record['basis']})")
+    for reason in missing.values():
+        output.log(f"not here: {reason}")
+    output.log(
+        f"{len(suite.cases)} cases, {len(here.cases)} can run here: about {total:.0f} s one after "
+        "the other"
+    )
     return 0

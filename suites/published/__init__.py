@@ -1,0 +1,1 @@
+"""What the papers print: their numbers, what contradicts itself, and which suite reruns them."""
