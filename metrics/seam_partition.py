@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics.seam import OUTER
+from splatbench.metrics.seam import INNER, OUTER
 from splatbench.reference.boxes import Region
 from splatbench.reference.camera import Camera
 
@@ -35,10 +35,18 @@ def partition_seam_mask(
     points = surface_points(camera, depth)[seen]
     held = torch.zeros(len(points), dtype=torch.int64)
     for region in regions:
-        held += region.distance(points) <= OUTER
+        held += _in_rim(region, points)
     mask = torch.zeros_like(seen)
     mask[seen] = held >= 2
     return mask
+
+
+def _in_rim(region: Region, points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
+    """Whether d(p) <= 1.1; regions that can tell it without d(p) deep inside are asked so."""
+    clipped = getattr(region, "clipped", None)
+    if clipped is None:
+        return region.distance(points) <= OUTER
+    return clipped(points, INNER, 2 * OUTER - INNER) <= OUTER
 
 
 def surface_points(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:

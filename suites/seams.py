@@ -27,8 +27,8 @@ from splatbench.suites.held_out import picture_name, write_png
 from splatbench.suites.surface import surface_depth
 
 COLOURS = (
-    (230, 97, 1), (94, 60, 153), (27, 158, 119), (231, 41, 138),
-    (166, 118, 29), (55, 126, 184), (255, 217, 47), (102, 102, 102),
+    (68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68),
+    (102, 204, 238), (170, 51, 119), (187, 187, 187), (90, 60, 30),
 )  # fmt: skip
 """sRGB of blocks in pictures; block k has colour k modulo their number."""
 

@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from splatbench.methods.city.voxel_region import VoxelRegion
 from splatbench.metrics.seam_partition import partition_seam_mask, surface_points
 from splatbench.reference.boxes import OrientedBox
 from splatbench.reference.camera import Camera, project_points
@@ -75,3 +76,25 @@ def test_surface_points_project_back_to_pixel_centres(turn, seed):
     pixels, z = project_points(nadir(turn), points.reshape(-1, 3))
     assert z.reshape(HEIGHT, WIDTH).numpy() == pytest.approx(depth.double().numpy(), rel=1e-12)
     assert pixels[WIDTH + 3].tolist() == pytest.approx([3.5, 1.5], abs=1e-9)
+
+
+def test_regions_of_voxels_are_asked_what_their_distance_says():
+    grid = torch.zeros(8, 6, 3, dtype=torch.bool)
+    grid[:4, :, :] = True
+    grid[3, 2:, :] = False
+    parts = (grid[:4], ~grid)
+    parts = (parts[0], parts[1][3:])
+    regions = [
+        VoxelRegion(
+            frame=torch.eye(3, dtype=torch.float64),
+            low=torch.tensor([low, -3.0, DEPTH - 1.5], dtype=torch.float64),
+            side=1.0,
+            cells=cells,
+        )
+        for low, cells in ((-4.0, parts[0]), (-1.0, parts[1]))
+    ]
+    points = surface_points(nadir(), flat()).reshape(-1, 3)
+    want = torch.stack([region.distance(points) <= 1.1 for region in regions]).sum(dim=0) >= 2
+    found = partition_seam_mask(nadir(), flat(), regions)
+    assert torch.equal(found.reshape(-1), want)
+    assert 0.02 < float(found.float().mean()) < 0.3

@@ -189,7 +189,7 @@ def test_pictures(tmp_path):
     weights = torch.zeros(2, 2, 9)
     weights[0, 0, 0] = weights[1, 1, 8] = 1.0
     painted = block_picture(weights)
-    assert painted[0, 0].tolist() == painted[1, 1].tolist() == [230, 97, 1]  # colours come round
+    assert painted[0, 0].tolist() == painted[1, 1].tolist() == [68, 119, 170]  # colours come round
     assert painted[0, 1].tolist() == [0, 0, 0]
     seam = torch.tensor([[True, False]])
     assert mask_picture(torch.full((1, 2, 3), 1.0), seam).tolist() == [[[255, 128, 128], [255] * 3]]
