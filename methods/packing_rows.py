@@ -4,7 +4,7 @@ import json
 import mmap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ from splatbench.reference.errors import DataError
 from splatbench.reference.gaussians import Gaussians
 
 
+@runtime_checkable
 class Rows(Protocol):
     """Parameters of a model, gathered by index."""
 

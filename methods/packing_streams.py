@@ -33,8 +33,8 @@ def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) 
     Source: byte planes as in Blosc's shuffle filter; choice by sample: ours.
     """
     bits = np.ascontiguousarray(rows).view(f"<u{rows.dtype.itemsize}")
-    how = (PLANES if planes else 0) | (ZSTD if entropy == "zstd" else 0)
-    if how == PLANES | ZSTD and rows.size:
+    how = (PLANES if planes else 0) | (ZSTD if entropy == "zstd" and rows.size else 0)
+    if how == PLANES | ZSTD:
         sample = bits[:SAMPLE]
         if len(_stream(sample, how | DELTA)) < len(_stream(sample, how)):
             how |= DELTA
@@ -58,9 +58,11 @@ def expand(data: bytes, count: int, columns: int, kind: str) -> Shaped[np.ndarra
         raise DataError(f"a stream of kind {how}: expected at most {DELTA | PLANES | ZSTD}")
     if how & ZSTD:
         try:
-            if zstandard.frame_content_size(stream) != expected:
+            if not expected or zstandard.frame_content_size(stream) != expected:
                 raise DataError(f"a stream that does not unpack to {expected} bytes")
-            stream = zstandard.ZstdDecompressor().decompress(stream, max_output_size=expected)
+            stream = zstandard.ZstdDecompressor().decompress(
+                stream, max_output_size=expected, allow_extra_data=False
+            )
         except zstandard.ZstdError as error:
             raise DataError(f"a stream that does not unpack ({error})") from None
     if len(stream) != expected:
@@ -85,7 +87,7 @@ def _stream(bits: Shaped[np.ndarray, "n c"], how: int) -> bytes:
         steps = np.diff(lanes, axis=1, prepend=lanes.dtype.type(0))
         lanes = (steps << 1) ^ -(steps >> (size - 1))
     columns, count = lanes.shape
-    planes = lanes.view(np.uint8).reshape(columns, count, -1).transpose(0, 2, 1)
+    planes = lanes.view(np.uint8).reshape(columns, count, lanes.itemsize).transpose(0, 2, 1)
     return _packed(planes.tobytes(), how)
 
 
