@@ -16,6 +16,8 @@ COPIES = 8
 densification and the rasterizer."""
 GROWTH = 8.0
 """Gaussians at the end for each point at the start, unless `density.most` says fewer."""
+IMAGE_BYTES = 12
+"""Of a pixel of a training image."""
 PIXEL_BYTES = 400
 """Of the render, its gradients and the loss, for each pixel of a view."""
 
@@ -45,17 +47,34 @@ class MemoryPlan:
 
 
 def block_memory_mb(job: BlockJob) -> float:
-    """Estimated peak memory of one block: process, images, Gaussians with all copies, pixels."""
+    """Estimated peak memory of one block, from the points it starts with."""
     cameras = [view.camera for view in job.scene.views]
     pixels = [camera.width * camera.height for camera in cameras]
-    images = min(12 * sum(pixels), job.image_bytes)
     own = int((job.roles == OWN).sum())
     count = len(job.roles) - own + GROWTH * own
     if job.settings.density.most is not None:
         count = min(count, max(job.settings.density.most, len(job.roles)))
-    numbers = 11 + 3 * (job.settings.sh_degree + 1) ** 2
-    gaussians = count * 4 * numbers * COPIES
-    return PROCESS_MB + (images + gaussians + PIXEL_BYTES * max(pixels, default=0)) / MEBIBYTE
+    return training_memory_mb(
+        count, image_bytes=min(IMAGE_BYTES * sum(pixels), job.image_bytes),
+        pixels=max(pixels, default=0), sh_degree=job.settings.sh_degree,
+    )  # fmt: skip
+
+
+def training_memory_mb(
+    gaussians: float, *, image_bytes: float, pixels: float, sh_degree: int = 3
+) -> float:
+    """Estimated peak memory of a training process: itself, images, Gaussians, pixels.
+
+    Args:
+        gaussians: At the end, ghosts included.
+        image_bytes: Of the training images that are kept.
+        pixels: Of the largest view.
+        sh_degree: 0 to 3.
+    Returns: 2^20 bytes.
+    """
+    numbers = 11 + 3 * (sh_degree + 1) ** 2
+    trained = gaussians * 4 * numbers * COPIES
+    return PROCESS_MB + (image_bytes + trained + PIXEL_BYTES * pixels) / MEBIBYTE
 
 
 def plan_memory(jobs: Sequence[BlockJob], workers: int) -> MemoryPlan:
