@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from splatbench.methods.kernels import step as kernels
 from splatbench.methods.schedules import require, shrink
 from splatbench.reference.camera import Camera
 from splatbench.reference.gaussians import Gaussians
@@ -177,10 +178,7 @@ class DensityControl:
             radii: 0 where not seen.
             camera: Of that view; its size turns pixels into units of half the image.
         """
-        visible = radii > 0
-        half = gradient.new_tensor([camera.width / 2, camera.height / 2])
-        self.gradient_sum += torch.where(visible, (gradient * half).norm(dim=1), 0)
-        self.seen += visible
+        kernels.observe(gradient, radii, camera, self.gradient_sum, self.seen)
 
     def densifies(self, step: int) -> bool:
         """Whether this step ends with a densification."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,10 +18,12 @@ from splatbench.methods.backends import Backend, get_backend
 from splatbench.methods.density import Density, DensityControl, reset_opacity
 from splatbench.methods.files import read_tensors, write_tensors
 from splatbench.methods.kernels.loss import photometric
+from splatbench.methods.kernels.step import ViewGradients
 from splatbench.methods.optimizer import Adam
 from splatbench.methods.reconstruction import ExplicitModel
 from splatbench.methods.run import Run
 from splatbench.methods.schedules import Rates, active_degree, means_rate, require, settling, shrink
+from splatbench.reference.camera import Camera
 from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.rasterizer import Mode
@@ -118,6 +121,9 @@ def threads(count: int | None) -> Iterator[None]:
 class Trainer:
     """The state of one run and the step that changes it."""
 
+    renders_parameters = True
+    """Whether `model` is the trained tensors and nothing else, so that the kernels can read them."""
+
     def __init__(
         self,
         scene: Scene,
@@ -147,6 +153,7 @@ class Trainer:
         self.images = TensorCache(run.image_bytes)
         self.extent = initialise.extent(scene)
         self.background = torch.tensor(run.background)
+        self.gradients = ViewGradients()
         self.adam = Adam(
             {"means": start.means, "sh_dc": start.sh[:, :1], "sh_rest": start.sh[:, 1:],
              "opacity": start.opacity_logits, "scales": start.log_scales,
@@ -188,11 +195,10 @@ class Trainer:
         """One step: render a view, follow the loss's gradient, control the density."""
         self.step += 1
         view = self.views[self.next_view()]
-        loss, probe, radii = self.backward(view)
+        loss, screen, radii = self.backward(view)
         self.update()
         if self.control.watches(self.step):
-            assert probe.signed.grad is not None
-            self.control.observe(probe.signed.grad, radii, view.camera)
+            self.control.observe(screen, radii, view.camera)
         if self.control.densifies(self.step):
             self.densify()
         if self.control.resets(self.step):
@@ -227,26 +233,50 @@ class Trainer:
         """The Gaussians that are rendered and differentiated."""
         return assemble(self.adam.leaves(), degree)
 
-    def backward(self, view: View) -> tuple[float, ScreenProbe, Tensor]:
-        """Render one view and leave its loss's gradients in the parameters."""
+    def backward(self, view: View) -> tuple[float, Tensor, Tensor]:
+        """Render one view and leave its loss's gradients in the parameters.
+
+        Returns: The loss, its gradient by the 2D means and the radii, valid until the next step.
+        """
         every = self.settings.sh_interval * shrink(self.settings.iterations)
         degree = active_degree(self.step, every, self.settings.sh_degree)
+        truth = self.images.get((view.name, "image"), view.load)
+        mask = view.load_mask and self.images.get((view.name, "mask"), view.load_mask)
+        native = self.backend.name == "cpu" and self.renders_parameters
+        differentiate = self.by_kernels if native else self.by_autograd
+        loss, screen, radii = differentiate(view.camera, degree, truth, mask)
+        if not math.isfinite(loss):
+            raise SplatbenchError(
+                f"step {self.step}, view {view.name}: the loss is {loss}; lower the learning rates"
+            )
+        return loss, screen, radii
+
+    def by_kernels(
+        self, camera: Camera, degree: int, truth: Tensor, mask: Tensor | None
+    ) -> tuple[float, Tensor, Tensor]:
+        """`backward` without a graph."""
+        step = self.gradients.of(
+            camera, self.adam.parameters, truth, degree=degree, background=self.behind(),
+            mask=mask, dssim=self.settings.dssim, mode=self.settings.mode,
+        )  # fmt: skip
+        for name, gradient in step.gradients.items():
+            self.adam.parameters[name].grad = gradient
+        return step.loss, step.screen, step.radii
+
+    def by_autograd(
+        self, camera: Camera, degree: int, truth: Tensor, mask: Tensor | None
+    ) -> tuple[float, Tensor, Tensor]:
+        """`backward` on any backend."""
         model = self.model(degree)
         probe = ScreenProbe.zeros(len(model), model.means)
         image = self.backend.rasterize(
-            view.camera, model.means, model.quaternions, model.scales, model.opacities,
-            sh=model.sh, background=self.behind(), probe=probe, mode=self.settings.mode,
+            camera, model.means, model.quaternions, model.scales, model.opacities, sh=model.sh,
+            background=self.behind(), probe=probe, mode=self.settings.mode,
         )  # fmt: skip
-        truth = self.images.get((view.name, "image"), view.load)
-        mask = view.load_mask and self.images.get((view.name, "mask"), view.load_mask)
         loss = photometric(image.colour, truth, dssim=self.settings.dssim, mask=mask)
-        value = float(loss.detach())
-        if not torch.isfinite(loss):
-            raise SplatbenchError(
-                f"step {self.step}, view {view.name}: the loss is {value}; lower the learning rates"
-            )
         loss.backward()
-        return value, probe, image.radii
+        assert probe.signed.grad is not None
+        return float(loss.detach()), probe.signed.grad, image.radii
 
     def behind(self) -> Tensor:
         """The background of one step."""

@@ -93,7 +93,7 @@ def refine(
     Source: StitchGS, Sec. 3.2.4; Adam instead of SGD: ours.
     """
     rates = Rates(
-        means=0, means_final=0, scales=0, quaternions=0, sh_dc=settings.sh_dc,
+        means=0.0, means_final=0.0, scales=0.0, quaternions=0.0, sh_dc=settings.sh_dc,
         sh_rest=settings.sh_rest, opacity=settings.opacity, settle=settings.settle,
     )  # fmt: skip
     own = replace(
@@ -110,6 +110,8 @@ def refine(
 
 class Refiner(training.Trainer):
     """Training of appearance only, through 8-bit residual harmonics."""
+
+    renders_parameters = False
 
     def __init__(
         self,

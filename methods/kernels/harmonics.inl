@@ -7,14 +7,17 @@ constexpr float C20 = 1.0925484305920792f, C22 = 0.31539156525252005f, C24 = 0.5
 constexpr float C30 = 0.5900435899266435f, C31 = 2.890611442640554f, C32 = 0.4570457994644658f,
                 C33 = 0.3731763325901154f, C35 = 1.445305721320277f;
 
-INLINE void basis(int count, float x, float y, float z, float b[16]) {
-  b[0] = C0;
+INLINE vf operator*(float a, vf b) { return all(a) * b; }
+INLINE vf operator-(vf a) { return all(0) - a; }
+
+INLINE void basis(int count, vf x, vf y, vf z, vf b[16]) {
+  b[0] = all(C0);
   if (count <= 1) return;
   b[1] = -C1 * y;
   b[2] = C1 * z;
   b[3] = -C1 * x;
   if (count <= 4) return;
-  const float xx = x * x, yy = y * y, zz = z * z;
+  const vf xx = x * x, yy = y * y, zz = z * z;
   b[4] = C20 * x * y;
   b[5] = -C20 * y * z;
   b[6] = C22 * (2 * zz - xx - yy);
@@ -31,83 +34,114 @@ INLINE void basis(int count, float x, float y, float z, float b[16]) {
 }
 
 // sum_k a_k d basis_k / d (x, y, z).
-INLINE void basis_gradient(int count, float x, float y, float z, const float a[16], float d[3]) {
-  d[0] = d[1] = d[2] = 0;
+INLINE void basis_gradient(int count, vf x, vf y, vf z, const vf a[16], vf d[3]) {
+  d[0] = d[1] = d[2] = all(0);
   if (count <= 1) return;
   d[0] = -C1 * a[3];
   d[1] = -C1 * a[1];
   d[2] = C1 * a[2];
   if (count <= 4) return;
-  d[0] += C20 * (y * a[4] - z * a[7]) - 2 * C22 * x * a[6] + 2 * C24 * x * a[8];
-  d[1] += C20 * (x * a[4] - z * a[5]) - 2 * C22 * y * a[6] - 2 * C24 * y * a[8];
-  d[2] += -C20 * (y * a[5] + x * a[7]) + 4 * C22 * z * a[6];
+  d[0] = d[0] + C20 * (y * a[4] - z * a[7]) - 2 * C22 * x * a[6] + 2 * C24 * x * a[8];
+  d[1] = d[1] + C20 * (x * a[4] - z * a[5]) - 2 * C22 * y * a[6] - 2 * C24 * y * a[8];
+  d[2] = d[2] - C20 * (y * a[5] + x * a[7]) + 4 * C22 * z * a[6];
   if (count <= 9) return;
-  const float xx = x * x, yy = y * y, zz = z * z, xy = x * y, xz = x * z, yz = y * z;
-  d[0] += -6 * C30 * xy * a[9] + C31 * yz * a[10] + 2 * C32 * xy * a[11] - 6 * C33 * xz * a[12] -
-          C32 * (4 * zz - 3 * xx - yy) * a[13] + 2 * C35 * xz * a[14] - 3 * C30 * (xx - yy) * a[15];
-  d[1] += -3 * C30 * (xx - yy) * a[9] + C31 * xz * a[10] - C32 * (4 * zz - xx - 3 * yy) * a[11] -
-          6 * C33 * yz * a[12] + 2 * C32 * xy * a[13] - 2 * C35 * yz * a[14] + 6 * C30 * xy * a[15];
-  d[2] += C31 * xy * a[10] - 8 * C32 * yz * a[11] + 3 * C33 * (2 * zz - xx - yy) * a[12] -
-          8 * C32 * xz * a[13] + C35 * (xx - yy) * a[14];
+  const vf xx = x * x, yy = y * y, zz = z * z, xy = x * y, xz = x * z, yz = y * z;
+  d[0] = d[0] - 6 * C30 * xy * a[9] + C31 * yz * a[10] + 2 * C32 * xy * a[11] - 6 * C33 * xz * a[12] -
+         C32 * (4 * zz - 3 * xx - yy) * a[13] + 2 * C35 * xz * a[14] - 3 * C30 * (xx - yy) * a[15];
+  d[1] = d[1] - 3 * C30 * (xx - yy) * a[9] + C31 * xz * a[10] - C32 * (4 * zz - xx - 3 * yy) * a[11] -
+         6 * C33 * yz * a[12] + 2 * C32 * xy * a[13] - 2 * C35 * yz * a[14] + 6 * C30 * xy * a[15];
+  d[2] = d[2] + C31 * xy * a[10] - 8 * C32 * yz * a[11] + 3 * C33 * (2 * zz - xx - yy) * a[12] -
+         8 * C32 * xz * a[13] + C35 * (xx - yy) * a[14];
+}
+
+// Coefficients of a Gaussian: the constant ones, and the others, which may lie in an array of their own.
+template <class T>
+struct Coefficients {
+  T *constant, *rest;
+  int64_t constant_stride, rest_stride;  // floats from one Gaussian to the next
+};
+template <class T>
+INLINE Coefficients<T> coefficients(const Model& model, T* sh, T* sh_rest) {
+  const int64_t stored = 3 * model.sh_stored;
+  if (model.sh_rest) return {sh, sh_rest, 3, stored - 3};
+  return {sh, sh ? sh + 3 : nullptr, stored, stored};
 }
 
 // Coefficients of up to sixteen Gaussians as out[3 k + c][lane]; lanes past `count` repeat the last.
 STAGE void gather_sh(const Model& model, int64_t first, int count, float out[48][LANES]) {
-  const int used = 3 * model.sh_used, stored = 3 * model.sh_stored;
-  if (count == LANES && used == 48) {
-    for (int j = 0; j < 48; j += LANES)
-      transpose(model.sh + first * stored + j, stored, out[j], LANES);
+  const auto from = coefficients(model, model.sh, model.sh_rest);
+  const int used = 3 * model.sh_used - 3, stored = 3 * model.sh_stored - 3;
+  const auto constant = [&](int l) { return from.constant + (first + (l < count ? l : count - 1)) * from.constant_stride; };
+  const auto rest = [&](int l) { return from.rest + (first + (l < count ? l : count - 1)) * from.rest_stride; };
+  for (int l = 0; l < LANES; ++l)
+    for (int c = 0; c < 3; ++c) out[c][l] = constant(l)[c];
+  if (stored < LANES) {
+    for (int l = 0; l < LANES; ++l)
+      for (int j = 0; j < used; ++j) out[3 + j][l] = rest(l)[j];
     return;
   }
-  for (int l = 0; l < LANES; ++l) {
-    const float* row = model.sh + (first + (l < count ? l : count - 1)) * stored;
-    for (int j = 0; j < used; ++j) out[j][l] = row[j];
+  for (int j = 0; j < used; j += LANES) {
+    const int column = j < stored - LANES ? j : stored - LANES;  // sixteen columns that lie within the rows
+    transpose_rows([=](int l) { return rest(l) + column; }, out[3 + column], LANES);
   }
 }
 
 STAGE void sh_colour(const Model& model, int64_t first, int count, const float dir[3][LANES],
                       float colour[3][LANES]) {
-  float sh[48][LANES], b[16][LANES];
+  alignas(64) float sh[48][LANES];
   gather_sh(model, first, count, sh);
-  for (int l = 0; l < LANES; ++l) {
-    float one[16];
-    basis(model.sh_used, dir[0][l], dir[1][l], dir[2][l], one);
-    for (int k = 0; k < model.sh_used; ++k) b[k][l] = one[k];
-  }
+  vf b[16];
+  basis(model.sh_used, load(dir[0]), load(dir[1]), load(dir[2]), b);
   for (int c = 0; c < 3; ++c) {
     vf sum = all(0.5f);
-    for (int k = 0; k < model.sh_used; ++k) sum = sum + load(b[k]) * load(sh[3 * k + c]);
+    for (int k = 0; k < model.sh_used; ++k) sum = sum + b[k] * load(sh[3 * k + c]);
     store(colour[c], maximum(sum, all(0)));
   }
 }
 
 // d loss / d coefficients (written in full, zero past the used degree) and d loss / d direction.
 STAGE void sh_backward(const Model& model, int64_t first, int count, const float dir[3][LANES],
-                        const float gradient[3][LANES], float* sh_gradient, float dir_gradient[3][LANES]) {
-  const int used = model.sh_used, stored = 3 * model.sh_stored;
-  float sh[48][LANES], d[48][LANES];
+                        const float gradient[3][LANES], const ModelGradients& out, float dir_gradient[3][LANES]) {
+  const int used = model.sh_used;
+  alignas(64) float sh[48][LANES];
   gather_sh(model, first, count, sh);
-  for (int l = 0; l < LANES; ++l) {
-    float b[16], a[16], towards[3];
-    basis(used, dir[0][l], dir[1][l], dir[2][l], b);
-    for (int k = 0; k < used; ++k) {
-      a[k] = 0;
-      for (int c = 0; c < 3; ++c) {
-        d[3 * k + c][l] = b[k] * gradient[c][l];
-        a[k] += sh[3 * k + c][l] * gradient[c][l];
-      }
+  vf b[16], a[16], towards[3];
+  basis(used, load(dir[0]), load(dir[1]), load(dir[2]), b);
+  for (int k = 0; k < used; ++k) {
+    vf sum = all(0);
+    for (int c = 0; c < 3; ++c) {
+      const vf g = load(gradient[c]);
+      sum = sum + load(sh[3 * k + c]) * g;
+      store(sh[3 * k + c], b[k] * g);  // from here on the gradient
     }
-    basis_gradient(used, dir[0][l], dir[1][l], dir[2][l], a, towards);
-    for (int c = 0; c < 3; ++c) dir_gradient[c][l] = towards[c];
+    a[k] = sum;
   }
-  if (!sh_gradient) return;
-  float* rows = sh_gradient + first * stored;
-  if (count == LANES && used == 16 && stored == 48) {
-    for (int j = 0; j < 48; j += LANES) transpose(d[j], LANES, rows + j, stored);
+  basis_gradient(used, load(dir[0]), load(dir[1]), load(dir[2]), a, towards);
+  for (int c = 0; c < 3; ++c) store(dir_gradient[c], towards[c]);
+  for (int j = 3 * used; j < 3 * model.sh_stored; ++j) store(sh[j], all(0));
+  const auto to = coefficients(model, out.sh, out.sh_rest);
+  for (int l = 0; to.constant && l < count; ++l)
+    for (int c = 0; c < 3; ++c) to.constant[(first + l) * to.constant_stride + c] = sh[c][l];
+  if (!to.rest) return;
+  const int stored = 3 * model.sh_stored - 3;
+  if (count < LANES || stored < LANES) {
+    for (int l = 0; l < count; ++l)
+      for (int j = 0; j < stored; ++j) to.rest[(first + l) * to.rest_stride + j] = sh[3 + j][l];
     return;
   }
-  for (int l = 0; l < count; ++l)
-    for (int j = 0; j < stored; ++j) rows[l * stored + j] = j < 3 * used ? d[j][l] : 0;
+  for (int j = 0; j < stored; j += LANES) {
+    const int column = j < stored - LANES ? j : stored - LANES;
+    transpose(sh[3 + column], LANES, to.rest + first * to.rest_stride + column, to.rest_stride);
+  }
+}
+
+// Zero gradient of Gaussians that were not drawn.
+INLINE void sh_clear(const Model& model, int64_t first, int count, const ModelGradients& out) {
+  const auto to = coefficients(model, out.sh, out.sh_rest);
+  for (int64_t i = first; i < first + count; ++i) {
+    for (int c = 0; to.constant && c < 3; ++c) to.constant[i * to.constant_stride + c] = 0;
+    for (int j = 0; to.rest && j < 3 * model.sh_stored - 3; ++j) to.rest[i * to.rest_stride + j] = 0;
+  }
 }
 
 }  // namespace

@@ -35,8 +35,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
     float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[L] = {}, screen[4][L] = {};
     const int channels = model.channels;
     if (slot_start[i] == slot_start[i + count]) {  // none was drawn
-      if (out.sh)
-        for (int64_t j = i * 3 * model.sh_stored; j < (i + count) * 3 * model.sh_stored; ++j) out.sh[j] = 0;
+      if (model.sh) sh_clear(model, i, count, out);
       if (out.colours)
         for (int64_t j = i * channels; j < (i + count) * channels; ++j) out.colours[j] = 0;
     } else {
@@ -64,7 +63,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
             dir[c][l] = visible[l] ? dir[c][l] : 0;
           }
         }
-        sh_backward(model, i, count, dir, colour, out.sh, towards);
+        sh_backward(model, i, count, dir, colour, out, towards);
       } else if (out.colours) {
         for (int l = 0; l < count; ++l)
           for (int c = 0; c < channels; ++c) out.colours[(i + l) * channels + c] = g[S_FEATURES + c][l];

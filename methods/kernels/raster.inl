@@ -191,9 +191,9 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
     const float scale = sum > 0 ? 1 / sum : 0;
     for (int c = 0; c < out.channels; ++c)
       out.colour[pixel * out.channels + c] = f[c * L] + (out.background ? left * out.background[c] : 0);
-    out.alpha[pixel] = sum;
+    if (out.alpha) out.alpha[pixel] = sum;
     if (out.left) out.left[pixel] = left;
-    out.depth[pixel] = f[out.channels * L] * scale;
+    if (out.depth) out.depth[pixel] = f[out.channels * L] * scale;
     if (out.distance) out.distance[pixel] = f[(out.channels + 1) * L] * scale;
     if (out.median) out.median[pixel] = state[ST_MEDIAN * L + l];
   }
@@ -201,8 +201,8 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
 
 void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
   const Window window = {tile % tiles.across * TILE, tile / tiles.across * TILE};
-  const int features = out.channels + (out.distance ? 2 : 1), stride = rec_stride(features);
-  const bool stored = features != 4 || out.median || out.contributors;
+  const int features = features_of(out), stride = rec_stride(features);
+  const bool stored = (features != 3 && features != 4) || out.median || out.contributors;
   const int rows = ST_FEATURES + (features + 3) / 4 * 4;
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first;
   bool full[BLOCKS];
@@ -236,7 +236,8 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
       if (!stored) {
         vf sums[4];
         for (int f = 0; f < 4; ++f) sums[f] = load(state + (ST_FEATURES + f) * L);
-        looked = blend<4, false>(scratch.recs, stride, list, lengths[b], block, light, sums, nullptr);
+        const auto draw = features == 3 ? blend<3, false> : blend<4, false>;
+        looked = draw(scratch.recs, stride, list, lengths[b], block, light, sums, nullptr);
         for (int f = 0; f < 4; ++f) store(state + (ST_FEATURES + f) * L, sums[f]);
       } else {
         looked = blend<0, true>(scratch.recs, stride, list, lengths[b], block, light, nullptr, scratch.weights);

@@ -38,14 +38,14 @@ STAGE void read_block(const Tiles& tiles, const PictureGradients& in, int featur
       out.feature[c][l] = v;
       if (in.background) by_left += v * in.background[c];
     }
-    const float alpha = inside ? in.alpha_value[pixel] : 0;
+    const float alpha = inside && in.alpha_value ? in.alpha_value[pixel] : 0;
     const float scale = alpha > 0 ? 1 / alpha : 0;
     if (in.alpha && inside) by_left -= in.alpha[pixel];
     const float depth = in.depth && inside ? in.depth[pixel] * scale : 0;
     const float distance = in.distance && inside ? in.distance[pixel] * scale : 0;
     if (features > in.channels) out.feature[in.channels][l] = depth;
     if (features > in.channels + 1) out.feature[in.channels + 1][l] = distance;
-    out.centre[0][l] = inside ? in.depth_value[pixel] : 0;
+    out.centre[0][l] = inside && in.depth_value ? in.depth_value[pixel] : 0;
     out.centre[1][l] = inside && in.distance_value ? in.distance_value[pixel] : 0;
     out.left[l] = by_left;
     out.median[l] = in.median && inside ? in.median[pixel] : 0;

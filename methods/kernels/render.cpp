@@ -75,8 +75,7 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
     pictures.ids[i] = -1;
     pictures.weights[i] = 0;
   }
-  const int features = model.channels + (pictures.distance ? 2 : 1);
-  const Scratches scratch(threads, CHUNK, features);
+  const Scratches scratch(threads, CHUNK, features_of(pictures));
   const Tiles tiles = state.view();
   parallel(threads, state.tiles(),
            [&](int tile, int worker) { k.render_tile(tiles, pictures, scratch[worker], tile); });

@@ -49,7 +49,8 @@ struct Camera {
 struct Model {
   const float *means, *quaternions, *scales, *opacities;
   const float* colours;  // [n, channels], or null
-  const float* sh;       // [n, sh_stored, 3], or null
+  const float* sh;       // [n, sh_stored, 3], or [n, 1, 3] beside sh_rest, or null
+  const float* sh_rest;  // [n, sh_stored - 1, 3], or null
   int64_t count;
   int channels;          // of the image
   int sh_used, sh_stored;
@@ -84,7 +85,7 @@ struct Tiles {
   int width, height;
 };
 
-struct Pictures {  // outputs, row-major; null where not asked for
+struct Pictures {  // outputs, row-major; all but colour null where not asked for
   int channels;
   const float* background;
   float *colour, *alpha, *depth, *distance, *median;
@@ -94,6 +95,8 @@ struct Pictures {  // outputs, row-major; null where not asked for
   float* weights;
 };
 
+inline int features_of(const Pictures& p) { return p.channels + (p.distance ? 2 : p.depth || p.median ? 1 : 0); }
+
 struct PictureGradients {  // d loss / d output; null is zero
   int channels;
   const float* background;
@@ -102,7 +105,7 @@ struct PictureGradients {  // d loss / d output; null is zero
 };
 
 struct ModelGradients {  // all written in full; null where not asked for
-  float *means, *quaternions, *scales, *opacities, *colours, *sh;
+  float *means, *quaternions, *scales, *opacities, *colours, *sh, *sh_rest;
   float *screen, *screen_absolute;  // [n, 2]
 };
 

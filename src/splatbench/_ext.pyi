@@ -46,6 +46,7 @@ class Model:
         sh_used: int,
         raw: bool,
         antialiased: bool,
+        sh_rest: Tensor | None = None,
     ) -> None: ...
 
 class State:
@@ -120,3 +121,36 @@ def adam(
     rows: Tensor | None,
 ) -> None:
     """One update of all tensors in place."""
+
+def step(
+    model: Model,
+    K: Tensor,
+    world_to_camera: Tensor,
+    width: int,
+    height: int,
+    near: float,
+    background: Tensor | None,
+    truth: Tensor,
+    mask: Tensor | None,
+    dssim: float,
+    means: Tensor | None,
+    quaternions: Tensor | None,
+    scales: Tensor | None,
+    opacities: Tensor | None,
+    sh: Tensor | None,
+    sh_rest: Tensor | None,
+    screen: Tensor | None,
+    screen_absolute: Tensor | None,
+    radii: Tensor,
+) -> float:
+    """The loss of one view; its gradients go into the given arrays, unless it is not finite."""
+
+def observe(
+    screen: Tensor,
+    radii: Tensor,
+    half_width: float,
+    half_height: float,
+    gradient_sum: Tensor,
+    seen: Tensor,
+) -> None:
+    """Add one view's screen gradients to the sums."""

@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
+from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import FIELDS, load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings, fit
+from splatbench.methods.training import Settings, Trainer, fit
 from splatbench.reference.errors import DataError, SplatbenchError, UsageError
 from splatbench.reference.scene import Scene
 
@@ -67,13 +68,39 @@ def test_density_changes_while_training():
     assert len(set(counts)) > 1
 
 
+@pytest.mark.parametrize("backend", ["reference", "cpu"])
 @pytest.mark.parametrize("step", [10, 20, 30, 50])
-def test_continuation_is_bit_equal(tmp_path, step):
-    straight = fit(tiny_scene(), SHORT, replace(ON_REFERENCE, folder=tmp_path / "straight"))
-    run = replace(ON_REFERENCE, folder=tmp_path / "killed", checkpoint_seconds=0.0)
+def test_continuation_is_bit_equal(tmp_path, step, backend):
+    on = replace(ON_REFERENCE, backend=backend)
+    straight = fit(tiny_scene(), SHORT, replace(on, folder=tmp_path / "straight"))
+    run = replace(on, folder=tmp_path / "killed", checkpoint_seconds=0.0)
     with pytest.raises(Killed):
         fit(tiny_scene(), SHORT, replace(run, report=killed_at(step)))
     assert same(straight, fit(tiny_scene(), SHORT, run))
+
+
+def test_native_bits_do_not_depend_on_threads():
+    one, two = (
+        fit(tiny_scene(), SHORT, replace(ON_REFERENCE, backend="cpu", threads=threads))
+        for threads in (1, 2)
+    )
+    assert same(one, two)
+
+
+class ThroughAutograd(Trainer):
+    """The native rasterizer and loss, differentiated by torch."""
+
+    renders_parameters = False
+
+
+def test_the_native_step_trains_as_autograd_does():
+    run = replace(ON_REFERENCE, backend="cpu")
+    losses = []
+    for kind in (Trainer, ThroughAutograd):
+        trainer = kind(tiny_scene(), SHORT, run, get_backend("cpu"))
+        losses.append([trainer.advance() for _ in range(9)])
+    # later the models part: Adam follows the sign of gradients that are rounded zeros
+    assert losses[0] == pytest.approx(losses[1], rel=1e-4)
 
 
 def test_a_finished_run_is_not_repeated(tmp_path):

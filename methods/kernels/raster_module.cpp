@@ -1,0 +1,173 @@
+// Rendering and its backward pass, for Python. Outputs are written into arrays that the caller allocated.
+#include <memory>
+
+#include "arrays.hpp"
+#include "pool.hpp"
+#include "render.hpp"
+
+namespace splat {
+
+Camera make_camera(const In<double, 2>& k, const In<double, 2>& pose, int width, int height, double near) {
+  if (k.shape(0) != 3 || k.shape(1) != 3 || pose.shape(0) != 4 || pose.shape(1) != 4 || width < 1 || height < 1)
+    throw std::invalid_argument("K must be [3, 3], world_to_camera [4, 4], width and height at least 1");
+  Camera c;
+  const double *K = k.data(), *P = pose.data();
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) c.rotation[3 * i + j] = P[4 * i + j];
+    c.translation[i] = P[4 * i + 3];
+  }
+  for (int j = 0; j < 3; ++j)
+    c.centre[j] = -(P[j] * P[3] + P[4 + j] * P[7] + P[8 + j] * P[11]);
+  for (int i = 0; i < 6; ++i) c.k[i] = K[i];
+  c.limit_x = 1.3 * 0.5 * width / K[0];
+  c.limit_y = 1.3 * 0.5 * height / K[4];
+  c.near = near;
+  c.width = width;
+  c.height = height;
+  return c;
+}
+
+Model ModelArrays::model() const {
+  const size_t n = means.shape(0);
+  const int stored = (int)((sh ? sh->shape(1) : 0) + (sh_rest ? sh_rest->shape(1) : 0));
+  const bool good = means.shape(1) == 3 && quaternions.shape(0) == n && quaternions.shape(1) == 4 &&
+                    scales.shape(0) == n && scales.shape(1) == 3 && opacities.shape(0) == n &&
+                    (colours ? colours->shape(0) == n && colours->shape(1) <= MAX_CHANNELS
+                             : sh && sh->shape(0) == n && sh->shape(2) == 3 && sh_used >= 1 && sh_used <= stored &&
+                                   (stored == 1 || stored == 4 || stored == 9 || stored == 16) &&
+                                   (!sh_rest || (sh->shape(1) == 1 && sh_rest->shape(0) == n && sh_rest->shape(2) == 3)));
+  if (!good || n >> 31) throw std::invalid_argument("the Gaussians' arrays do not fit together");
+  Model m = {};
+  m.means = means.data();
+  m.quaternions = quaternions.data();
+  m.scales = scales.data();
+  m.opacities = opacities.data();
+  m.colours = data(colours);
+  m.sh = data(sh);
+  m.sh_rest = data(sh_rest);
+  m.count = (int64_t)n;
+  m.channels = colours ? (int)colours->shape(1) : 3;
+  m.sh_used = sh_used;
+  m.sh_stored = stored;
+  m.raw = raw;
+  m.antialiased = antialiased;
+  return m;
+}
+
+namespace {
+
+State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double, 2>& pose, int width,
+                              int height, double near, Background background, Out<float, 3> colour,
+                              Out<float, 2> alpha, Out<float, 2> depth, Out<float, 1> radii,
+                              Maybe<Out<float, 2>> left, Maybe<Out<float, 2>> distance, Maybe<Out<float, 2>> median,
+                              Maybe<Out<int64_t, 3>> ids, Maybe<Out<float, 3>> weights) {
+  auto state = std::make_unique<State>();
+  state->camera = make_camera(k, pose, width, height, near);
+  const Model model = arrays.model();
+  const Camera& c = state->camera;
+  check_image(colour, c, "colour");
+  check_image(alpha, c, "alpha");
+  check_image(depth, c, "depth");
+  check_image(left, c, "left");
+  check_image(distance, c, "distance");
+  check_image(median, c, "median");
+  check_image(ids, c, "ids");
+  check_image(weights, c, "weights");
+  check(colour.shape(2) == (size_t)model.channels, "colour");
+  check(!background || background->shape(0) == (size_t)model.channels, "background");
+  check(radii.shape(0) == (size_t)model.count, "radii");
+  check(ids.has_value() == weights.has_value() && (!ids || ids->shape(2) == weights->shape(2)), "ids");
+  Pictures p = {};
+  p.channels = model.channels;
+  p.background = data(background);
+  p.colour = colour.data();
+  p.alpha = alpha.data();
+  p.depth = depth.data();
+  p.left = data(left);
+  p.distance = data(distance);
+  p.median = data(median);
+  p.contributors = ids ? (int)ids->shape(2) : 0;
+  p.ids = data(ids);
+  p.weights = data(weights);
+  nb::gil_scoped_release release;
+  forward(model, p, radii.data(), threads(), *state);
+  return state.release();
+}
+
+void render_backward(State& state, const ModelArrays& arrays, Background background, In<float, 2> alpha_value,
+                     In<float, 2> depth_value, Maybe<In<float, 2>> distance_value, Maybe<In<float, 3>> colour,
+                     Maybe<In<float, 2>> alpha, Maybe<In<float, 2>> depth, Maybe<In<float, 2>> distance,
+                     Maybe<In<float, 2>> median, Maybe<Out<float, 2>> means, Maybe<Out<float, 2>> quaternions,
+                     Maybe<Out<float, 2>> scales, Maybe<Out<float, 1>> opacities, Maybe<Out<float, 2>> colours,
+                     Maybe<Out<float, 3>> sh, Maybe<Out<float, 2>> screen, Maybe<Out<float, 2>> screen_absolute) {
+  const Model model = arrays.model();
+  const Camera& c = state.camera;
+  const int64_t n = model.count;
+  check(n == state.count && model.channels == state.channels, "the model");
+  check_image(alpha_value, c, "alpha_value");
+  check_image(depth_value, c, "depth_value");
+  check_image(distance_value, c, "distance_value");
+  check_image(colour, c, "colour gradient");
+  check_image(alpha, c, "alpha gradient");
+  check_image(depth, c, "depth gradient");
+  check_image(distance, c, "distance gradient");
+  check_image(median, c, "median gradient");
+  check(!colour || colour->shape(2) == (size_t)model.channels, "colour gradient");
+  check(!distance || distance_value, "distance_value");
+  check(!background || background->shape(0) == (size_t)model.channels, "background");
+  check_rows(means, n, 3, "means gradient");
+  check_rows(quaternions, n, 4, "quaternions gradient");
+  check_rows(scales, n, 3, "scales gradient");
+  check_rows(opacities, n, 1, "opacities gradient");
+  check_rows(colours, n, model.channels, "colours gradient");
+  check(!arrays.sh_rest, "sh_rest");
+  check_rows(sh, n, (size_t)3 * model.sh_stored, "sh gradient");
+  check_rows(screen, n, 2, "screen gradient");
+  check_rows(screen_absolute, n, 2, "absolute screen gradient");
+  PictureGradients p = {};
+  p.channels = model.channels;
+  p.background = data(background);
+  p.alpha_value = alpha_value.data();
+  p.depth_value = depth_value.data();
+  p.distance_value = data(distance_value);
+  p.colour = data(colour);
+  p.alpha = data(alpha);
+  p.depth = data(depth);
+  p.distance = data(distance);
+  p.median = data(median);
+  const ModelGradients g = {data(means),   data(quaternions), data(scales), data(opacities),
+                            data(colours), data(sh), nullptr, data(screen), data(screen_absolute)};
+  nb::gil_scoped_release release;
+  backward(model, p, g, threads(), state);
+}
+
+}  // namespace
+
+void bind_raster(nb::module_& m) {
+  nb::class_<ModelArrays>(m, "Model", "Arrays of a set of Gaussians.")
+      .def("__init__",
+           [](ModelArrays* self, In<float, 2> means, In<float, 2> quaternions, In<float, 2> scales,
+              In<float, 1> opacities, Maybe<In<float, 2>> colours, Maybe<In<float, 3>> sh, int sh_used, bool raw,
+              bool antialiased, Maybe<In<float, 3>> sh_rest) {
+             new (self)
+                 ModelArrays{means, quaternions, scales, opacities, colours, sh, sh_rest, sh_used, raw, antialiased};
+           },
+           nb::arg("means"), nb::arg("quaternions"), nb::arg("scales"), nb::arg("opacities"),
+           nb::arg("colours").none(), nb::arg("sh").none(), nb::arg("sh_used"), nb::arg("raw"),
+           nb::arg("antialiased"), nb::arg("sh_rest").none() = nb::none());
+  nb::class_<State>(m, "State", "What a backward pass needs of the forward pass.")
+      .def_prop_ro("bytes", &State::bytes, "Memory held.")
+      .def_prop_ro("pairs", [](const State& s) { return s.bins.entries.size(); }, "Pairs of Gaussian and tile.");
+  m.def("render", &render, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"),
+        nb::arg("height"), nb::arg("near"), nb::arg("background").none(), nb::arg("colour"), nb::arg("alpha"),
+        nb::arg("depth"), nb::arg("radii"), nb::arg("left").none(), nb::arg("distance").none(), nb::arg("median").none(),
+        nb::arg("ids").none(), nb::arg("weights").none(), "Render into the given arrays.");
+  m.def("render_backward", &render_backward, nb::arg("state"), nb::arg("model"), nb::arg("background").none(),
+        nb::arg("alpha_value"), nb::arg("depth_value"), nb::arg("distance_value").none(), nb::arg("colour").none(),
+        nb::arg("alpha").none(), nb::arg("depth").none(), nb::arg("distance").none(), nb::arg("median").none(),
+        nb::arg("means").none(), nb::arg("quaternions").none(), nb::arg("scales").none(),
+        nb::arg("opacities").none(), nb::arg("colours").none(), nb::arg("sh").none(), nb::arg("screen").none(),
+        nb::arg("screen_absolute").none(), "Gradients of the model from gradients of the pictures.");
+}
+
+}  // namespace splat
