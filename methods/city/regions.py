@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from splatbench.methods.city.voxel_region import VoxelRegion
+from splatbench.methods.city.voxel_region import INSIDE, VoxelRegion
 from splatbench.methods.files import read_tensors, write_tensors
 from splatbench.reference.boxes import Box, OrientedBox, Region, box_distance
 from splatbench.reference.errors import DataError
@@ -42,7 +42,8 @@ class OrientedRegion:
     def distance(self, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
         """d(p) of each position."""
         if self.bounds is not None:
-            turn, half = self.bounds.rotation.to(points), self.bounds.half.to(points)
+            turn = self.bounds.rotation.to(points)
+            half = self.bounds.half.to(points) * (1 - INSIDE)
             local = (points - self.bounds.centre.to(points)) @ turn.T
             points = local.maximum(-half).minimum(half) @ turn + self.bounds.centre.to(points)
         return box_distance(self.box, points)
@@ -78,7 +79,8 @@ class GroundRegion:
         """d(p) of each position."""
         local = points @ self.frame[:2].T
         if self.bounds is not None:
-            local = local.clamp(self.bounds[0], self.bounds[1])
+            hair = INSIDE * (self.bounds[1] - self.bounds[0])
+            local = local.clamp(self.bounds[0] + hair, self.bounds[1] - hair)
         half = (self.corners[1] - self.corners[0]) / 2
         return ((local - self.corners.mean(dim=0)) / half).abs().amax(dim=1)
 

@@ -10,6 +10,8 @@ from torch import Tensor
 
 from splatbench.reference.errors import DataError
 
+INSIDE = 1e-10
+"""Share of a voxel by which places beyond the scene's grid are moved into it."""
 CHUNK = 2**16
 """Positions that are worked on at once: their temporaries stay in the cache."""
 
@@ -76,7 +78,9 @@ class VoxelRegion:
         def work(start: int) -> None:
             local = points[start : start + CHUNK] @ self.frame.T
             if self.bounds is not None:
-                local = local.clamp(self.bounds[0], self.bounds[1])
+                # a hair inside: on the very face, rounding would put half of them outside
+                hair = INSIDE * self.side
+                local = local.clamp(self.bounds[0] + hair, self.bounds[1] - hair)
             grid = ((local - self.low) / self.side).numpy()
             found[start : start + CHUNK] = _signed(grid, cells, sums, low, high)
 
