@@ -45,8 +45,10 @@ class RefineSettings:
     """Rate of opacity logits (release: 0.05, with SGD)."""
     settle: float = 0.1
     """Factor on the rates at the last step, reached from the middle on."""
-    clean: CleanSettings = field(default_factory=CleanSettings)
-    """What is thrown away first."""
+    clean: CleanSettings = field(default_factory=lambda: CleanSettings(volume_quantile=1.0))
+    """What is thrown away first. The paper also drops the 0.1 % of largest volume; in a scene with
+    sky or sea those few are the background, and the refinement, which moves nothing, cannot mend it
+    (brighton_beach: 23 of 22,664 Gaussians, 6.6 dB on the training views)."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
