@@ -1,11 +1,15 @@
 """From a model to a file's bytes and back: what each way of packing keeps."""
 
+import tempfile
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from splatbench.methods.packing import FileSettings, write_packed
+from splatbench.methods.packing_reader import read_packed
 from splatbench.reference import container, packing
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.packing import PackSettings
@@ -44,12 +48,26 @@ def returns(settings: PackSettings, kind: container.Packing) -> Callable[..., An
     return functional(call)
 
 
+def streams(settings: FileSettings) -> Callable[..., Any]:
+    """`start` of writing and reading a file in chunks."""
+
+    def call(leaves: Leaves, _: Mapping[str, Any]) -> Tensor:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "model"
+            write_packed(path, Gaussians(**leaves), settings=settings)
+            return numbers(read_packed(path)[0])
+
+    return functional(call)
+
+
 HALF = "half precision, 8-bit harmonics"
 PACKING = Component(
     name="packing",
     problem=model,
     reference=Twin(name="unpacked float64", start=functional(untouched), dtype=torch.float64),
     twins=(
+        Twin(name="file, 8 bit, zstd", approximates=HALF,
+             start=streams(FileSettings(gate=0.0, sort=False))),
         Twin(name="8 bit, zstd", start=returns(PackSettings(gate=0.0), "zstd"), approximates=HALF),
         Twin(name="8 bit, plain", start=returns(PackSettings(gate=0.0), "none"), approximates=HALF),
         Twin(name="8 bit, gated", start=returns(PackSettings(), "zstd"),
@@ -57,6 +75,6 @@ PACKING = Component(
         Twin(name="8 bit, truncated", approximates=f"{HALF} that are rounded down",
              start=returns(PackSettings(gate=0.0, rounding="truncate"), "zstd")),
     ),
-    usual="8 bit, zstd", judged=(2_000,), tiny=(40,),
+    usual="file, 8 bit, zstd", judged=(2_000,), tiny=(40,),
     cases=(Case(size=(10_000,), quick=True), Case(size=(100_000,))),
 )  # fmt: skip
