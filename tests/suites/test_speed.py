@@ -224,6 +224,19 @@ def test_pictures_are_drawn_of_rows_with_times_and_of_no_others(only_line, tmp_p
     assert speed_plot.draw(refused, tmp_path) == []
 
 
+@pytest.mark.slow
+def test_the_reduced_study_holds_every_twin_that_has_a_quick_case():
+    rows = list(speed.rows(quick=True))
+    found = {(row["component"], row["twin"]) for row in rows}
+    assert found >= {
+        (name, twin.name)
+        for name, component in COMPONENTS.items()
+        if component.reference is not None
+        for twin in component.twins
+    }
+    assert all(row["ok"] for row in rows)
+
+
 def test_scenes_repeat_and_differ():
     one, again, other = (speed_scene(50, w, 24) for w in (32, 32, 33))
     assert torch.equal(one[0].sh, again[0].sh)
