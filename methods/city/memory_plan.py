@@ -55,8 +55,8 @@ def block_memory_mb(job: BlockJob) -> float:
     if job.settings.density.most is not None:
         count = min(count, max(job.settings.density.most, len(job.roles)))
     return training_memory_mb(
-        count, image_bytes=min(IMAGE_BYTES * sum(pixels), job.image_bytes),
-        pixels=max(pixels, default=0), sh_degree=job.settings.sh_degree,
+        float(count), image_bytes=float(min(IMAGE_BYTES * sum(pixels), job.image_bytes)),
+        pixels=float(max(pixels, default=0)), sh_degree=job.settings.sh_degree,
     )  # fmt: skip
 
 
