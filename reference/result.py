@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 
 AROUND = ("load", "init", "save", "score")
 """Stages that every method has around its own."""
@@ -10,6 +11,14 @@ AROUND = ("load", "init", "save", "score")
 def row_name(method: str, variant: str) -> str:
     """method@variant, or the method alone where it has no variant."""
     return f"{method}@{variant}" if variant else method
+
+
+def picture_name(image: str) -> str:
+    """File name of a view's pictures: its name with "-" for "/", ending .png.
+
+    Data sets with several cameras or blocks give files of different folders the same name.
+    """
+    return PurePosixPath(image).with_suffix(".png").as_posix().replace("/", "-")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,11 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from splatbench.reference.errors import DataError, MissingError
-from splatbench.reference.result import Result
+from splatbench.reference.result import Result, picture_name
 from splatbench.reference.result_json import result_from_json
 from splatbench.reports import run_data
 from splatbench.reports.mlflow_client import (
@@ -69,7 +69,7 @@ class StoredResult:
             image: Name of the view, as in ImageScore.name.
         Returns: The file's bytes; None where the case has no such picture.
         """
-        path = f"{FOLDERS[kind]}/{PurePosixPath(image).stem}.png"
+        path = f"{FOLDERS[kind]}/{picture_name(image)}"
         return _artifact(self.artifact_uri, self.uri, path)
 
 

@@ -2,7 +2,7 @@
 
 import statistics
 import time
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from splatbench.metrics.pairs import check_pair
 from splatbench.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import ImageScore
+from splatbench.reference.result import ImageScore, picture_name
 from splatbench.reference.scene import Scene, View
 from splatbench.suites.atomic import new_folder
 
@@ -40,14 +40,14 @@ def score_views(
         protocol: The rules.
         folder: Of the case.
     Returns: Scores sorted by name, and the median milliseconds a frame after warm-up.
-    Raises: DataError for a scene without test views or with two of the same stem.
+    Raises: DataError for a scene without test views or with two that differ by their suffix alone.
     """
     views = sorted(scene.test_views, key=lambda view: view.name)
     names = [picture_name(view.name) for view in views]
     if not views:
         raise DataError(f"scene {scene.name}: no test view under protocol {protocol.name!r}")
     if len(set(names)) < len(names):
-        raise DataError(f"scene {scene.name}: two test views have the same name but for the folder")
+        raise DataError(f"scene {scene.name}: two test views have the same name but for the suffix")
     background = torch.tensor(protocol.background)
     scores = []
     with (
@@ -63,11 +63,6 @@ def score_views(
             write_png(truths / name, to_8_bit(truth))
             write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))
     return tuple(scores), render_milliseconds(views, model, background)
-
-
-def picture_name(view: str) -> str:
-    """File name of a view's pictures: its stem and .png."""
-    return PurePosixPath(view).stem + ".png"
 
 
 def to_8_bit(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

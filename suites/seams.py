@@ -21,9 +21,10 @@ from splatbench.reference.boxes import Region
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.rasterizer import Mode
+from splatbench.reference.result import picture_name
 from splatbench.reference.scene import Scene
 from splatbench.suites.atomic import new_folder
-from splatbench.suites.held_out import picture_name, write_png
+from splatbench.suites.held_out import write_png
 from splatbench.suites.surface import surface_depth
 
 COLOURS = (

@@ -59,7 +59,7 @@ def test_render_from_a_camera_file(fitted, tmp_path):
     (tmp_path / "cameras.json").write_text(json.dumps(cameras))
     arguments = [str(fitted / "model"), str(tmp_path / "cameras.json"), str(tmp_path / "out")]
     assert main(["render", *arguments, "--backend", "reference"]) == 0
-    got = cv2.imread(str(tmp_path / "out" / "left.png"))
+    got = cv2.imread(str(tmp_path / "out" / "sub-left.png"))
     want = load_reconstruction(fitted / "model", backend="reference").render(where).colour
     want = np.floor(want.clamp(0, 1).numpy() * 255 + 0.5)[..., ::-1]
     assert got is not None

@@ -1,6 +1,7 @@
 """Pictures and scores of the held-out views."""
 
 from dataclasses import replace
+from pathlib import PurePosixPath
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ import torch
 from helpers.fake_methods import fake_scene, model_of
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.errors import DataError
-from splatbench.suites.held_out import error_picture, picture_name, score_views, to_8_bit
+from splatbench.reference.result import picture_name
+from splatbench.suites.held_out import error_picture, score_views, to_8_bit
 
 PROTOCOL = load_protocol("default")
 MODEL = model_of(0.3, "reference")
@@ -57,10 +59,19 @@ def test_scenes_that_cannot_be_scored_leave_nothing(tmp_path):
     with pytest.raises(DataError, match="no test view under protocol 'default'"):
         score_views(replace(scene, test=()), MODEL, PROTOCOL, tmp_path)
     views = list(scene.views)
-    views[3] = replace(views[3], name="other/0.jpg")
+    views[3] = replace(views[3], name=str(PurePosixPath(views[0].name).with_suffix(".tif")))
     with pytest.raises(DataError, match="two test views have the same name but for"):
         score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
     views[3] = replace(scene.views[3], load=lambda: torch.full((18, 24, 3), 2.0))
     with pytest.raises(DataError):
         score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_views_of_several_folders_have_pictures_of_their_own(tmp_path):
+    scene = fake_scene("town", PROTOCOL)
+    views = [replace(view, name=f"camera_{i}/000.png") for i, view in enumerate(scene.views)]
+    scores, _ = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
+    found = {path.name for path in (tmp_path / "renders").iterdir()}
+    assert found == {picture_name(score.name) for score in scores}
+    assert found == {f"camera_{i}-000.png" for i in scene.test}

@@ -37,7 +37,8 @@ def render(
     from splatbench.methods.reconstruction import load_reconstruction
     from splatbench.metrics.protocol_files import load_protocol
     from splatbench.reference.errors import DataError
-    from splatbench.suites.held_out import picture_name, to_8_bit, write_png
+    from splatbench.reference.result import picture_name
+    from splatbench.suites.held_out import to_8_bit, write_png
 
     rules = load_protocol(protocol)
     loaded = load_reconstruction(model, backend=backend)
@@ -50,7 +51,7 @@ def render(
         raise DataError(f"{cameras}: no {views} view under protocol {rules.name}")
     names = [picture_name(name) for name in found]
     if len(set(names)) < len(names):
-        raise DataError(f"{cameras}: two views have the same name but for the folder or suffix")
+        raise DataError(f"{cameras}: two views have the same name but for the suffix")
     out.mkdir(parents=True, exist_ok=True)
     background = torch.tensor(rules.background)
     with output.progress() as bar:
