@@ -40,7 +40,7 @@ from splatbench.reference.rasterizer import Mode
 FORMAT = "splatbench packed model"
 CHUNK = 2**17
 """Primitives of a chunk: 31 MB of degree 3 unpacked."""
-PARTS = ("positions", "opacity", "rotation", "scale", "dc", "gate", "rest")
+PARTS = ("positions", "opacity", "rotation", "scale", "dc", "kept", "rest")
 """Streams of a chunk: float32 means; float16 logit, unit quaternion, log scales, SH 0; one bit
 whether the rest is kept; the codes of those that do."""
 NAMES = ("means", "quaternions", "log_scales", "opacity_logits", "sh")

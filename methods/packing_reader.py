@@ -26,7 +26,7 @@ MOST_BYTES = 2**35
 """Largest unpacked model that read_packed opens (145 million primitives of degree 3)."""
 LARGEST_CHUNK = 2**20
 KINDS = {"positions": (3, "<f4"), "opacity": (1, "<f2"), "rotation": (4, "<f2"),
-         "scale": (3, "<f2"), "dc": (3, "<f2"), "gate": (1, "|u1"), "rest": (0, "|u1")}  # fmt: skip
+         "scale": (3, "<f2"), "dc": (3, "<f2"), "kept": (1, "|u1"), "rest": (0, "|u1")}  # fmt: skip
 """Columns and type of each part; rest has 3 (bands - 1) columns."""
 
 
@@ -197,7 +197,7 @@ def _gaussians(
         values = expand(streams[name], count, columns, kind)
         return torch.from_numpy(values.astype(np.float32))
 
-    bits = expand(streams["gate"], -(-count // 8), 1, "|u1")[:, 0]
+    bits = expand(streams["kept"], -(-count // 8), 1, "|u1")[:, 0]
     kept = np.flatnonzero(np.unpackbits(bits, count=count))
     codes = expand(streams["rest"], len(kept), len(table), "|u1").T
     sh = torch.zeros(count, bands, 3)

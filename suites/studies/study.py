@@ -5,7 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatbench.suites.studies import memory, partition, speed, speed_page, stability
+from splatbench.methods.packing import PARTS
+from splatbench.suites.studies import (
+    memory,
+    partition,
+    size,
+    size_plot,
+    speed,
+    speed_page,
+    stability,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +56,12 @@ STUDIES = {
         columns=("scene", "k", "method", "load_std_over_mean", "load_max_over_mean", "edge_cut",
                  "views_mean", "views_max", "note"),
         rows=partition.rows,
+    ),
+    "size": Study(
+        description="bytes of a trained model against what they cost: formats, gates, order, codes",
+        columns=("scene", "format", "gate", "bytes_each", "psnr_change", "psnr_to_model",
+                 "write_millions_s", "read_millions_s", *PARTS, "note"),
+        rows=size.rows, pictures=size_plot.draw, logged=True,
     ),
     "memory": Study(
         description="layered memory against plain accumulation: points and guide-depth error",
