@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -23,6 +23,7 @@ from splatbench.methods.optimizer import Adam
 from splatbench.methods.reconstruction import ExplicitModel
 from splatbench.methods.run import Run
 from splatbench.methods.schedules import Rates, active_degree, means_rate, require, settling, shrink
+from splatbench.methods.thinning import draw_shown, opacity_pull, thinned
 from splatbench.reference.camera import Camera
 from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.reference.gaussians import Gaussians
@@ -58,6 +59,12 @@ class Settings:
     """Train every step over a background of its own, drawn at random, so that nothing may stay
     transparent that a photo shows; the protocol's background is for scoring. False: train over the
     protocol's, as the release does by default."""
+    dropout: float = 0.0
+    """Share of Gaussians that a step hides at random, growing linearly from 0 to this; against
+    floaters where few views see a place (DropGaussian: 0.2). 0: none."""
+    opacity_weight: float = 0.0
+    """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
+    0.01). 0: none."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
 
@@ -75,6 +82,8 @@ class Settings:
         require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
         require(self.random_points >= 0, "random_points", self.random_points, ">= 0")
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
+        require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
+        require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
 
 
 def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
@@ -249,18 +258,27 @@ class Trainer:
             raise SplatbenchError(
                 f"step {self.step}, view {view.name}: the loss is {loss}; lower the learning rates"
             )
+        if self.settings.opacity_weight:
+            opacity = self.adam.parameters["opacity"]
+            if opacity.grad is not None:
+                opacity.grad += opacity_pull(opacity.detach(), self.settings.opacity_weight)
         return loss, screen, radii
 
     def by_kernels(
         self, camera: Camera, degree: int, truth: Tensor, mask: Tensor | None
     ) -> tuple[float, Tensor, Tensor]:
         """`backward` without a graph."""
+        own = self.adam.parameters["opacity"].detach().requires_grad_()
+        drawn = self.thin(own)
         step = self.gradients.of(
-            camera, self.adam.parameters, truth, degree=degree, background=self.behind(),
-            mask=mask, dssim=self.settings.dssim, mode=self.settings.mode,
+            camera, self.adam.parameters | {"opacity": drawn}, truth, degree=degree,
+            background=self.behind(), mask=mask, dssim=self.settings.dssim, mode=self.settings.mode,
         )  # fmt: skip
         for name, gradient in step.gradients.items():
             self.adam.parameters[name].grad = gradient
+        if drawn is not own:
+            pull = torch.autograd.grad(drawn, own, step.gradients["opacity"])[0]
+            self.adam.parameters["opacity"].grad = pull
         return step.loss, step.screen, step.radii
 
     def by_autograd(
@@ -268,6 +286,7 @@ class Trainer:
     ) -> tuple[float, Tensor, Tensor]:
         """`backward` on any backend."""
         model = self.model(degree)
+        model = replace(model, opacity_logits=self.thin(model.opacity_logits))
         probe = ScreenProbe.zeros(len(model), model.means)
         image = self.backend.rasterize(
             camera, model.means, model.quaternions, model.scales, model.opacities, sh=model.sh,
@@ -277,6 +296,13 @@ class Trainer:
         loss.backward()
         assert probe.signed.grad is not None
         return float(loss.detach()), probe.signed.grad, image.radii
+
+    def thin(self, logits: Tensor) -> Tensor:
+        """The opacity logits that one step draws."""
+        share = self.settings.dropout * self.step / self.settings.iterations
+        if share == 0:
+            return logits
+        return thinned(logits, draw_shown(len(logits), share, self.generator), share)
 
     def behind(self) -> Tensor:
         """The background of one step."""
