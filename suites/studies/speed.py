@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatbench.reference.errors import UsageError
+from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.suites.idle import SHARE, Patience, undisturbed
 from splatbench.suites.studies import speed_roofline
 from splatbench.suites.studies.speed_session import Open, Process, Session, Task, with_backend
@@ -14,6 +14,9 @@ from splatbench.suites.twins.registry import COMPONENTS
 from splatbench.suites.twins.twin import Case, Component, Twin
 
 Row = dict[str, Any]
+Run = tuple[float, float]
+"""Milliseconds forward and backward."""
+NO_MEMORY = dict.fromkeys(("peak_mb", "added_mb", "device_mb"))
 ROUNDS, QUICK_ROUNDS = 5, 2
 """Rounds of a case, and in the reduced form: in each, every twin has its turn."""
 TURN_SECONDS = 0.12
@@ -78,56 +81,61 @@ class Timer:
             for row in self.case(component, case, twins):
                 yield row | {
                     **errors[row["twin"]], "error_case": component.label(component.judged),
-                    "ok": errors[row["twin"]]["ok"] and not row["refused"],
+                    "ok": errors[row["twin"]]["ok"] and row["ok"],
                 }  # fmt: skip
 
     def case(self, component: Component, case: Case, twins: list[Twin]) -> Iterator[Row]:
-        """Time the twins of one case in turns."""
-        backward = not case.forward_only
-        sessions: list[Session] = []
+        """Time the twins of one case in turns; one that cannot start is a row without times."""
+        sessions: dict[str, Session] = {}
+        failed: dict[str, str] = {}
         try:
             for twin in twins:
-                sessions.append(
-                    self.open(Task(component=component.name, size=case.size, twin=twin.name,
-                                   backward=backward, backend=self.backend))
+                task = Task(
+                    component=component.name, size=case.size, twin=twin.name,
+                    backward=not case.forward_only, backend=self.backend,
                 )  # fmt: skip
+                try:
+                    sessions[twin.name] = self.open(task)
+                except SplatbenchError as error:
+                    failed[twin.name] = str(error)
             runs, percent = self.rounds(sessions)
-            pairs = sessions[0].ask("pairs")
-            for twin, session, times in zip(twins, sessions, runs, strict=True):
-                refused = not times
-                note = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
-                yield {
-                    "component": component.name, "twin": twin.name,
-                    "case": component.label(case.size), "size": list(case.size),
-                    "forward_ms": median([run[0] for run in times]),
-                    "backward_ms": median([run[1] for run in times]),
-                    **session.ask("memory"), "contributing_pairs": pairs,
-                    "usual": twin.name == component.usual, "growth": case.growth,
-                    "approximates": twin.approximates, "disturbed_percent": percent,
-                    "refused": refused,
-                    "note": f"refused: {note} for as long as the study may wait (--wait)"
-                    if refused else note,
-                }  # fmt: skip
+            memory = {name: session.ask("memory") for name, session in sessions.items()}
+            pairs = next(iter(sessions.values())).ask("pairs") if sessions else None
         finally:
-            for session in sessions:
+            for session in sessions.values():
                 session.close()
+        disturbed = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
+        for twin in twins:
+            times = runs.get(twin.name, [])
+            refused = f"refused: {disturbed} for as long as the study may wait (--wait)"
+            yield {
+                "component": component.name, "twin": twin.name,
+                "case": component.label(case.size), "size": list(case.size),
+                "forward_ms": median([run[0] for run in times]),
+                "backward_ms": median([run[1] for run in times]),
+                **memory.get(twin.name, NO_MEMORY), "contributing_pairs": pairs,
+                "usual": twin.name == component.usual, "growth": case.growth,
+                "approximates": twin.approximates, "disturbed_percent": percent,
+                "ok": bool(times),
+                "note": failed.get(twin.name, disturbed if times else refused),
+            }  # fmt: skip
 
-    def rounds(self, sessions: list[Session]) -> tuple[list[list[tuple[float, float]]], float]:
+    def rounds(self, sessions: dict[str, Session]) -> tuple[dict[str, list[Run]], float]:
         """Runs of each session in the rounds that nobody disturbed, and the most others used."""
-        pids = [session.pid for session in sessions]
-        runs: list[list[tuple[float, float]]] = [[] for _ in sessions]
-        shares = [0.0]
+        pids = [session.pid for session in sessions.values()]
+        runs: dict[str, list[Run]] = {name: [] for name in sessions}
+        shares: list[float] = []
         self.patience.wait_for_idle(pids)
         for _ in range(QUICK_ROUNDS if self.quick else ROUNDS):
             turns, percent = undisturbed(
-                lambda: [session.ask("turn", TURN_SECONDS) for session in sessions],
+                lambda: {n: one.ask("turn", TURN_SECONDS) for n, one in sessions.items()},
                 self.patience, pids, anyway=self.quick,
             )  # fmt: skip
-            if turns is None and any(runs):
+            if turns is None and any(runs.values()):
                 continue  # the rounds that were quiet are enough
             shares.append(percent)
-            for mine, turn in zip(runs, turns or [[] for _ in sessions], strict=True):
-                mine.extend(turn)
+            for name, turn in (turns or {}).items():
+                runs[name].extend(turn)
         return runs, max(shares)
 
 

@@ -10,7 +10,7 @@ from splatbench.methods.backends import get_backend
 from splatbench.methods.run import Run
 from splatbench.methods.training import Settings, Trainer
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import MissingError
+from splatbench.reference.errors import MissingError, SplatbenchError
 from splatbench.reference.scene import Scene
 from splatbench.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
 
@@ -39,6 +39,12 @@ def iterates(problem: Problem, _: Leaves) -> Forward:
     trainer = Trainer(given["scene"], Settings(), Run(), get_backend("cpu"))
     while len(trainer.gaussians()) < given["gaussians"] and trainer.step < PATIENCE:
         trainer.advance()
+    found = len(trainer.gaussians())
+    if found < given["gaussians"]:
+        raise SplatbenchError(
+            f"{found} Gaussians after {PATIENCE} steps, expected {given['gaussians']}: "
+            "this scene does not grow so far"
+        )
     return lambda: torch.tensor(trainer.advance())
 
 

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatbench import _ext
-from splatbench.reference.errors import UsageError
+from splatbench.reference.errors import SplatbenchError, UsageError
 from splatbench.suites import idle
 from splatbench.suites.studies import speed, speed_judge, speed_plot, speed_roofline
+from splatbench.suites.studies.speed import Timer
 from splatbench.suites.studies.speed_scenes import speed_scene
 from splatbench.suites.studies.speed_session import Here, Process, Task
 from splatbench.suites.studies.study import STUDIES
@@ -142,6 +143,21 @@ def test_quiet_rounds_count_though_others_were_disturbed(only_line, monkeypatch)
     first = next(speed.rows(quick=False, wait=0.0, open_session=Here))
     assert first["ok"]
     assert first["disturbed_percent"] == 3.0
+
+
+def test_a_twin_that_cannot_start_is_a_row_and_the_others_are_timed(only_line):
+    def broken(problem, leaves):
+        raise SplatbenchError("it is too large")
+
+    component = COMPONENTS["line"]
+    large = Twin(name="large", start=broken, approximates="x", most=0)
+    good = Timer(quick=True, patience=idle.Patience(0.0), backend="", open_session=Here)
+    COMPONENTS["line"] = replace(component, twins=(large, *component.twins))
+    rows = list(good.case(COMPONENTS["line"], Case(size=(10,)), list(COMPONENTS["line"].twins)))
+    assert [(row["twin"], row["ok"]) for row in rows] == [("large", False), ("twin", True)]
+    assert rows[0]["note"] == "it is too large"
+    assert rows[0]["forward_ms"] is None
+    assert rows[1]["forward_ms"] > 0
 
 
 def test_the_reduced_form_marks_what_was_disturbed(only_line, monkeypatch):
