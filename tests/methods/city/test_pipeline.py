@@ -1,0 +1,241 @@
+"""Rows of the city end to end on a tiny scene: what they share, what they leave, where they break."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from helpers.city_scene import small_scene
+from splatbench.methods import training
+from splatbench.methods.city.model import CONTAINER, CityModel
+from splatbench.methods.density import Density
+from splatbench.methods.reconstruction import FIELDS, load_reconstruction
+from splatbench.methods.registry import METHODS
+from splatbench.methods.run import Run
+from splatbench.reference.errors import DataError, MissingError, UsageError
+from splatbench.reference.stitching import RIM, StitchSettings
+
+SHORT = {
+    "iterations": 20,
+    "sh_degree": 1,
+    "density": Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=0,
+                       gradient=1e-6, largest_size=10.0),
+}  # fmt: skip
+CITY = SHORT | {"blocks": 2}
+ROWS = {
+    "citygaussian": {"coarse_iterations": 5},
+    "vastgaussian": {},
+    "blockgaussian": {},
+    "dpgs-partition": {},
+    "stitchgs": {},
+    "odbp+stitch": {},
+}
+BARE = {"gcr": False, "quantise": False}
+SCENE = small_scene(60)
+
+
+def run(folder: Path | None = None, **more) -> Run:
+    return Run(folder=folder, backend="cpu", threads=1, engine="inline", **more)
+
+
+def fit(row: str, at: Run, **more) -> CityModel:
+    method = METHODS[row]
+    settings = method.settings(**(CITY | ROWS[row] | more))
+    model = method.fit(SCENE, settings, at)
+    assert isinstance(model, CityModel)
+    return model
+
+
+def arrays(model: CityModel):
+    return {name: getattr(model.model, name) for name in FIELDS} | {
+        "blocks": model.blocks, "distances": model.distances,
+    }  # fmt: skip
+
+
+def same(one: CityModel, other: CityModel) -> bool:
+    first, second = arrays(one), arrays(other)
+    return all(torch.equal(first[name], second[name]) for name in first)
+
+
+@pytest.mark.parametrize("row", sorted(ROWS))
+def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
+    stages: dict[str, float] = {}
+    steps: list[tuple[int, int]] = []
+    model = fit(row, run(tmp_path, on_stage=stages.__setitem__,
+                         report=lambda step, total, values: steps.append((step, total))))  # fmt: skip
+    settings = METHODS[row].settings(**(CITY | ROWS[row]))
+    names = ["coarse"] * bool(settings.coarse_iterations) + ["partition", "blocks", "stitch"]
+    names += ["refine"] * settings.gcr + ["compress"] * settings.quantise
+    assert list(model.stage_seconds) == names
+    assert sum(model.stage_seconds.values()) == pytest.approx(stages["train"])
+    assert [facts.block for facts in model.block_facts] == [0, 1]
+    for facts in model.block_facts:
+        assert facts.views > 0
+        assert 0 < facts.kept <= facts.primitives or facts.note
+    assert sum(facts.points for facts in model.block_facts) == len(SCENE.points)
+    kept = {facts.block for facts in model.block_facts if facts.kept}
+    assert set(model.blocks.tolist()) == kept
+    assert float(model.distances.max()) <= RIM + 1e-6
+    assert {total for _, total in steps} == {steps[0][1]}
+    if not any(facts.note for facts in model.block_facts):
+        assert max(step for step, _ in steps) == steps[0][1]
+    model.save(tmp_path / "model")
+    back = load_reconstruction(tmp_path / "model", backend="cpu")
+    assert isinstance(back, CityModel)
+    assert same(model, back)
+    assert back.block_facts == model.block_facts
+    assert (back.packed is not None) == settings.quantise
+    image = back.render(SCENE.views[0].camera).colour
+    assert image.isfinite().all()
+    assert image.max() > 0.1
+
+
+@pytest.mark.parametrize("row", ["blockgaussian", "stitchgs", "odbp+stitch"])
+def test_one_block_is_plain_3dgs(row):
+    extra = BARE | {"blocks": 1, "sampling": "uniform"}
+    city = fit(row, run(), **extra)
+    plain = METHODS["3dgs"].fit(SCENE, training.Settings(**SHORT), run())
+    for name in FIELDS:
+        assert torch.equal(getattr(city.model, name), getattr(plain.gaussians(), name))
+    assert not city.blocks.any()
+
+
+def test_stitching_keeps_every_core_and_some_of_the_rims(tmp_path):
+    hard, soft = (
+        fit(
+            "stitchgs",
+            run(tmp_path / merge, cache=tmp_path / "cache"),
+            merge=merge,
+            stitch=StitchSettings(sharpness=0.0),
+            **BARE,
+        )
+        for merge in ("hard", "sis")
+    )
+    for block in (0, 1):
+        core = [model.model.means[(model.blocks == block) & (model.distances <= 1)]
+                for model in (hard, soft)]  # fmt: skip
+        assert torch.equal(*core)
+    assert not bool((hard.distances > 1).any())
+    assert bool((soft.distances > 1).any())
+
+
+def test_equal_blocks_are_trained_once_where_runs_share_a_cache(tmp_path):
+    def forbidden(step: int, total: int, values: dict[str, float]) -> None:
+        raise AssertionError("trained again")
+
+    cache = tmp_path / "cache"
+    first = fit("stitchgs", run(tmp_path / "a", cache=cache), merge="hard", **BARE)
+    again = fit("stitchgs", run(tmp_path / "b", cache=cache, report=forbidden), **BARE)
+    assert [facts.seconds for facts in again.block_facts] == [
+        facts.seconds for facts in first.block_facts
+    ]
+    with pytest.raises(AssertionError, match="trained again"):
+        fit("stitchgs", run(cache=cache, report=forbidden), sampling="uniform", **BARE)
+
+
+class Killed(Exception):
+    """Stands for a kill."""
+
+
+def killed_after(name: str):
+    def on_stage(stage: str, seconds: float) -> None:
+        if stage == name:
+            raise Killed
+
+    return on_stage
+
+
+def killed_at(share: float):
+    def report(step: int, total: int, values: dict[str, float]) -> None:
+        if step >= share * total:
+            raise Killed
+
+    return report
+
+
+@pytest.fixture(scope="module")
+def straight() -> CityModel:
+    return fit("odbp+stitch", run())
+
+
+@pytest.mark.parametrize(
+    "kill",
+    [{"on_stage": killed_after(stage)}
+     for stage in ("partition", "blocks", "stitch", "refine", "compress")]
+    + [{"report": killed_at(share)} for share in (0.3, 0.7, 1.0)],
+)  # fmt: skip
+def test_a_run_that_was_killed_anywhere_goes_on_to_the_same_model(tmp_path, kill, straight):
+    at = run(tmp_path, checkpoint_seconds=0.0)
+    with pytest.raises(Killed):
+        fit("odbp+stitch", replace(at, **kill))
+    assert same(straight, fit("odbp+stitch", at))
+
+
+def test_a_kill_in_the_coarse_model_is_continued(tmp_path):
+    at = run(tmp_path, checkpoint_seconds=0.0)
+    more = {"coarse_iterations": 20}
+    with pytest.raises(Killed):
+        fit("citygaussian", replace(at, report=killed_at(0.2)), **more)
+    assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
+
+
+def test_a_folder_of_another_run_is_refused(tmp_path):
+    fit("blockgaussian", run(tmp_path))
+    with pytest.raises(UsageError, match="another scene, settings, seed"):
+        fit("blockgaussian", run(tmp_path, seed=1))
+
+
+def test_a_damaged_container_is_refused(tmp_path):
+    model = fit("stitchgs", run())
+    model.save(tmp_path)
+    path = tmp_path / CONTAINER
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(DataError, match=CONTAINER):
+        load_reconstruction(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("row", "blocks", "told"), [("odbp+stitch", 61, "61 blocks"), ("vastgaussian", 9, "8 cameras")]
+)
+def test_more_blocks_than_there_is_work_for_are_refused(row, blocks, told):
+    with pytest.raises(DataError, match=told):
+        fit(row, run(), blocks=blocks)
+
+
+def test_many_blocks_still_end_in_a_model(tmp_path):
+    model = fit("odbp+stitch", run(tmp_path), blocks=7, **BARE)
+    assert len(model.block_facts) == 7
+    assert model.primitives == sum(facts.kept for facts in model.block_facts)
+    for facts in model.block_facts:
+        assert facts.primitives > 0 or facts.note
+
+
+def test_what_cannot_fit_into_memory_is_refused_with_a_number_of_blocks(monkeypatch):
+    monkeypatch.setattr("splatbench.methods.city.memory_plan.available_mb", lambda: 450.2)
+    with pytest.raises(MissingError, match=r"450 MB are free; .*blocks") as refusal:
+        fit("stitchgs", run())
+    enough = int(str(refusal.value).split("at least ")[1].split()[0])
+    assert enough > 2
+    monkeypatch.setattr("splatbench.methods.city.memory_plan.available_mb", lambda: 100.0)
+    with pytest.raises(MissingError, match="use smaller images"):
+        fit("stitchgs", run())
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("blocks", 0), ("coarse_iterations", -1), ("iterations", 0)],
+)
+def test_settings_that_no_run_can_follow_are_refused(setting, value):
+    with pytest.raises(UsageError, match=setting):
+        METHODS["odbp+stitch"].settings(**{setting: value})
+
+
+def test_a_coarse_model_takes_no_auxiliary_points():
+    with pytest.raises(UsageError, match="auxiliary"):
+        METHODS["citygaussian"].settings(auxiliary="ghosts")
+
+
+def test_unknown_engines_are_refused():
+    with pytest.raises(UsageError, match="engine 'magic'"):
+        fit("blockgaussian", replace(run(), engine="magic"))
