@@ -1,16 +1,31 @@
 """What every door must do, whatever the set: checked on fixtures that the tests write."""
 
+import importlib.util
 import os
 import resource
 import shutil
 import time
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from splatbench.datasets.opening import open_scene
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
+
+DOORS = Path(__file__).parents[1] / "datasets" / "doors"
+
+
+def fixtures(name: str) -> ModuleType:
+    """The test module of a door, for what it writes in the set's layout."""
+    path = DOORS / f"test_{name}.py"
+    spec = importlib.util.spec_from_file_location(f"door_fixtures_{name}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def protocol(**rules) -> Protocol:

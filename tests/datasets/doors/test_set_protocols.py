@@ -1,28 +1,15 @@
 """The protocol of each set does to a fixture of that set what its paper says."""
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from helpers.door_checks import fixtures
 from helpers.posed_scenes import blob
 from splatbench.datasets.opening import open_scene
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.scene import Scene
-
-
-def beside(name: str) -> ModuleType:
-    """A test module of this folder, for its fixtures."""
-    path = Path(__file__).with_name(f"{name}.py")
-    spec = importlib.util.spec_from_file_location(f"door_fixtures_{name}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def sizes(scene: Scene) -> set[tuple[int, int]]:
@@ -34,7 +21,7 @@ def held(scene: Scene) -> list[str]:
 
 
 def test_llff(tmp_path):
-    beside("test_llff").llff(tmp_path, views=10)
+    fixtures("llff").llff(tmp_path, views=10)
     (tmp_path / "images_4").mkdir()
     for i in range(10):
         blob(tmp_path / f"images_4/{i}.png", np.array([9.0, 9.0]), size=(24, 18))
@@ -51,7 +38,7 @@ def test_llff(tmp_path):
     ],
 )
 def test_colmap_scenes_with_copies(tmp_path, name, folder, factor):
-    made = beside("test_photo_tourism")
+    made = fixtures("photo_tourism")
     made.write_scene(tmp_path, made.FLIGHT)
     (tmp_path / "photos").rename(tmp_path / "images")
     for i in range(6 if factor > 1 else 0):
@@ -64,7 +51,7 @@ def test_colmap_scenes_with_copies(tmp_path, name, folder, factor):
 
 
 def test_photo_tourism(tmp_path):
-    made = beside("test_photo_tourism")
+    made = fixtures("photo_tourism")
     made.tourism(tmp_path, ["train", "test", "train"])
     rules = load_protocol("photo_tourism")
     scene = open_scene(tmp_path, rules)
@@ -76,7 +63,7 @@ def test_photo_tourism(tmp_path):
     ("name", "region"), [("mega-nerf", "right_half"), ("mega-nerf_gs", "full")]
 )
 def test_mega_nerf(tmp_path, name, region):
-    beside("test_doors").mega_nerf(tmp_path)
+    fixtures("doors").mega_nerf(tmp_path)
     rules = load_protocol(name)
     scene = open_scene(tmp_path, rules)
     assert (sizes(scene), held(scene)) == ({(24, 18)}, ["val/rgbs/000000.jpg"])
@@ -84,7 +71,7 @@ def test_mega_nerf(tmp_path, name, region):
 
 
 def test_matrix_city(tmp_path):
-    beside("test_matrix_city").city(tmp_path)
+    fixtures("matrix_city").city(tmp_path)
     rules = load_protocol("matrixcity")
     assert rules.width == 1600
     scene = open_scene(tmp_path, replace(rules, width=80))
@@ -92,7 +79,7 @@ def test_matrix_city(tmp_path):
 
 
 def test_levir_nvs_has_three_training_views(tmp_path):
-    beside("test_doors").levir_nvs(tmp_path, views=21)
+    fixtures("doors").levir_nvs(tmp_path, views=21)
     scene = open_scene(tmp_path, load_protocol("levir_nvs_3"))
     assert [view.name for view in scene.train_views] == ["000.png", "010.png", "020.png"]
     assert len(scene.test) == 18
@@ -108,7 +95,7 @@ def test_levir_nvs_has_three_training_views(tmp_path):
 def test_waymo(tmp_path, name, fixture, frames, moments, size):
     rules = load_protocol(name)
     assert rules.sensors == ("front", "front_left", "front_right")
-    getattr(beside("test_waymo"), fixture)(tmp_path, frames=frames)
+    getattr(fixtures("waymo"), fixture)(tmp_path, frames=frames)
     # the fixture has two cameras
     scene = open_scene(tmp_path, replace(rules, sensors=rules.sensors[:2], undistort="keep"))
     assert sorted({round(view.time * 10) for view in scene.test_views}) == moments
@@ -117,13 +104,13 @@ def test_waymo(tmp_path, name, fixture, frames, moments, size):
 
 
 def test_kitti(tmp_path):
-    folder, _ = beside("test_kitti").tracking(tmp_path, frames=8)
+    folder, _ = fixtures("kitti").tracking(tmp_path, frames=8)
     scene = open_scene(folder, load_protocol("kitti_pvg"))
     assert sorted({round(view.time * 10) for view in scene.test_views}) == [3, 7]
     assert len(scene.test) == 4
 
 
 def test_nerfstudio(tmp_path):
-    beside("test_doors").nerfstudio(tmp_path)
+    fixtures("doors").nerfstudio(tmp_path)
     scene = open_scene(tmp_path, load_protocol("nerfstudio"))
     assert held(scene) == ["images/0.png"]

@@ -1,0 +1,50 @@
+"""A paper's suite runs the day its data are there: fixtures of the sets under registered names."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from helpers.door_checks import fixtures
+from splatbench.suites.runner import run_suite, select
+from splatbench.suites.suite_files import load_suite
+from splatbench.suites.workers import in_process
+
+
+def written(kind: str, folder: Path) -> None:
+    """Write the fixture of a set below a data root."""
+    writers = {
+        "mill19/rubble": fixtures("doors").mega_nerf,
+        "kitti/training": partial(fixtures("kitti").tracking, frames=8),
+    }
+    (folder / kind).mkdir(parents=True)
+    writers[kind](folder / kind)
+
+
+@pytest.mark.parametrize(
+    ("suite", "kind", "only", "held"),
+    [
+        ("paper_dpgs", "mill19/rubble", "mill19/rubble/3dgs/*/seed0", ["val/rgbs/000000.jpg"]),
+        (
+            "paper_hdgs",
+            "kitti/training",
+            "kitti_tracking/0001/*/seed0",
+            [f"image_{c}/00000{i}.png" for c in ("02", "03") for i in (3, 7)],
+        ),
+    ],
+)
+def test_a_case_of_a_paper(tmp_path, monkeypatch, suite, kind, only, held):
+    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "data"))
+    written(kind, tmp_path / "data")
+    chosen = select(load_suite(suite), only=only)
+    (case,) = chosen.cases
+    assert case.settings.iterations == 30_000
+    points = min(case.settings.random_points, 60)
+    short = replace(case, settings=replace(case.settings, iterations=2, random_points=points))
+    (outcome,) = run_suite(
+        replace(chosen, cases=(short,)), tmp_path / "runs", backend="reference", launch=in_process
+    )
+    assert not outcome.result.error
+    assert [image.name for image in outcome.result.images] == held
+    assert outcome.result.metrics["psnr"] > 0
