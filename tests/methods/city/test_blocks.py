@@ -25,7 +25,7 @@ SHORT = Settings(
                     gradient=1e-6, largest_size=10.0),
 )  # fmt: skip
 """Densifies at 10 and 20, resets at 15; a low threshold, so that much is cloned and split."""
-RUN = Run(backend="reference", threads=1, checkpoint_seconds=0.0)
+RUN = Run(backend="cpu", threads=1, checkpoint_seconds=0.0)
 
 
 def jobs(folder: Path, auxiliary: Auxiliary = "both", scene: Scene | None = None, **more):
