@@ -70,6 +70,11 @@ COMMANDS = {
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
     ),
+    "plan": Command(
+        module="plan",
+        functions={"": "plan"},
+        help="Plan a city: blocks, memory and wall time on n machines, where it stops scaling.",
+    ),
     "report": Command(
         module="report",
         functions={"": "report"},

@@ -1,0 +1,109 @@
+"""`bench plan`: what a city takes on n machines, before anything is started."""
+
+import math
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from splatbench.cli import output
+
+if TYPE_CHECKING:
+    from splatbench.suites.city_plan import City, Plan
+
+HEADING = "blocks machines workers  block GB  block h  blocks h  serial h   wall h"
+
+
+def plan(
+    *,
+    views: int = 10_000,
+    gaussians: int = 100_000_000,
+    width: int = 1_600,
+    height: int = 1_200,
+    iterations: int = 30_000,
+    refinement: int = 7_000,
+    margin: float = 0.15,
+    views_a_block: float = 2.5,
+    cores: int = 16,
+    memory_gb: float = 64.0,
+    blocks: tuple[int, ...] = (),
+    machines: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64),
+    simulate: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    spread: float | None = None,
+    seed: int = 0,
+) -> int:
+    """Block count, memory a block and wall time of a city on n machines, and where it stops scaling.
+
+    Times are those of this package's CPU kernels; their constants stand, with how they were measured,
+    in suites/city_plan.py and suites/estimate.py. With --json a plan is a line.
+
+    Args:
+        views: Training views.
+        gaussians: Of the finished model.
+        width: Of a view in pixels.
+        height: Of a view in pixels.
+        iterations: Training steps of each block.
+        refinement: Steps over the merged model; 0: none.
+        margin: By which blocks are widened while they train.
+        views_a_block: Blocks that train on a view, on average.
+        cores: Of each machine.
+        memory_gb: Of each machine.
+        blocks: Numbers of blocks to plan for; none: the fewest that fit, and 2, 4 and 8 times those.
+        machines: Numbers of machines to plan for.
+        simulate: Also draw unequal block times and hand the blocks out, longest first.
+        spread: Of the simulated times: standard deviation of their logarithm.
+        seed: Of the simulation.
+    """
+    from splatbench.suites import city_plan
+
+    city = city_plan.City(
+        views=views, gaussians=gaussians, pixels=width * height, iterations=iterations,
+        refinement=refinement, margin=margin, views_a_block=views_a_block, cores=cores,
+        memory_gb=memory_gb,
+    )  # fmt: skip
+    fewest = city_plan.fewest_blocks(city)
+    chosen = blocks or tuple(fewest * factor for factor in (1, 2, 4, 8))
+    if not output.wants_json():
+        output.print_text(HEADING + ("   simulated (from - to)  busy" if simulate else ""))
+    for count in chosen:
+        for number in machines:
+            found = city_plan.plan(city, count, number)
+            record = asdict(found) | {"seconds": found.seconds}
+            text = _line(found)
+            if simulate and found.workers:
+                width_of = city_plan.SPREAD if spread is None else spread
+                drawn = city_plan.simulate(found, width_of, seed)
+                record |= {f"simulated_{key}": value for key, value in asdict(drawn).items()}
+                low, high, mean = (
+                    (value + found.serial_seconds) / 3600
+                    for value in (drawn.fastest, drawn.slowest, drawn.mean)
+                )
+                text += f"{mean:10.1f} ({low:.1f} - {high:.1f}) {drawn.busy:5.0%}"
+            output.emit(record, text)
+    _notes(city, fewest, chosen)
+    return 0
+
+
+def _line(found: "Plan") -> str:
+    hours = (found.block_seconds, found.blocks_seconds, found.serial_seconds, found.seconds)
+    times = [f"{value / 3600:9.1f}" if math.isfinite(value) else "        –" for value in hours]
+    memory = found.block_memory_mb / 1024
+    return f"{found.blocks:6} {found.machines:8} {found.workers:7} {memory:9.1f}" + "".join(times)
+
+
+def _notes(city: "City", fewest: int, chosen: tuple[int, ...]) -> None:
+    """Where it stops scaling, in words, on stderr."""
+    from splatbench.suites import city_plan
+
+    useful = city_plan.most_useful_blocks(city)
+    output.log(f"fewest blocks that fit: {fewest}; beyond {useful} blocks most work is pixels that "
+               "every block renders again")  # fmt: skip
+    for count in chosen:
+        stop = city_plan.most_useful_machines(city, count)
+        output.log(
+            f"{count} blocks: beyond {stop} machines most time is what one machine does alone"
+        )
+    alone = city_plan.plan(city, fewest, 1).refine_memory_mb / 1024
+    if alone > city.memory_gb:
+        output.log(f"refining holds the whole model, about {alone:.0f} GB: more than a machine has; "
+                   "use --refinement 0, a larger machine for it, or fewer Gaussians")  # fmt: skip
