@@ -11,6 +11,7 @@ from torch import Tensor
 from splatbench.methods.city.blocks import BlockFacts
 from splatbench.methods.city.regions import AnyRegion, load_regions, save_regions
 from splatbench.methods.files import sha256, write_bytes
+from splatbench.methods.packing_reader import read_packed
 from splatbench.methods.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -18,7 +19,6 @@ from splatbench.methods.reconstruction import (
     described,
     gaussians_in,
 )
-from splatbench.reference import container, packing
 from splatbench.reference.errors import DataError
 
 CONTAINER = "model.sbgs"
@@ -44,6 +44,8 @@ class CityModel(ExplicitModel):
     """Wall seconds of each stage; a continued run's include those before."""
     packed: bytes | None = None
     """The compressed file that `model` was read from; None: not compressed."""
+    packed_parts: Mapping[str, int] = field(default_factory=dict)
+    """Bytes of each part of that file, see methods.packing; they sum to it."""
 
     def arrays(self) -> dict[str, Tensor]:
         """Blocks and distances; and the Gaussians, unless they are in a file of their own."""
@@ -61,7 +63,11 @@ class CityModel(ExplicitModel):
         }
         if self.packed is not None:
             write_bytes(path, self.packed)
-            facts["container"] = {"bytes": len(self.packed), "sha256": sha256(path)}
+            facts["container"] = {
+                "bytes": len(self.packed),
+                "parts": dict(self.packed_parts),
+                "sha256": sha256(path),
+            }
         return facts
 
 
@@ -79,7 +85,7 @@ def load_city(
         if not path.is_file() or sha256(path) != stored["sha256"]:
             raise DataError(f"{path}: missing, or not the file of {DESCRIPTION}; copy it again")
         packed = path.read_bytes()
-        arrays = dict(arrays) | vars(packing.unpack(container.decode(packed)))
+        arrays = dict(arrays) | vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:
         blocks, distances = arrays["blocks"].long(), arrays["distances"]
@@ -88,6 +94,7 @@ def load_city(
                              f"{len(model)} Gaussians")  # fmt: skip
         return CityModel(
             model=model, backend=backend, blocks=blocks, distances=distances, packed=packed,
+            packed_parts=dict(stored["parts"]) if stored else {},
             block_facts=tuple(BlockFacts(**block) for block in facts["blocks"]),
             regions=load_regions(folder / REGIONS),
             stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},

@@ -28,11 +28,13 @@ from splatbench.methods.city.partition import Partition, partition
 from splatbench.methods.city.settings import CitySettings
 from splatbench.methods.city.stages import Stages
 from splatbench.methods.city.stitch import cut_hard, stitch
-from splatbench.methods.files import read_tensors, write_bytes, write_tensors
+from splatbench.methods.files import read_tensors, write_tensors
+from splatbench.methods.morton import morton_order
+from splatbench.methods.packing import PackedFacts, write_packed
+from splatbench.methods.packing_reader import read_packed
 from splatbench.methods.reconstruction import ARRAYS, FIELDS
 from splatbench.methods.run import Run
 from splatbench.methods.training import Trainer
-from splatbench.reference import container, packing
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.scene import Scene
 
@@ -87,21 +89,24 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         kept = stages.run(
             "stitch", partial(_stitch, scene, settings, run, jobs, found, folder, method)
         )["kept"]
-        merged, packed = _read_merged(folder / "merged"), None
+        merged, packed, parts = _read_merged(folder / "merged"), None, {}
         if settings.gcr:
             path = folder / "refined.safetensors"
             stages.run("refine", partial(_refine, merged, scene, settings, run, path, progress))
             merged = _read_refined(merged, path)
         if settings.quantise:
             path = folder / "model.sbgs"
-            stages.run("compress", partial(_compress, merged, settings, path))
-            packed = path.read_bytes()
-            merged = replace(merged, model=packing.unpack(container.decode(packed)))
+            if settings.pack.sort:
+                merged = merged.take(morton_order(merged.model.means))
+            small = stages.run("compress", partial(_compress, merged, settings, path, scene))
+            packed, parts = path.read_bytes(), small["parts"]
+            merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
     return CityModel(
         model=merged.model, blocks=merged.blocks, distances=merged.distances, method=method,
         settings=asdict(settings), mode=settings.mode, shift=scene.shift, units=scene.units,
         backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, packed=packed,
+        packed_parts=parts,
         block_facts=tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True)),
     )  # fmt: skip
 
@@ -268,8 +273,11 @@ def _read_refined(merged: Merged, path: Path) -> Merged:
     return replace(merged.take(tensors["rows"]), model=read_gaussians(path))
 
 
-def _compress(merged: Merged, settings: CitySettings, path: Path) -> dict[str, Any]:
-    """Write the small file."""
-    content = container.encode(packing.pack(merged.model, settings.pack))
-    write_bytes(path, content)
-    return {"bytes": len(content)}
+def _compress(merged: Merged, settings: CitySettings, path: Path, scene: Scene) -> dict[str, Any]:
+    """Write the small file, in the order that the Gaussians have already."""
+    facts = PackedFacts(mode=settings.mode, shift=scene.shift, units=scene.units)
+    report = write_packed(
+        path, merged.model, settings=replace(settings.pack, sort=False), facts=facts,
+        threads=torch.get_num_threads(),
+    )  # fmt: skip
+    return {"parts": dict(report.bytes_by_part)}

@@ -7,8 +7,8 @@ from splatbench.methods import training
 from splatbench.methods.city.partition import PartitionSettings
 from splatbench.methods.city.refine import RefineSettings
 from splatbench.methods.city.roles import Auxiliary
+from splatbench.methods.packing import FileSettings
 from splatbench.methods.schedules import require
-from splatbench.reference.packing import PackSettings
 from splatbench.reference.stitching import StitchSettings
 from splatbench.reference.view_sampling import SamplingSettings
 
@@ -51,7 +51,7 @@ class CitySettings(training.Settings):
     """Of that refinement."""
     quantise: bool = False
     """Whether the model is stored gated, in mixed precision and compressed."""
-    pack: PackSettings = field(default_factory=PackSettings)
+    pack: FileSettings = field(default_factory=FileSettings)
     """Of that file."""
 
     def __post_init__(self) -> None:

@@ -86,6 +86,8 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     assert same(model, back)
     assert back.block_facts == model.block_facts
     assert (back.packed is not None) == settings.quantise
+    assert back.packed_parts == model.packed_parts
+    assert sum(model.packed_parts.values()) == len(model.packed or b"")
     image = back.render(SCENE.views[0].camera).colour
     assert image.isfinite().all()
     assert image.max() > 0.1
