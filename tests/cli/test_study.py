@@ -41,4 +41,42 @@ def test_a_row_over_its_budget_fails_the_command(tiny, tmp_path, capsys):
 
 def test_quick_is_for_studies(tmp_path, capsys):
     assert main(["run", "quick", "--quick", "--out", str(tmp_path)]) == 2
-    assert "--quick is for the studies" in capsys.readouterr().err
+    assert "has no reduced form" in capsys.readouterr().err
+
+
+def test_a_page_is_written_with_its_rows_and_made_again_from_them(monkeypatch, tmp_path, capsys):
+    asked = []
+
+    def rows(*, quick: bool, wait: float) -> Iterator[dict]:
+        asked.append((quick, wait))
+        yield {"case": "a", "error": 1.23456789e-7, "worst": float("inf"), "ok": True}
+
+    def pictures(rows, folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "p.png").write_text(rows[0]["case"])
+        return [folder / "p.png"]
+
+    def page(machine, rows, pictures):
+        return f"{min(machine)} {rows[0]['error']} {rows[0]['worst']} {list(pictures)}"
+
+    made = study.Study(
+        description="paged", columns=("case",), rows=rows, options=frozenset({"wait"}),
+        pictures=pictures, page=page,
+    )  # fmt: skip
+    monkeypatch.setitem(study.STUDIES, "paged", made)
+    out, file = tmp_path / "out", tmp_path / "docs" / "paged.md"
+    arguments = ["run", "paged", "--wait", "7", "--page", str(file), "--out", str(out)]
+    assert main(arguments) == 0
+    assert asked == [(False, 7.0)]
+    text = file.read_text()
+    assert "1.23457e-07 None ['images/paged/p.png']" in text
+    assert (file.parent / "images" / "paged" / "p.png").read_text() == "a"
+    assert (out / "paged" / "p.png").exists()
+    recorded = file.with_suffix(".json")
+    before = recorded.read_text()
+    file.unlink()
+    again = ["run", "paged", "--rows", str(recorded), "--page", str(file), "--out", str(out)]
+    assert main(again) == 0
+    assert (file.read_text(), recorded.read_text()) == (text, before)
+    assert len(asked) == 1  # nothing was measured
+    assert "written:" in capsys.readouterr().err
