@@ -1,5 +1,8 @@
 #include "buffer.hpp"
 
+#include <pthread.h>
+
+#include <atomic>
 #include <cstdlib>
 #include <mutex>
 #include <vector>
@@ -19,6 +22,15 @@ struct Idle {
 std::mutex mutex;
 std::vector<Idle> idle;
 unsigned requests = 0;
+std::atomic<size_t> held{0}, peak{0};
+
+void count_up(size_t bytes) {
+  const size_t now = held += bytes;
+  for (size_t most = peak; now > most && !peak.compare_exchange_weak(most, now);) {}
+}
+
+// A fork while another thread holds the mutex would leave it locked in the child for good.
+[[maybe_unused]] const int at_fork = pthread_atfork([] { mutex.lock(); }, [] { mutex.unlock(); }, [] { mutex.unlock(); });
 
 // Sizes in steps of an eighth, so that a model that grows a little finds its old blocks.
 size_t rounded(size_t bytes) {
@@ -42,16 +54,21 @@ void* take_memory(size_t bytes) {
       else idle[kept++] = block;
     }
     idle.resize(kept);
-    if (found) return found;
+    if (found) {
+      count_up(bytes);
+      return found;
+    }
   }
   void* memory = std::aligned_alloc(64, bytes);
   if (!memory) throw std::bad_alloc();
+  count_up(bytes);
   return memory;
 }
 
 void give_memory(void* memory, size_t bytes) {
   if (!memory) return;
   bytes = rounded(bytes ? bytes : 1);
+  held -= bytes;
   if (bytes < SMALL) {
     std::free(memory);
     return;
@@ -60,11 +77,13 @@ void give_memory(void* memory, size_t bytes) {
   idle.push_back({memory, bytes, requests});
 }
 
-size_t idle_memory() {
+Memory memory_in_use() {
   std::lock_guard<std::mutex> lock(mutex);
   size_t sum = 0;
   for (const Idle& block : idle) sum += block.bytes;
-  return sum;
+  return {held, peak, sum};
 }
+
+void forget_peak() { peak = held.load(); }
 
 }  // namespace splat

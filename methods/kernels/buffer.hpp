@@ -8,7 +8,12 @@ namespace splat {
 
 void* take_memory(size_t bytes);  // throws std::bad_alloc
 void give_memory(void* memory, size_t bytes);
-size_t idle_memory();             // bytes kept for later
+
+struct Memory {
+  size_t held, peak, idle;  // bytes in use now, most in use at once, kept for later
+};
+Memory memory_in_use();
+void forget_peak();  // the most in use starts again at what is in use now
 
 template <class T>
 class Buffer {

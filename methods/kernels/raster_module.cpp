@@ -1,5 +1,8 @@
 // Rendering and its backward pass, for Python. Outputs are written into arrays that the caller allocated.
+#include <nanobind/stl/tuple.h>
+
 #include <memory>
+#include <tuple>
 
 #include "arrays.hpp"
 #include "pool.hpp"
@@ -94,6 +97,32 @@ State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double
   return state.release();
 }
 
+void render_blocks(const ModelArrays& arrays, const In<double, 2>& k, const In<double, 2>& pose, int width, int height,
+                   double near, Background background, In<int64_t, 1> blocks, Out<float, 4> colour, Out<float, 3> alpha,
+                   Out<float, 3> depth) {
+  const Camera camera = make_camera(k, pose, width, height, near);
+  const Model model = arrays.model();
+  const size_t count = colour.shape(0), h = height, w = width;
+  check(colour.shape(1) == h && colour.shape(2) == w && colour.shape(3) == (size_t)model.channels, "colour");
+  check(alpha.shape(0) == count && alpha.shape(1) == h && alpha.shape(2) == w, "alpha");
+  check(depth.shape(0) == count && depth.shape(1) == h && depth.shape(2) == w, "depth");
+  check(blocks.shape(0) == (size_t)model.count && !(count >> 31), "blocks");
+  check(!background || background->shape(0) == (size_t)model.channels, "background");
+  const int64_t* block = blocks.data();
+  for (int64_t i = 0; i < model.count; ++i)
+    if (block[i] < 0 || block[i] >= (int64_t)count)
+      throw std::invalid_argument("blocks[" + std::to_string(i) + "] is " + std::to_string(block[i]) +
+                                  ", expected 0 to " + std::to_string((int64_t)count - 1));
+  Pictures p = {};
+  p.channels = model.channels;
+  p.background = data(background);
+  p.colour = colour.data();
+  p.alpha = alpha.data();
+  p.depth = depth.data();
+  nb::gil_scoped_release release;
+  forward_blocks(model, camera, block, (int)count, p, threads());
+}
+
 void render_backward(State& state, const ModelArrays& arrays, Background background, In<float, 2> alpha_value,
                      In<float, 2> depth_value, Maybe<In<float, 2>> distance_value, Maybe<In<float, 3>> colour,
                      Maybe<In<float, 2>> alpha, Maybe<In<float, 2>> depth, Maybe<In<float, 2>> distance,
@@ -168,6 +197,16 @@ void bind_raster(nb::module_& m) {
         nb::arg("means").none(), nb::arg("quaternions").none(), nb::arg("scales").none(),
         nb::arg("opacities").none(), nb::arg("colours").none(), nb::arg("sh").none(), nb::arg("screen").none(),
         nb::arg("screen_absolute").none(), "Gradients of the model from gradients of the pictures.");
+  m.def("render_blocks", &render_blocks, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"),
+        nb::arg("height"), nb::arg("near"), nb::arg("background").none(), nb::arg("blocks"), nb::arg("colour"),
+        nb::arg("alpha"), nb::arg("depth"), "Render each block of Gaussians alone.");
+  m.def("memory", [] {
+    const Memory now = memory_in_use();
+    return std::make_tuple(now.held, now.peak, now.idle);
+  }, "Bytes of scratch in use, most in use at once, and kept for later.");
+  m.def("forget_peak", &forget_peak, "The most in use starts again at what is in use now.");
+  m.def("set_backward_rows", &set_backward_rows, nb::arg("count"),
+        "Pairs of Gaussian and tile whose gradients a backward pass holds at once.");
 }
 
 }  // namespace splat

@@ -1,43 +1,30 @@
 #include "render.hpp"
 
 #include <algorithm>
+#include <atomic>
 #include <vector>
 
 #include "pool.hpp"
+#include "scratch.hpp"
 #include "stages.hpp"
 
 namespace splat {
 namespace {
 
-// Scratch of all threads for at most `rows` Gaussians of a tile at once.
-class Scratches {
- public:
-  Scratches(int threads, size_t rows, int features) {
-    rows = (rows + LANES - 1) / LANES * LANES;
-    const size_t recs = rows * rec_stride(features), rows16 = rows * LANES;
-    const size_t state = (size_t)BLOCKS * (8 + features) * LANES, lists = (size_t)BLOCKS * (rows + LANES);
-    const size_t each = recs + 2 * rows16 + state + lists;
-    memory_.resize(each * threads);
-    std::fill(memory_.data(), memory_.data() + each * threads, 0.0f);
-    for (int t = 0; t < threads; ++t) {
-      float* p = memory_.data() + each * t;
-      Scratch s;
-      s.recs = p;
-      s.weights = p + recs;
-      s.alphas = s.weights + rows16;
-      s.state = s.alphas + rows16;
-      s.lists = reinterpret_cast<uint32_t*>(s.state + state);
-      each_.push_back(s);
-    }
-  }
-  const Scratch& operator[](int thread) const { return each_[thread]; }
+std::atomic<size_t> most_rows{(size_t)1 << 22};  // 256 MB at 3 channels
 
- private:
-  Buffer<float> memory_;
-  std::vector<Scratch> each_;
-};
+// First tiles of runs of tiles that hold at most `most` pairs each (or are a single tile), and the end.
+std::vector<int> bands_of(const Bins& bins, int tiles, size_t most) {
+  std::vector<int> bands = {0};
+  for (int t = 0; t < tiles; ++t)
+    if (t > bands.back() && bins.start[t + 1] - bins.start[bands.back()] > most) bands.push_back(t);
+  bands.push_back(tiles);
+  return bands;
+}
 
 }  // namespace
+
+void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
   return {geo.data(), features.data(), stride, bins.entries.data(), bins.start.data(),
@@ -51,7 +38,7 @@ size_t State::bytes() const {
          bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
 }
 
-void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state) {
+void lay_out(const Model& model, float* radii, int threads, State& state) {
   StageClock clock;
   state.count = model.count;
   state.channels = model.channels;
@@ -69,7 +56,13 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   clock.lap(STAGE_PROJECT);
   bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
   clock.lap(STAGE_BIN);
+}
 
+void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state) {
+  lay_out(model, radii, threads, state);
+  StageClock clock;
+  const Kernels& k = kernels();
+  const Camera& camera = state.camera;
   const size_t pixels = (size_t)camera.width * camera.height;
   for (size_t i = 0; i < pixels * pictures.contributors; ++i) {
     pictures.ids[i] = -1;
@@ -92,18 +85,60 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   uint32_t longest = 0;
   for (int t = 0; t < count; ++t) longest = std::max(longest, tiles.processed[t]);
   const Scratches scratch(threads, longest, features);
-  Buffer<float> sums(state.bins.entries.size() * stride);
-  parallel(threads, count, [&](int tile, int worker) {
-    k.backward_tile(tiles, pictures, scratch[worker], features, tile, sums.data() + (size_t)tiles.start[tile] * stride,
-                    stride);
-  });
-  clock.lap(STAGE_BLEND_BACKWARD);
   const Projection projection = state.projection(nullptr);
+  const auto finish = [&](const float* sums, const uint32_t* slot_start, const uint32_t* slots) {
+    clock.lap(STAGE_BLEND_BACKWARD);
+    over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
+      k.backward_project(state.camera, model, projection, sums, stride, slot_start, slots, out, first, last);
+    });
+    clock.lap(STAGE_PROJECT_BACKWARD);
+  };
+  const Bins& bins = state.bins;
+  const std::vector<int> bands = bands_of(bins, count, most_rows);
+  size_t rows = 0;
+  for (size_t b = 0; b + 1 < bands.size(); ++b)
+    rows = std::max<size_t>(rows, bins.start[bands[b + 1]] - bins.start[bands[b]]);
+  Buffer<float> sums(rows * stride);
+  const auto draw = [&](int from, int to) {
+    parallel(threads, to - from, [&](int i, int worker) {
+      const int tile = from + i;
+      const size_t row = tiles.start[tile] - tiles.start[from];
+      k.backward_tile(tiles, pictures, scratch[worker], features, tile, sums.data() + row * stride, stride);
+    });
+  };
+  if (bands.size() <= 2) {
+    draw(0, count);
+    finish(sums.data(), bins.slot_start.data(), bins.slots.data());
+    return;
+  }
+  // Each Gaussian adds up its rows in the order of the tiles, as it would with all of them at hand.
+  const size_t n = (size_t)model.count;
+  Buffer<float> total(n * stride);
+  Buffer<uint32_t> next(n), own_start(n + 1), own(n);
   over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
-    k.backward_project(state.camera, model, projection, sums.data(), stride, state.bins.slot_start.data(),
-                       state.bins.slots.data(), out, first, last);
+    std::fill(total.data() + first * stride, total.data() + last * stride, 0.0f);
+    std::copy(bins.slot_start.data() + first, bins.slot_start.data() + last, next.data() + first);
   });
-  clock.lap(STAGE_PROJECT_BACKWARD);
+  for (size_t b = 0; b + 1 < bands.size(); ++b) {
+    draw(bands[b], bands[b + 1]);
+    const uint32_t begin = bins.start[bands[b]], end = bins.start[bands[b + 1]];
+    over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
+      for (int64_t i = first; i < last; ++i) {
+        float* to = total.data() + i * stride;
+        for (uint32_t& slot = next[i]; slot < bins.slot_start[i + 1] && bins.slots[slot] < end; ++slot) {
+          const float* from = sums.data() + (size_t)(bins.slots[slot] - begin) * stride;
+          for (int j = 0; j < stride; ++j) to[j] += from[j];
+        }
+      }
+    });
+  }
+  uint32_t drawn = 0;
+  for (size_t i = 0; i < n; ++i) {
+    own_start[i] = drawn;
+    if (bins.slot_start[i] < bins.slot_start[i + 1]) own[drawn++] = (uint32_t)i;
+  }
+  own_start[n] = drawn;
+  finish(total.data(), own_start.data(), own.data());
 }
 
 }  // namespace splat

@@ -25,7 +25,19 @@ struct State {
   size_t bytes() const;
 };
 
+// Project and sort into tiles: what every picture of the model from this camera shares.
+void lay_out(const Model& model, float* radii, int threads, State& state);
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state);
+
+// Pairs of Gaussian and tile whose gradients are held at once by every backward pass from now on. Fewer take less
+// memory and more time; the result has the same bits.
+void set_backward_rows(size_t count);
 void backward(const Model& model, PictureGradients pictures, const ModelGradients& out, int threads, State& state);
+
+
+// Each block alone, as if the others' Gaussians were not there. Outputs are [count, height, width, ...]; block[i] is
+// in [0, count).
+void forward_blocks(const Model& model, const Camera& camera, const int64_t* block, int count, Pictures first,
+                    int threads);
 
 }  // namespace splat

@@ -154,3 +154,27 @@ def observe(
     seen: Tensor,
 ) -> None:
     """Add one view's screen gradients to the sums."""
+
+def memory() -> tuple[int, int, int]:
+    """Bytes of scratch in use, most in use at once, and kept for later."""
+
+def forget_peak() -> None:
+    """The most in use starts again at what is in use now."""
+
+def set_backward_rows(count: int) -> None:
+    """Pairs of Gaussian and tile whose gradients a backward pass holds at once."""
+
+def render_blocks(
+    model: Model,
+    K: Tensor,
+    world_to_camera: Tensor,
+    width: int,
+    height: int,
+    near: float,
+    background: Tensor | None,
+    blocks: Tensor,
+    colour: Tensor,
+    alpha: Tensor,
+    depth: Tensor,
+) -> None:
+    """Render each block of Gaussians alone."""
