@@ -86,11 +86,17 @@ def villas(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None
             )
             world.add("building", things.moved(parts, place, heading))
         if column < 13:
-            hedge = things.hedge(16.0, 1.1, 1.5, int(rng.integers(1 << 30)))
-            world.add(
-                "hedge", things.moved(hedge, (centre[0] + column + 6.5, centre[1], 0.0), np.pi / 2)
-            )
+            _hedge(world, centre[0] + column + 6.5, centre[1], int(rng.integers(1 << 30)))
     scatter_trees(world, centre, rng, 10, 19.0, keep=3.0)
+
+
+def _hedge(world: Builder, x: Number, y: Number, seed: int) -> None:
+    """A hedge along y."""
+
+    def make() -> things.Parts:
+        return things.moved(things.hedge(16.0, 1.1, 1.5, seed), (x, y, 0.0), np.pi / 2)
+
+    world.later("hedge", make, x, y)
 
 
 BLOCKS = {"slabs": slabs, "old town": old_town, "offices": offices, "park": park,
@@ -102,9 +108,13 @@ def tree(
 ) -> None:
     """A tree of random kind and size that stands at (x, y, z)."""
     tall, seed = rng.uniform(5.5, 10.0), int(rng.integers(1 << 30))
-    make = things.conifer if rng.random() < 0.18 else things.tree
-    parts = make(tall, tall * rng.uniform(0.55, 0.8), seed, detail)
-    world.add("tree", things.moved(parts, (x, y, z - 0.1), rng.uniform(0, 6)))
+    grow = things.conifer if rng.random() < 0.18 else things.tree
+    spread, heading = tall * rng.uniform(0.55, 0.8), rng.uniform(0, 6)
+
+    def make() -> things.Parts:
+        return things.moved(grow(tall, spread, seed, detail), (x, y, z - 0.1), heading)
+
+    world.later("tree", make, x, y)
 
 
 def scatter_trees(
@@ -123,6 +133,10 @@ def parked_car(
 ) -> None:
     """A car of random make at (x, y), along `heading` or against it."""
     tones = ("c8cbd0", "2b2d31", "7d8187", "9c2f2a", "2f4d77", "e4e4e0", "4f5a49", "b59a5a")
-    parts = things.car(str(rng.choice(tones)), rng.uniform(3.9, 4.7))
+    tone, length = str(rng.choice(tones)), rng.uniform(3.9, 4.7)
     turned = heading + np.pi * rng.integers(0, 2) + rng.normal(0, 0.02)
-    world.add("car", things.moved(parts, (x, y, 0.0), turned))
+
+    def make() -> things.Parts:
+        return things.moved(things.car(tone, length), (x, y, 0.0), turned)
+
+    world.later("car", make, x, y)

@@ -22,6 +22,7 @@ from splatbench.datasets.procedural.noise import fbm
 from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
 from splatbench.datasets.procedural.shapes import heightfield, polygon
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
+from splatbench.datasets.procedural.tiles import Sketch, TiledStage
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
@@ -59,6 +60,9 @@ class Settings:
     cell: float = 3.0
     """Metres between the places where sky light is known."""
     samples: int = 3
+    tiles: int = 0
+    """Blocks whose triangles are kept between views, which then see no more than the blocks about
+    them; 0: the whole city stands in memory."""
 
 
 Kinds = tuple[tuple[int, ...], ...]
@@ -68,7 +72,7 @@ PRESETS = {
     "medium": Settings(blocks=(6, 5), width=640, height=480, oblique=24, facade=24),
     "large": Settings(
         blocks=(20, 20), width=1600, height=1200, oblique=200, facade=200, cell=6.0,
-        overlap=(0.8, 0.7),
+        overlap=(0.8, 0.7), tiles=120,
     ),
 }  # fmt: skip
 
@@ -181,9 +185,17 @@ def height(
 
 
 def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
-    """The city of one seed.
+    """The city of one seed, all at once; arguments as `furnish`."""
+    world = Builder()
+    furnish(world, seed, kinds, margin, river)
+    return world.build()
+
+
+def furnish(world: Builder, seed: int, kinds: Kinds, margin: Number, river: bool = True) -> None:
+    """Put the city of one seed into a builder.
 
     Args:
+        world: Gets everything.
         seed: Of everything random.
         kinds: Index into KINDS for each block, by column (x) and row (y).
         margin: Metres of open land around the blocks.
@@ -192,7 +204,6 @@ def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
     rng = np.random.Generator(np.random.PCG64((seed, 3)))
     nx, ny = len(kinds), len(kinds[0])
     half = np.array([nx, ny]) * PITCH / 2
-    world = Builder()
     xs, ys = (np.arange(-h - margin, h + margin + 4, 4.0) for h in half)
     x, y = np.meshgrid(xs, ys)
     world.add("ground", [(heightfield(xs, ys, height(x, y, half, river)), CityGround(kinds))])
@@ -210,7 +221,6 @@ def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
         beside = max(abs(x) - half[0], abs(y) - half[1]) > 9
         if beside and not (river and low - 3 < y < high + 3) and wooded(x, y):
             tree(world, x, y, rng, float(height(np.array([x]), np.array([y]), half, river)[0]))
-    return world.build()
 
 
 def wooded(x: Number, y: Number) -> bool:
@@ -292,20 +302,27 @@ def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarr
 def plan(seed: int, settings: Settings) -> Plan:
     """The whole scene of a seed."""
     kinds = draw_kinds(seed, *settings.blocks)
-    world = build(seed, kinds, 1.2 * settings.altitude)
+    half, margin = np.array(settings.blocks) * PITCH / 2, 1.2 * settings.altitude
+    sky = Sky(azimuth=0.7, elevation=0.9)
+    if settings.tiles:
+        sketch = Sketch(PITCH, (-half[0], -half[1]))
+        furnish(sketch, seed, kinds, margin)
+        names = tuple(sketch.kinds)
+        seeds = object_seeds(len(names), seed)
+        stage = TiledStage(sketch, sky, (-3.0, 42.0), settings.cell, seeds, settings.tiles)
+    else:
+        world = build(seed, kinds, margin)
+        names = world.kinds
 
-    def stage() -> Stage:
-        caster = Caster(world)
-        half = np.array(settings.blocks) * PITCH / 2 + 30
-        light = Daylight(
-            caster, Sky(azimuth=0.7, elevation=0.9), (-half[0], -half[1], -3.0),
-            (half[0], half[1], 42.0), settings.cell,
-        )  # fmt: skip
-        seeds = object_seeds(len(world.kinds), seed)
-        return Stage(caster=caster, lighting=light, object_seeds=seeds)
+        def whole() -> Stage:
+            caster, wide = Caster(world), half + 30
+            light = Daylight(caster, sky, (-wide[0], -wide[1], -3.0), (wide[0], wide[1], 42.0),
+                             settings.cell)  # fmt: skip
+            return Stage(caster=caster, lighting=light, object_seeds=object_seeds(len(names), seed))
 
+        stage = once(whole)
     return Plan(
         world="city", settings=asdict(settings), seed=seed, shots=shots(seed, settings),
-        stage=once(stage), samples=settings.samples, kinds={"": world.kinds}, features=600,
+        stage=stage, samples=settings.samples, kinds={"": names}, features=600,
         facts={"unseen": "views in the folder unseen are no training views: low oblique and facades"},
     )  # fmt: skip

@@ -19,6 +19,8 @@ DIRECTIONS = 64
 BOUNCE = 0.16
 """Radiance of what is not sky, as seen from the volume: sunlit ground of middling albedo."""
 CELLS_AT_ONCE = 4096
+FILLS = 4
+"""Cells by which known light spreads into solids."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +77,17 @@ class Daylight:
         self.cell = cell
         axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, shape, strict=True)]
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        moments, valid = _look_around(caster, sky, centres)
-        self.volume = _filled(moments.reshape(*shape, 12), valid.reshape(tuple(shape)))
+        self.volume = sky_moments(caster, sky, centres.reshape(*shape, 3))
+
+    @classmethod
+    def known(cls, caster: Caster, sky: Sky, low: Float[np.ndarray, "3"],
+              high: Float[np.ndarray, "3"], cell: Number,
+              volume: Float[Tensor, "1 12 x y z"]) -> "Daylight":  # fmt: skip
+        """Light whose volume over the box `low` to `high` is there already (`sky_moments`)."""
+        light = cls.__new__(cls)
+        light.caster, light.sky, light.low, light.high = caster, sky, low, high
+        light.cell, light.volume = cell, volume
+        return light
 
     def seen_by(self, caster: Caster) -> "Daylight":
         """The same light with the shadows of another world, say with moving things in it."""
@@ -121,6 +132,18 @@ class Daylight:
         return value.T.clamp(min=0.01)
 
 
+def sky_moments(
+    caster: Caster, sky: Sky, centres: Float[np.ndarray, "x y z 3"]
+) -> Float[Tensor, "1 12 x y z"]:
+    """Mean radiance and 3 x its first moments at a grid of places.
+
+    Places inside solids take what their open neighbours have, up to FILLS cells away.
+    """
+    moments, valid = _look_around(caster, sky, centres.reshape(-1, 3))
+    shape = centres.shape[:3]
+    return _filled(moments.reshape(*shape, 12), valid.reshape(shape))
+
+
 def _look_around(
     caster: Caster, sky: Sky, centres: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "n 12"], Bool[np.ndarray, " n"]]:
@@ -151,7 +174,7 @@ def _filled(moments: Float[np.ndarray, "x y z 12"], valid: Bool[np.ndarray, "x y
     )
     weight = torch.from_numpy(valid).float()[None, None]
     kernel = torch.ones(1, 1, 3, 3, 3)
-    for _ in range(4):
+    for _ in range(FILLS):
         around = functional.conv3d(value.transpose(0, 1), kernel, padding=1).transpose(0, 1)
         count = functional.conv3d(weight, kernel, padding=1)
         value = torch.where(weight > 0, value, around / count.clamp(min=1))

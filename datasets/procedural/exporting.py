@@ -4,14 +4,16 @@ import hashlib
 import io
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import fields, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pycolmap
 import torch
+from jaxtyping import Float
 
 from splatbench.datasets.depth_maps import depth_path
 from splatbench.datasets.files import write_bytes
@@ -24,8 +26,10 @@ from splatbench.reference.errors import DataError, UsageError
 
 WORKERS = 2
 """Views made at a time; each is single-threaded, so that nothing waits for busy cores."""
+CORNERS = ".corners"
+"""Folder of what detectors find in each view; there while a scene is being made."""
 Report = Callable[[int, int], None]
-"""Told (views done, views in all)."""
+"""Told (steps done, steps in all); a view is made in one step and matched in another."""
 
 
 def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: None) -> Path:
@@ -37,7 +41,7 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
     Args:
         plan: What to make.
         folder: Must not exist, or be this very scene already.
-        report: Told the progress.
+        report: Told the progress; a stopped call loses the views that were in work, one a worker.
 
     Raises: UsageError if something else is in `folder`.
     """
@@ -55,16 +59,27 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
         torch.set_num_threads(threads)
     if plan.extras is not None:
         plan.extras(work)
+    done = len(plan.shots)
+
+    def matched() -> None:
+        nonlocal done
+        done += 1
+        report(done, 2 * len(plan.shots))
+
     base = None
     for group in sorted({shot.group for shot in plan.shots}):  # "" comes first
         shots = [shot for shot in plan.shots if shot.group == group]
-        sparse = _sparse(plan, work / group, shots) if base is None else base
-        if group == "":
-            base = sparse
-        _write_model(work / group, shots, sparse, given=group != "" and base is not None)
+        if base is None:
+            found = _sparse(plan, work, group, shots, matched)
+            sparse, base = found[0], found if group == "" else None
+        else:
+            depths = _depths(work / group, shots, matched)
+            sparse = sfm.observed(*base, [shot.camera for shot in shots], depths)
+        _write_model(work / group, shots, sparse)
         _write_facts(plan, work / group, shots, name)
     if not (work / "scene.toml").exists():  # all views are in groups: the folder says what they are
         _write_facts(plan, work, plan.shots, name)
+    shutil.rmtree(work / CORNERS, ignore_errors=True)
     os.replace(work, folder)
     return folder
 
@@ -76,6 +91,9 @@ def _content(folder: Path) -> str:
 
 def _make_views(plan: Plan, work: Path, report: Report) -> None:
     """Ray-cast the views that are not there yet."""
+    groups = {shot.group for shot in plan.shots}
+    own = {""} if "" in groups else groups
+    """Groups that get points of their own."""
 
     def one(index: int) -> None:
         shot = plan.shots[index]
@@ -84,22 +102,60 @@ def _make_views(plan: Plan, work: Path, report: Report) -> None:
             stage.caster, stage.lighting, shot.camera, samples=plan.samples,
             seed=plan.seed * 1_000_003 + index, exposure=stage.exposure, seeds=stage.object_seeds,
         )  # fmt: skip
+        if shot.group in own:
+            _write_corners(work, shot, _corners(plan, shot, frame))
         write_frame(work / shot.group, shot.name, frame)
 
     missing = [i for i, shot in enumerate(plan.shots)
                if not depth_path(work / shot.group, shot.name).exists()]  # fmt: skip
     done = len(plan.shots) - len(missing)
-    report(done, len(plan.shots))
+    report(done, 2 * len(plan.shots))
     with ThreadPoolExecutor(WORKERS, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         futures = [pool.submit(one, index) for index in missing]
         try:
             for future in as_completed(futures):
                 future.result()
                 done += 1
-                report(done, len(plan.shots))
+                report(done, 2 * len(plan.shots))
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise
+
+
+def _corners(plan: Plan, shot: Shot, frame: Frame) -> sfm.Corners:
+    """Corners of a view on things that stand still."""
+    kinds = plan.kinds_of(shot.group)
+    fixed = np.array([kind not in plan.movable and kind != "sky" for kind in kinds])
+    # with the precision in which normals are kept
+    kept = replace(frame, normal=frame.normal.astype(np.float16).astype(np.float32))
+    return sfm.corners(shot.camera, kept, plan.features, fixed[frame.object])
+
+
+def _corner_path(work: Path, shot: Shot) -> Path:
+    return work / CORNERS / shot.group / f"{Path(shot.name).stem}.npz"
+
+
+def _write_corners(work: Path, shot: Shot, found: sfm.Corners) -> None:
+    """Keep a view's corners beside the views."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **{field.name: getattr(found, field.name) for field in fields(found)})
+    write_bytes(_corner_path(work, shot), buffer.getvalue())
+
+
+def _read_corners(work: Path, shot: Shot) -> sfm.Corners:
+    """What `_write_corners` wrote."""
+    with np.load(_corner_path(work, shot), allow_pickle=False) as arrays:
+        return sfm.Corners(**{field.name: arrays[field.name] for field in fields(sfm.Corners)})
+
+
+def _depths(
+    folder: Path, shots: Sequence[Shot], told: Callable[[], None]
+) -> Iterator[Float[np.ndarray, "_ _"]]:
+    """Depth of each view in turn; `told` is called after each."""
+    for shot in shots:
+        with np.load(depth_path(folder, shot.name), allow_pickle=False) as arrays:
+            yield arrays["depth"]
+        told()
 
 
 def write_frame(folder: Path, name: str, frame: Frame) -> None:
@@ -127,34 +183,26 @@ def read_frame(folder: Path, name: str) -> Frame:
         )  # fmt: skip
 
 
-def _sparse(plan: Plan, folder: Path, shots: Sequence[Shot]) -> tuple[sfm.Sparse, sfm.Corners]:
+def _sparse(
+    plan: Plan, work: Path, group: str, shots: Sequence[Shot], told: Callable[[], None]
+) -> tuple[sfm.Sparse, sfm.Corners]:
     """Imitated points of views, and the true places that they come from."""
-    fixed = np.array(
-        [kind not in plan.movable and kind != "sky" for kind in plan.kinds_of(shots[0].group)]
-    )
-    found = []
-    for shot in shots:
-        frame = read_frame(folder, shot.name)
-        found.append(sfm.corners(shot.camera, frame, plan.features, fixed[frame.object]))
+    found = [_read_corners(work, shot) for shot in shots]
     places = sfm.merged(found, float(shots[0].camera.K[0, 0]))
-    sightings = [
-        sfm.seen(places, shot.camera, read_frame(folder, shot.name).depth) for shot in shots
-    ]
-    return sfm.imitate(places, [shot.camera for shot in shots], sightings, plan.seed), places
-
-
-def _write_model(
-    folder: Path, shots: Sequence[Shot], found: tuple[sfm.Sparse, sfm.Corners], given: bool
-) -> None:
-    """Write sparse/0 with true poses; points are the views' own, or given by the main views."""
-    sparse, places = found
+    depths = _depths(work / group, shots, told)
     cameras = [shot.camera for shot in shots]
-    if given:
-        depths = (read_frame(folder, shot.name).depth for shot in shots)
-        sparse = sfm.observed(sparse, places, cameras, depths)
+    sightings = [
+        sfm.seen(places, camera, depth) for camera, depth in zip(cameras, depths, strict=True)
+    ]
+    return sfm.imitate(places, cameras, sightings, plan.seed), places
+
+
+def _write_model(folder: Path, shots: Sequence[Shot], sparse: sfm.Sparse) -> None:
+    """Write sparse/0 with true poses."""
     target = folder / "sparse" / "0"
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
+    cameras = [shot.camera for shot in shots]
     colmap_model([shot.name for shot in shots], cameras, sparse).write_binary(target)
 
 

@@ -25,6 +25,8 @@ ZOOM = 2.2
 """Largest ratio of distances between the views of a track."""
 SAME = 2.5
 """Corners of two views whose places lie within this many pixels are one."""
+ROWS_AT_ONCE = 1_000_000
+"""Bound on observations linearised together, 0.3 kB each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,7 +167,7 @@ def imitate(
         positions = positions + _gauss_newton(positions, cameras, point, view, pixel)
     wrong = enough & (rng.random(len(enough)) < WRONG)
     positions, (point, view, pixel) = _spoil(positions, wrong, cameras, point, view, pixel, rng)
-    gap = np.linalg.norm(_residuals(positions, cameras, point, view, pixel)[0], axis=1)
+    gap = _gaps(positions, cameras, point, view, pixel)
     count = np.bincount(point, minlength=len(enough)).clip(1)
     errors = np.bincount(point, weights=gap, minlength=len(enough)) / count
     good = enough & (errors < 4)
@@ -220,13 +222,28 @@ def _residuals(positions, cameras, point, view, pixel):
     return pixel - (flat * focal + intrinsics[:, :2, 2]), derivative
 
 
+def _slices(count):
+    """Slices of at most ROWS_AT_ONCE rows."""
+    return [slice(i, i + ROWS_AT_ONCE) for i in range(0, count, ROWS_AT_ONCE)]
+
+
+def _gaps(positions, cameras, point, view, pixel):
+    """Distance in pixels between each observation and the projection of its point."""
+    gaps = np.zeros(len(point))
+    for rows in _slices(len(point)):
+        residual, _ = _residuals(positions, cameras, point[rows], view[rows], pixel[rows])
+        gaps[rows] = np.linalg.norm(residual, axis=1)
+    return gaps
+
+
 def _gauss_newton(positions, cameras, point, view, pixel):
     """One step of triangulation for all points at once."""
-    residual, derivative = _residuals(positions, cameras, point, view, pixel)
     normal = np.tile(np.eye(3) * 1e-9, (len(positions), 1, 1))
     right = np.zeros_like(positions)
-    np.add.at(normal, point, np.einsum("nki,nkj->nij", derivative, derivative))
-    np.add.at(right, point, np.einsum("nki,nk->ni", derivative, residual))
+    for rows in _slices(len(point)):
+        residual, derivative = _residuals(positions, cameras, point[rows], view[rows], pixel[rows])
+        np.add.at(normal, point[rows], np.einsum("nki,nkj->nij", derivative, derivative))
+        np.add.at(right, point[rows], np.einsum("nki,nk->ni", derivative, residual))
     return np.linalg.solve(normal, right[..., None])[..., 0]
 
 

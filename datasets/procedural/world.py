@@ -1,6 +1,6 @@
 """A world: triangles with materials and objects, ready to be ray-cast."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -8,6 +8,9 @@ from jaxtyping import Float, Int
 
 from splatbench.datasets.procedural.shapes import Shape
 from splatbench.datasets.procedural.surface import Material
+from splatbench.datasets.procedural.units import Number
+
+Parts = Sequence[tuple[Shape, Material]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,17 +40,26 @@ class Builder:
     face_objects: list[Int[np.ndarray, " _"]] = field(default_factory=list)
     kinds: list[str] = field(default_factory=lambda: ["sky"])
 
-    def add(self, kind: str, parts: Sequence[tuple[Shape, Material]]) -> int:
+    def add(self, kind: str, parts: Parts) -> int:
         """Add one object made of parts; returns its id."""
         self.kinds.append(kind)
+        self.put(len(self.kinds) - 1, parts)
+        return len(self.kinds) - 1
+
+    def later(self, kind: str, make: Callable[[], Parts], x: Number, y: Number) -> int:
+        """Add one object near (x, y) whose parts may be made at any time; here at once."""
+        del x, y
+        return self.add(kind, make())
+
+    def put(self, identity: int, parts: Parts) -> None:
+        """Add the parts of an object that has its id."""
         for shape, material in parts:
             if material not in self.materials:
                 self.materials.append(material)
             count = len(shape.faces)
             self.shapes.append(shape)
             self.face_materials.append(np.full(count, self.materials.index(material)))
-            self.face_objects.append(np.full(count, len(self.kinds) - 1))
-        return len(self.kinds) - 1
+            self.face_objects.append(np.full(count, identity))
 
     def copy(self) -> "Builder":
         """Another builder with the same objects so far."""

@@ -52,7 +52,7 @@ def make(
         preset: One of the world's presets.
         seed: >= 0.
         folder: New, or this very scene.
-        report: Told (views done, views in all).
+        report: Told (steps done, steps in all), two steps a view.
     """
     from splatbench.datasets.procedural.exporting import make_scene
 
