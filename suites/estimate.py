@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from splatbench.datasets.opening import open_scene
+from splatbench.methods.initialise import with_random_points
 from splatbench.methods.run import Run
 from splatbench.reference.errors import DataError
 from splatbench.reference.result import Result
@@ -59,7 +60,13 @@ def estimate_suite(suite: Suite, folder: Path, backend: str) -> list[Estimate]:
         backend: Name of the rasterizer.
     """
     rows = {(case.scene, case.protocol.name): case for case in suite.cases}
-    scenes = {key: open_scene(case.scene, case.protocol) for key, case in rows.items()}
+    scenes = {
+        # a scene without points costs what the random ones do that it starts from
+        key: with_random_points(
+            open_scene(case.scene, case.protocol), getattr(case.settings, "random_points", 0), 0
+        )
+        for key, case in rows.items()
+    }
     records = _records(folder / suite.name)
     estimates = []
     for case in suite.cases:

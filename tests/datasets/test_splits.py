@@ -55,3 +55,19 @@ def test_the_hash_names_the_split():
     assert base != split_hash(NAMES, (0, 8))
     assert base != split_hash([*NAMES[:-1], "other.jpg"], (0, 8, 16))
     assert len(base) == 64
+
+
+def test_moments_are_counted_with_all_their_views():
+    names = [f"{camera}_{i}" for camera in "ab" for i in range(9)]
+    times = [0.1 * i for _ in "ab" for i in range(9)]
+    rules = protocol(hold=4, hold_first=3, hold_unit="time")
+    train, held = split_views(names, rules, times)
+    assert [names[i] for i in held] == ["a_3", "a_7", "b_3", "b_7"]
+    assert sorted(train + held) == list(range(18))
+    assert split_views(names, protocol(hold=4, hold_first=3), times)[1] == (3, 7, 11, 15)
+    with pytest.raises(DataError, match="counts moments, but 1 of 18 views have no time"):
+        split_views(names, rules, [None, *times[1:]])
+    with pytest.raises(DataError, match="18 of 18 views have no time"):
+        split_views(names, rules)
+    with pytest.raises(UsageError, match="hold_first is -1, expected >= 0"):
+        split_views(names, protocol(hold_first=-1))

@@ -3,10 +3,13 @@
 from dataclasses import replace
 
 import pytest
+import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
+from helpers.tiny_scene import sparse_points
 from splatbench.methods.registry import METHODS
+from splatbench.methods.training import Settings
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.suites import cases, estimate
 from splatbench.suites.runner import run_suite
@@ -46,3 +49,18 @@ def test_a_slow_method_is_learnt_from_its_records(tmp_path, monkeypatch):
     (blind,) = estimate.estimate_suite(whole, tmp_path / "other", "reference")
     assert "from 1 earlier cases" in told.basis
     assert told.seconds - blind.seconds == pytest.approx(0.4, rel=0.2)
+
+
+def test_scenes_without_points_cost_what_the_random_ones_do(tmp_path, monkeypatch):
+    empty = replace(SCENE, points=sparse_points(torch.zeros(0, 3)))
+    monkeypatch.setattr(estimate, "open_scene", lambda scene, protocol: empty)
+    row = Case(scene="s", method="3dgs", settings=Settings(), seed=0, protocol=PROTOCOL)
+    random = replace(row, settings=Settings(random_points=5000))
+    bare, filled = (
+        estimate.estimate_suite(
+            Suite(name="tiny", description="", cases=(one,), scenes=()), tmp_path, "cpu"
+        )[0]
+        for one in (row, random)
+    )
+    assert filled.seconds > bare.seconds
+    assert filled.memory_mb > bare.memory_mb

@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused
+from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, valid
 from helpers.posed_scenes import (
     POINTS,
     SIZE,
@@ -165,13 +165,13 @@ def test_nerfstudio_masks(tmp_path):
     first, second = open_scene(tmp_path, protocol()).views[:2]
     assert first.load_mask is not None
     assert second.load_mask is None
-    assert torch.equal(first.load_mask(), torch.from_numpy(mask > 0))
+    assert torch.equal(valid(first), torch.from_numpy(mask > 0))
     assert not first.load()[:, :10].any()
-    half = open_scene(tmp_path, protocol(factor=2.0)).views[0].load_mask()
+    half = valid(open_scene(tmp_path, protocol(factor=2.0)).views[0])
     assert (half[:, 5:].all(), half[:, :5].any()) == (True, False)
     Image.fromarray(mask[:5]).save(tmp_path / "masks/0.png")
     with pytest.raises(DataError, match="mask is 96 x 5, its photo is 96 x 72"):
-        first.load_mask()
+        valid(first)
 
 
 def test_masks_of_distorted_photos_touch_no_masked_pixel(tmp_path):
@@ -187,9 +187,9 @@ def test_masks_of_distorted_photos_touch_no_masked_pixel(tmp_path):
     red[..., 0] = 255 * ~mask
     Image.fromarray(red).save(tmp_path / "images/0.png")
     view = open_scene(tmp_path, protocol()).views[0]
-    valid = view.load_mask()
-    assert 0.5 < valid.float().mean() < 1
-    assert view.load()[valid].max() < 1e-3
+    good = valid(view)
+    assert 0.5 < good.float().mean() < 1
+    assert view.load()[good].max() < 1e-3
 
 
 def test_five_thousand_frames_open_lazily(tmp_path):

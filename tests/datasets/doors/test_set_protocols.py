@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.door_checks import fixtures
+from helpers.door_checks import fixtures, tenths
 from helpers.posed_scenes import blob
 from splatbench.datasets.opening import open_scene
 from splatbench.metrics.protocol_files import load_protocol
@@ -98,7 +98,7 @@ def test_waymo(tmp_path, name, fixture, frames, moments, size):
     getattr(fixtures("waymo"), fixture)(tmp_path, frames=frames)
     # the fixture has two cameras
     scene = open_scene(tmp_path, replace(rules, sensors=rules.sensors[:2], undistort="keep"))
-    assert sorted({round(view.time * 10) for view in scene.test_views}) == moments
+    assert sorted({tenths(view) for view in scene.test_views}) == moments
     assert len(scene.test) == 2 * len(moments)
     assert size in sizes(scene)
 
@@ -106,7 +106,7 @@ def test_waymo(tmp_path, name, fixture, frames, moments, size):
 def test_kitti(tmp_path):
     folder, _ = fixtures("kitti").tracking(tmp_path, frames=8)
     scene = open_scene(folder, load_protocol("kitti_pvg"))
-    assert sorted({round(view.time * 10) for view in scene.test_views}) == [3, 7]
+    assert sorted({tenths(view) for view in scene.test_views}) == [3, 7]
     assert len(scene.test) == 4
 
 

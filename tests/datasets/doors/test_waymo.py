@@ -4,7 +4,7 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, without
+from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, sky, tenths, without
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_to_world, worst_error
 from splatbench.datasets.opening import open_scene
 from splatbench.reference.errors import DataError
@@ -46,10 +46,10 @@ def pixel(i, camera, point, bend):
 
 
 def write_sky(path):
-    sky = np.zeros((SIZE[1], SIZE[0]), np.uint8)
-    sky[:20] = 255
+    mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+    mask[:20] = 255
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(sky).save(path)
+    Image.fromarray(mask).save(path)
 
 
 def drivestudio(folder, *, frames=4, paint=True):
@@ -117,7 +117,7 @@ def test_points_are_seen_where_they_were_painted(tmp_path, write):
     assert worst_error(scene, points) < 0.1
     assert (scene.units, scene.up.tolist()) == ("metres", [0, 0, 1])
     assert {view.sensor for view in scene.views} == {"front", "front_left"}
-    assert {round(scene.views[i].time, 6) for i in scene.test} == {0.1, 0.3}
+    assert {tenths(view) for view in scene.test_views} == {1, 3}
     assert len(scene.test) == len(scene.train) == 4
 
 
@@ -133,9 +133,9 @@ def test_lidar_sky_and_chosen_cameras(tmp_path, write):
     assert found.abs().max() < 1e-5
     assert scene.facts["sweeps"] == "4 of 4 frames"
     assert len(open_scene(tmp_path, protocol(drop_test_points=True, **rules)).points) == 6
-    sky = scene.views[0].load_sky()
-    assert (sky[:20].all(), sky[20:].any()) == (True, False)
-    half = open_scene(tmp_path, protocol(factor=2.0, **rules)).views[0].load_sky()
+    seen = sky(scene.views[0])
+    assert (seen[:20].all(), seen[20:].any()) == (True, False)
+    half = sky(open_scene(tmp_path, protocol(factor=2.0, **rules)).views[0])
     assert (half[:10].all(), half[10:].any()) == (True, False)
     assert scene.views[0].load_mask is None
     assert open_scene(tmp_path, protocol()).views[0].load_sky is None  # has no file
@@ -161,7 +161,7 @@ def test_drivestudio_faults(tmp_path):
     assert scene.left_out == (("images/009_0.jpg", "no pose or no camera"),)
     Image.new("L", (5, 5)).save(tmp_path / "sky_masks/000_1.png")
     with pytest.raises(DataError, match="mask is 5 x 5, its photo is 96 x 72"):
-        open_scene(tmp_path, protocol()).views[1].load_sky()
+        sky(open_scene(tmp_path, protocol()).views[1])
 
 
 def test_pvg_faults(tmp_path):
