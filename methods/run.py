@@ -13,6 +13,10 @@ def time_nothing(stage: str, seconds: float) -> None:
     """The stage clock that nobody reads."""
 
 
+def keep_to_oneself(line: str) -> None:
+    """The words that nobody hears."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Run:
     """Everything a fit needs beside the scene and the settings. Nothing global."""
@@ -43,3 +47,5 @@ class Run:
     cache: Path | None = None
     """Folder of trained blocks that runs may share: equal blocks are trained once. None: the run's
     own checkpoint folder."""
+    say: Callable[[str], None] = keep_to_oneself
+    """Called with one line for people: plans made, odd things seen."""

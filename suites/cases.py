@@ -10,6 +10,7 @@ from pathlib import Path
 from splatbench.datasets.opening import open_scene
 from splatbench.methods.city.model import CityModel
 from splatbench.methods.files import write_text
+from splatbench.methods.memory import peak_memory_mb
 from splatbench.methods.reconstruction import load_reconstruction
 from splatbench.methods.registry import get_method
 from splatbench.methods.run import Run
@@ -156,7 +157,7 @@ def _run(job: Job, tell: Tell) -> None:
         metrics=means,
         stages=before.stages,
         cpu_seconds=before.cpu_seconds + measure.cpu_seconds() - started,
-        peak_memory_mb=max(before.peak_memory_mb, measure.peak_memory_mb()),
+        peak_memory_mb=max(before.peak_memory_mb, peak_memory_mb()),
         primitives=model.primitives,
         bytes_on_disk=measure.bytes_on_disk(job.folder / "model"),
         render_ms=render_ms,

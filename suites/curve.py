@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 from splatbench.methods.files import write_text
-from splatbench.suites.measure import cpu_seconds, peak_memory_mb
+from splatbench.methods.memory import peak_memory_mb
+from splatbench.suites.measure import cpu_seconds
 
 POINTS = 200
 """About this many points are kept, spread evenly over the steps."""

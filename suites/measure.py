@@ -3,7 +3,6 @@
 import hashlib
 import json
 import resource
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,27 +11,11 @@ from pathlib import Path
 from splatbench.methods.files import sha256
 from splatbench.reference.scene import Scene
 
-MEBIBYTE = 2**20
-
 
 def cpu_seconds() -> float:
     """User and system seconds of all threads of this process, and of processes that it ended."""
     both = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(used.ru_utime + used.ru_stime for used in both)
-
-
-def peak_memory_mb() -> float:
-    """Peak resident memory of this process in 2^20 bytes.
-
-    Linux hands the parent's peak down to a new process in ru_maxrss, so VmHWM is read there.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        for line in status.read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) / 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (MEBIBYTE if sys.platform == "darwin" else 1024)
 
 
 @contextmanager

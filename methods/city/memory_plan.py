@@ -38,6 +38,15 @@ class MemoryPlan:
         return sum(sorted(self.blocks, reverse=True)[: self.workers])
 
     @property
+    def text(self) -> str:
+        """The plan in one line."""
+        each = ", ".join(f"{block:.0f}" for block in self.blocks)
+        return (
+            f"memory: {len(self.blocks)} blocks of about {each} MB, {self.workers} at once; "
+            f"{self.available:.0f} MB are free"
+        )
+
+    @property
     def enough(self) -> int:
         """Smallest number of blocks that would fit, if work divides evenly; 0 if none would."""
         each = self.available / self.workers - PROCESS_MB

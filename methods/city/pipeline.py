@@ -86,6 +86,9 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
         facts = tuple(BlockFacts(**block) for block in trained)
+        for one in facts:
+            if one.note:
+                run.say(f"block {one.block}: {one.note}")
         kept = stages.run(
             "stitch", partial(_stitch, scene, settings, run, jobs, found, folder, method)
         )["kept"]
@@ -192,13 +195,15 @@ def _partition(
     stages.run("partition", cut)
     if not found:
         cut()
+    if found[0].note:
+        run.say(f"partition {found[0].method}: {found[0].note}")
     return found[0]
 
 
 def _blocks(jobs: Sequence[BlockJob], run: Run, progress: Progress) -> dict[str, Any]:
     """Train all blocks where the run says."""
     if run.engine != "ray":  # a cluster's machines have memory of their own
-        plan_memory(jobs, run.workers)
+        run.say(plan_memory(jobs, run.workers).text)
     facts = run_blocks(
         jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=progress.block
     )

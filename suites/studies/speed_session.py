@@ -13,14 +13,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 
+from splatbench.methods.memory import peak_memory_mb
 from splatbench.reference.errors import SplatbenchError
-from splatbench.suites.measure import peak_memory_mb
 from splatbench.suites.studies.speed_judge import judge
 from splatbench.suites.twins.registry import COMPONENTS
 from splatbench.suites.twins.twin import Component, Size, leaves_of, running
-
-MOST_RUNS = 30
-"""Of one turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +117,8 @@ class Here:
         if not self.warm or time.perf_counter() - begin < seconds:
             runs = [self._run()]
         self.warm = True
-        end = begin + 2 * seconds
-        while len(runs) < MOST_RUNS and time.perf_counter() < end:
+        end = begin + seconds
+        while time.perf_counter() < end:
             runs.append(self._run())
         return runs
 

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from splatbench.methods.memory import peak_memory_mb
 from splatbench.reference.errors import DataError
 from splatbench.suites.atomic import new_folder
 from splatbench.suites.environment import environment, git_commit, package_version
@@ -12,7 +13,6 @@ from splatbench.suites.measure import (
     arrays_sha256,
     bytes_on_disk,
     cpu_seconds,
-    peak_memory_mb,
     timed,
 )
 from splatbench.suites.records import read_record
@@ -20,7 +20,7 @@ from splatbench.suites.records import read_record
 
 def test_peak_memory_sees_an_allocation_and_not_the_parents():
     program = (
-        "from splatbench.suites.measure import peak_memory_mb as peak\n"
+        "from splatbench.methods.memory import peak_memory_mb as peak\n"
         "before = peak(); block = bytearray(200 * 2**20); print(before, peak())"
     )
     held = bytearray(600 * 2**20)  # a child's ru_maxrss would start at our peak

@@ -78,6 +78,7 @@ def fit(
             folder=out, seed=seed, backend=backend, threads=threads, report=report,
             background=rules.background, on_stage=stages.__setitem__,
             checkpoint_seconds=checkpoint_seconds, engine=engine, workers=workers,
+            say=output.log,
         )  # fmt: skip
         model = row.fit(opened, settings, run)
     model.save(out / "model")

@@ -1,0 +1,87 @@
+"""Global refinement: only the appearance moves, towards the photos, through the stored 8 bits."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from helpers.tiny_scene import random_gaussians, tiny_scene
+from splatbench.methods import training
+from splatbench.methods.city.refine import Refiner, RefineSettings, clean, refine
+from splatbench.methods.run import Run
+from splatbench.reference.errors import UsageError
+from splatbench.reference.preclean import CleanSettings
+
+SCENE = tiny_scene(views=5)
+BASE = training.Settings(iterations=200, sh_degree=1)
+RUN = Run(backend="cpu", threads=1)
+
+
+def spoilt():
+    """The scene's own Gaussians with colours and opacities that are off."""
+    truth = random_gaussians(40)
+    return replace(truth, sh=truth.sh + 0.3, opacity_logits=truth.opacity_logits - 1.0)
+
+
+def refined(**more: Any):
+    settings = RefineSettings(iterations=60, **more)
+    losses: list[float] = []
+    run = replace(RUN, report=lambda step, total, values: losses.append(values["loss"]))
+    model, seconds = refine(spoilt(), SCENE, settings, BASE, run, None)
+    assert seconds > 0
+    return model, losses
+
+
+@pytest.mark.parametrize(
+    "more", [{}, {"optimizer": "sgd", "sh_dc": 0.05, "sh_rest": 0.05, "opacity": 5.0}]
+)
+def test_the_loss_falls_and_only_the_appearance_moves(more):
+    model, losses = refined(**more)
+    assert losses[-1] < 0.7 * losses[0]
+    before = spoilt()
+    for name in ("means", "quaternions", "log_scales"):
+        assert torch.equal(getattr(model, name), getattr(before, name))
+    for name in ("opacity_logits", "sh"):
+        assert not torch.equal(getattr(model, name), getattr(before, name))
+
+
+def test_what_is_rendered_lies_on_256_values_from_the_set_share_on():
+    settings = RefineSettings(iterations=10, quantise_from=0.5)
+    own = replace(BASE, iterations=10)
+    trainer = Refiner(random_gaussians(2000), SCENE, settings, own, RUN)
+    for step, most in ((5, 2000), (6, 256)):
+        trainer.step = step
+        rest = trainer.model(1).sh[:, 1:].flatten(start_dim=1)
+        distinct = max(len(column.unique()) for column in rest.T)
+        assert (distinct == 2000) if most == 2000 else (distinct <= 256)
+
+
+def test_quantisation_takes_part_in_training():
+    through, past = (refined(quantise_from=share)[0] for share in (0.0, 1.0))
+    assert not torch.equal(through.sh, past.sh)
+
+
+def test_cleaning_drops_the_transparent_and_keeps_the_largest_unless_told():
+    model = random_gaussians(2000)
+    logits = model.opacity_logits.clone()
+    logits[:5] = -6.0
+    scales = model.log_scales.clone()
+    scales[5] = 3.0
+    model = replace(model, opacity_logits=logits, log_scales=scales)
+    kept = clean(model, RefineSettings().clean)
+    assert not kept[:5].any()
+    assert kept[5:].all()
+    assert not clean(model, CleanSettings(volume_quantile=0.999))[5]
+
+
+def test_steps_follow_the_blocks_unless_given():
+    assert RefineSettings().steps(40_000) == 7_000
+    assert RefineSettings().steps(1) == 1
+    assert RefineSettings(iterations=3).steps(40_000) == 3
+
+
+@pytest.mark.parametrize("wrong", [{"iterations": 0}, {"quantise_from": 2.0}, {"opacity": -1.0}])
+def test_settings_without_sense_are_refused(wrong):
+    with pytest.raises(UsageError, match=f"refine.{next(iter(wrong))}"):
+        RefineSettings(**wrong)
