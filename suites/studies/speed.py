@@ -19,8 +19,10 @@ Run = tuple[float, float]
 NO_MEMORY = dict.fromkeys(("peak_mb", "added_mb", "device_mb"))
 ROUNDS, QUICK_ROUNDS = 5, 2
 """Rounds of a case, and in the reduced form: in each, every twin has its turn."""
-TURN_SECONDS = 0.12
+TURN_SECONDS = 0.1
 """Least length of a turn; a twin that takes longer runs once."""
+ROUND_SECONDS = 1.0
+"""Least length of a round in the full form: the system counts what others use in steps of 0.01 s."""
 
 
 def rows(
@@ -123,12 +125,15 @@ class Timer:
     def rounds(self, sessions: dict[str, Session]) -> tuple[dict[str, list[Run]], float]:
         """Runs of each session in the rounds that nobody disturbed, and the most others used."""
         pids = [session.pid for session in sessions.values()]
+        seconds = TURN_SECONDS
+        if not self.quick:
+            seconds = max(seconds, ROUND_SECONDS / max(1, len(sessions)))
         runs: dict[str, list[Run]] = {name: [] for name in sessions}
         shares: list[float] = []
         self.patience.wait_for_idle(pids)
         for _ in range(QUICK_ROUNDS if self.quick else ROUNDS):
             turns, percent = undisturbed(
-                lambda: {n: one.ask("turn", TURN_SECONDS) for n, one in sessions.items()},
+                lambda: {n: one.ask("turn", seconds) for n, one in sessions.items()},
                 self.patience, pids, anyway=self.quick,
             )  # fmt: skip
             if turns is None and any(runs.values()):

@@ -101,6 +101,8 @@ def only_line(monkeypatch) -> Iterator[None]:
     COMPONENTS.clear()
     COMPONENTS["line"] = line()
     monkeypatch.setattr(speed_roofline, "rows", lambda **_: iter(()))
+    monkeypatch.setattr(speed, "ROUND_SECONDS", 0.01)
+    monkeypatch.setattr(speed, "TURN_SECONDS", 0.01)
     yield
     COMPONENTS.clear()
     COMPONENTS.update(kept)
