@@ -1,6 +1,7 @@
 """What the doors of driving data share: tables of numbers, LiDAR files, cameras of a car."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,21 @@ def _points(
     if not np.isfinite(points).all():
         raise DataError(f"{path}: has a point that is not finite")
     return points @ to_world[:3, :3].T + to_world[:3, 3]
+
+
+def frame_names(folder: Path) -> list[str]:
+    """Stems of the .txt files of a folder, one a frame; time follows from their order.
+
+    Raises: DataError if they are no whole numbers without a gap.
+    """
+    # 999 before 1000, however many digits an export pads to
+    names = sorted((path.stem for path in folder.glob("*.txt")), key=lambda n: (len(n), n))
+    for name, after in pairwise([*names, ""]):
+        if not name.isdecimal():
+            raise DataError(f"{folder / name}.txt: expected a frame's number for a name")
+        if after.isdecimal() and int(after) != int(name) + 1:
+            raise DataError(f"{folder}: has no frame between {name} and {after}; export it again")
+    return names
 
 
 def present(frames: Sequence[str], find: Callable[[str], Path]) -> list[tuple[int, Path]]:

@@ -39,8 +39,8 @@ def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
 
     Source: Chen et al. 2025 (OmniRe), release drivestudio: datasets/waymo.
     """
-    poses = sorted((folder / "ego_pose").glob("*.txt"))
-    frames = [path.stem for path in poses]
+    frames = driving.frame_names(folder / "ego_pose")
+    poses = [folder / "ego_pose" / f"{frame}.txt" for frame in frames]
     vehicle = [driving.homogeneous(_pose(path)) for path in poses]
     photos, files = [], list(poses)
     for camera, sensor in enumerate(CAMERAS):
@@ -95,8 +95,8 @@ def open_pvg(folder: Path, protocol: Protocol) -> Scene:
 
     Source: Chen et al. 2023 (PVG), release: scripts/waymo_converter.py, scene/waymo_loader.py.
     """
-    calibs = sorted((folder / "calib").glob("*.txt"))
-    frames = [path.stem for path in calibs]
+    frames = driving.frame_names(folder / "calib")
+    calibs = [folder / "calib" / f"{frame}.txt" for frame in frames]
     poses = [folder / "pose" / path.name for path in calibs]
     vehicle = [driving.homogeneous(_pose(path)) for path in poses]
     cameras = [i for i in range(len(CAMERAS)) if (folder / f"image_{i}").is_dir()]

@@ -179,6 +179,20 @@ def test_pvg_faults(tmp_path):
     assert open_scene(tmp_path, protocol()).left_out[0][0] == "image_0/9.png"
 
 
+@pytest.mark.parametrize(
+    ("write", "part", "name"), [(drivestudio, "ego_pose", "00"), (pvg, "calib", "014500")]
+)
+def test_a_gap_between_frames_is_refused(tmp_path, write, part, name):
+    write(tmp_path)
+    (tmp_path / part / f"{name}1.txt").unlink()
+    refused(tmp_path, f"{part}: has no frame between {name}0 and {name}2; export it again")
+    (tmp_path / part / "odd.txt").write_text("")
+    refused(tmp_path, r"odd\.txt: expected a frame's number for a name|has no frame between")
+    for path in (tmp_path / part).glob("*.txt"):
+        path.unlink()
+    refused(tmp_path, "has no frame with a camera")
+
+
 @pytest.mark.parametrize("frames", [500, pytest.param(2500, marks=pytest.mark.slow)])
 @BOTH
 def test_thousands_of_views(tmp_path, write, frames):
