@@ -31,7 +31,7 @@ def test_own_work_is_ours_and_a_strangers_is_not():
         other.kill()
         other.wait()
     # it got what the machine had to give, and that is the difference between the two
-    assert seen - known > 15
+    assert seen - known > 5
 
 
 def test_cpu_of_a_process_is_its_own():
