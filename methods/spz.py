@@ -63,7 +63,9 @@ def read_spz(path: Path) -> Gaussians:
     except (OSError, ValueError, EOFError) as error:
         raise DataError(f"{path}: not a whole .spz file ({error})") from None
     dc, rest = np.asarray(data.sh0), np.asarray(data.shN)
-    sh = np.concatenate([dc[:, None], rest.reshape(len(dc), -1, 3)], axis=1)
+    if rest.ndim < 3:  # degree 0
+        rest = np.zeros((len(dc), 0, 3))
+    sh = np.concatenate([dc[:, None], rest], axis=1)
     parts = {"means": data.means, "quaternions": data.quats, "log_scales": data.scales,
              "opacity_logits": data.opacities, "sh": sh}  # fmt: skip
     model = Gaussians(

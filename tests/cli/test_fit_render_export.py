@@ -81,6 +81,26 @@ def test_export(fitted, tmp_path, capsys):
     assert said["frame"] == "as trained"
 
 
+def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch, capsys):
+    packed, ply = tmp_path / "m.sbgs", tmp_path / "m.ply"
+    assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["bytes"] == packed.stat().st_size == sum(told["bytes_by_part"].values())
+    assert main(["export", str(packed), "--ply", str(ply)]) == 0
+    assert len(PlyData.read(ply)["vertex"].data) == told["gaussians"]
+    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
+    out = tmp_path / "renders"
+    assert main(["render", str(packed), "tiny", str(out), "--protocol", "3dgs"]) == 0
+    mine, whole = (cv2.imread(str(f / "0.png")) for f in (out, fitted / "renders"))
+    assert np.abs(np.asarray(mine, dtype=int) - np.asarray(whole, dtype=int)).max() <= 2
+    capsys.readouterr()
+    packed.write_bytes(packed.read_bytes()[:-1])
+    assert main(["render", str(packed), "tiny", str(out)]) == 2
+    assert "m.sbgs" in capsys.readouterr().err
+    assert main(["export", str(fitted / "model")]) == 2
+    assert "--packed" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
