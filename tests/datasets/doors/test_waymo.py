@@ -83,7 +83,7 @@ def pvg(folder, *, frames=4, paint=True):
     for name in ("calib", "pose", "velodyne"):
         (folder / name).mkdir()
     for i in range(frames):
-        name = f"0145{i:03d}"
+        name = f"{145000 + i:07d}"
         lines = []
         for camera in range(5):
             P = [F[0], 0, C[0], 0, 0, F[1], C[1], 0, 0, 0, 1, 0]
@@ -202,6 +202,6 @@ def test_thousands_of_views(tmp_path, write, frames):
     if write is drivestudio:
         names = [f"images/{i:03d}_{c}.png" for i, c in pairs]
     else:
-        names = [f"image_{c}/0145{i:03d}.png" for i, c in pairs]
+        names = [f"image_{c}/{145000 + i:07d}.png" for i, c in pairs]
     hard_links(tmp_path / "one.png", [tmp_path / name for name in names])
     opens_in_bounds(tmp_path, 2 * frames)
