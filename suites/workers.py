@@ -2,13 +2,11 @@
 
 import fcntl
 import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
+from splatbench.methods.processes import how_it_ended, serve_parent
 from splatbench.reference.errors import UsageError
 from splatbench.suites.cases import Job, Tell, failed_result, run_case
 from splatbench.suites.records import RECORD_NAME, write_record
@@ -48,7 +46,8 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
         worker.kill()  # nothing to say good-bye to: what it writes is written whole
         worker.join()
     if not (job.folder / RECORD_NAME).exists():
-        write_record(job.folder, failed_result(job, _cause(worker.exitcode)))
+        reason = f"the case's process left no record: it {how_it_ended(worker.exitcode)}"
+        write_record(job.folder, failed_result(job, reason))
 
 
 def _listen(ours: Connection, sentinel: int, tell: Tell) -> None:
@@ -63,31 +62,14 @@ def _listen(ours: Connection, sentinel: int, tell: Tell) -> None:
             return
 
 
-def _cause(code: int | None) -> str:
-    """Why a worker left no record."""
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name
-        hint = "; this is what running out of memory looks like" if name == "SIGKILL" else ""
-        return f"the case's process was ended by {name}{hint}"
-    return f"the case's process ended with exit code {code} and left no record"
-
-
 def _work(target: Launch, job: Job, theirs: Connection) -> None:
     """What the worker does: die with its parent, be alone in the suite's folder, run."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the parent, which ends us
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    serve_parent()
     job.folder.mkdir(parents=True, exist_ok=True)
     # The worker of a killed run may still be at its last step: wait until its lock is gone.
     with (job.folder / ".worker").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         target(job, lambda *event: theirs.send(event))
-
-
-def _die_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
 
 
 class Lock:

@@ -4,8 +4,6 @@ import fcntl
 import multiprocessing
 import os
 import pickle
-import signal
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,6 +12,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
 from splatbench.methods.city.blocks import BlockFacts, BlockJob, train_block, trained
+from splatbench.methods.processes import how_it_ended, serve_parent
 from splatbench.methods.training import threads as torch_threads
 from splatbench.reference.errors import SplatbenchError, UsageError
 
@@ -150,18 +149,13 @@ def _end(one: _Running) -> None:
 
 
 def _died(job: BlockJob, code: int | None) -> str:
-    where = f"block {job.facts.block}: its process"
-    if code is not None and code < 0:
-        name = signal.Signals(-code).name
-        hint = "; this is what running out of memory looks like" if name == "SIGKILL" else ""
-        return f"{where} was ended by {name}{hint}; the same command continues from its checkpoint"
-    return f"{where} ended with exit code {code}; the same command continues from its checkpoint"
+    what = f"block {job.facts.block}: its process {how_it_ended(code)}"
+    return f"{what}; the same command continues from its checkpoint"
 
 
 def _work(job: BlockJob, theirs: Connection, threads: int) -> None:
     """What a worker does: die with its parent, train, tell."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C reaches the parent, which ends us
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    serve_parent()
     try:
         with torch_threads(threads), alone(job):
             facts = train_block(job, lambda *at: theirs.send(("report", at)))
@@ -180,10 +174,3 @@ def alone(job: BlockJob) -> Iterator[None]:
     with (job.folder / ".worker").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
-
-
-def _die_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
