@@ -92,6 +92,10 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         kept = stages.run(
             "stitch", partial(_stitch, scene, settings, run, jobs, found, folder, method)
         )["kept"]
+        facts = tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True))
+        for one in facts:
+            if one.primitives and not one.kept:
+                run.say(f"block {one.block}: lost all {one.primitives} Gaussians in the merge")
         merged, packed, parts = _read_merged(folder / "merged"), None, {}
         if settings.gcr:
             path = folder / "refined.safetensors"
@@ -110,7 +114,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         settings=asdict(settings), mode=settings.mode, shift=scene.shift, units=scene.units,
         backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, packed=packed,
         packed_parts=parts,
-        block_facts=tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True)),
+        block_facts=facts,
     )  # fmt: skip
 
 

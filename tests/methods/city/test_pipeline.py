@@ -1,5 +1,6 @@
 """Rows of the city end to end on a tiny scene: what they share, what they leave, where they break."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from helpers.city_scene import small_scene
 from splatbench.methods import training
 from splatbench.methods.city.model import CONTAINER, CityModel
 from splatbench.methods.density import Density
-from splatbench.methods.reconstruction import FIELDS, load_reconstruction
+from splatbench.methods.reconstruction import FIELDS, ExplicitModel, load_reconstruction
 from splatbench.methods.registry import METHODS
 from splatbench.methods.run import Run
 from splatbench.reference.errors import DataError, MissingError, UsageError
@@ -180,6 +181,37 @@ def test_a_kill_in_the_coarse_model_is_continued(tmp_path):
     with pytest.raises(Killed):
         fit("citygaussian", replace(at, report=killed_at(0.2)), **more)
     assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
+
+
+def moved_after_training(folder: Path, where: dict[int, torch.Tensor]) -> Run:
+    """A run that was killed after its blocks were trained, some of which then moved elsewhere."""
+    with pytest.raises(Killed):
+        fit("blockgaussian", run(folder, on_stage=killed_after("blocks")))
+    for record in folder.glob("checkpoint/blocks/*/block.json"):
+        block = json.loads(record.read_text())["facts"]["block"]
+        if block in where:
+            model = load_reconstruction(record.parent / "model")
+            assert isinstance(model, ExplicitModel)
+            means = where[block].float().repeat(model.primitives, 1)
+            replace(model, model=replace(model.model, means=means)).save(record.parent / "model")
+    return run(folder)
+
+
+def test_a_block_that_loses_everything_at_the_merge_is_told(tmp_path):
+    centres = [region.centre for region in fit("blockgaussian", run()).regions]
+    told: list[str] = []
+    at = moved_after_training(tmp_path, {1: centres[0]})
+    model = fit("blockgaussian", replace(at, say=told.append))
+    assert model.block_facts[0].kept == model.primitives > 0
+    assert model.block_facts[1].kept == 0 < model.block_facts[1].primitives
+    assert any("block 1: lost all" in line for line in told)
+
+
+def test_blocks_that_all_lose_everything_are_refused(tmp_path):
+    centres = [region.centre for region in fit("blockgaussian", run()).regions]
+    at = moved_after_training(tmp_path, {0: centres[1], 1: centres[0]})
+    with pytest.raises(DataError, match="all 2 blocks lost every primitive"):
+        fit("blockgaussian", at)
 
 
 def test_a_folder_of_another_run_is_refused(tmp_path):
