@@ -26,12 +26,12 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
         at = (row["bytes_each"], -row["psnr_change"])
         left.scatter(*at, s=22, color=COLOURS[kind], zorder=2)
     for x, y, names in _together(held):
-        left.annotate(names, (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7,
-                      rotation=25)  # fmt: skip
+        left.annotate(names, (x, y), xytext=(0, 5), textcoords="offset points", fontsize=7,
+                      rotation=90, ha="center", va="bottom")  # fmt: skip
     left.set_xscale("log")
     left.set_xticks([20, 30, 50, 80, 120, 240], ["20", "30", "50", "80", "120", "240"])
     left.minorticks_off()
-    left.margins(0.15, 0.25)
+    left.margins(0.1, 0.3)
     left.set_xlabel("bytes a primitive")
     left.set_ylabel("PSNR lost on held-out views (dB)")
     left.set_title(f"{held[0]['scene']}: {held[0]['primitives']} primitives, "
@@ -55,7 +55,7 @@ def _together(rows: Sequence[Row]) -> list[tuple[float, float, str]]:
     labels: list[tuple[float, float, list[str]]] = []
     for row in rows:
         x, y = row["bytes_each"], -row["psnr_change"]
-        near = [held for a, b, held in labels if abs(a / x - 1) < 0.06 and abs(b - y) < 0.01]
+        near = [held for a, b, held in labels if abs(a / x - 1) < 0.04 and abs(b - y) < 0.03]
         if near:
             near[0].append(row["format"])
         else:
