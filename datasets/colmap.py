@@ -1,5 +1,6 @@
 """Opens COLMAP scene folders: a model in sparse/0 or sparse, photos beside it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import numpy as np
 from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.colmap_model import Model, find_model, pose_matrix, read_model
 from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatbench.datasets.moments import read_moments, sky_path
 from splatbench.datasets.photos import list_photos
 from splatbench.datasets.scene_file import SceneFile, read_scene_file
 from splatbench.datasets.sparse_points import read_points
@@ -32,7 +34,7 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     names = [image.name for image in model.images]
     layout = Layout(
         adapter="colmap",
-        photos=posed_photos(model, photos),
+        photos=_with_moments(folder, posed_photos(model, photos)),
         points=read_points(model),
         up=about.up,
         up_source="scene.toml",
@@ -80,6 +82,24 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
             )
         )
     return posed
+
+
+def _with_moments(folder: Path, photos: list[PosedPhoto]) -> list[PosedPhoto]:
+    """The photos with time, camera and sky mask where the folder has them."""
+    moments = read_moments(folder, [photo.name for photo in photos])
+    found = []
+    for photo in photos:
+        sky = sky_path(folder, photo.name)
+        moment = moments.get(photo.name)
+        found.append(
+            replace(
+                photo,
+                sky=sky if sky.is_file() else None,
+                time=moment.time if moment else None,
+                sensor=moment.sensor if moment else photo.sensor,
+            )
+        )
+    return found
 
 
 def _left_out(photos: Path, names: list[str], about: SceneFile) -> tuple[tuple[str, str], ...]:

@@ -23,7 +23,7 @@ PICKS: dict[str, tuple[str, ...]] = {
         f"{kind}/train_04.png" for kind in
         ("houses", "church", "mountain", "stadium", "town", "factory", "park", "downtown")
     ),
-    "tunnel": ("stop_0000_camera_0.png", "relit/stop_0000_camera_0.png", "stop_0000_camera_1.png",
+    "tunnel": ("stop_0000_camera_0.png", "relit/stop_0000_camera_0_relit.png", "stop_0000_camera_1.png",
                "stop_0004_camera_3.png", "stop_0006_camera_0.png"),
     "street": ("frame_0005_left.png", "frame_0005_front.png", "frame_0005_right.png",
                "frame_0010_front.png", "lane_shift/frame_0010_front_+3.5m.png"),

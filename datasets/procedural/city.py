@@ -280,7 +280,8 @@ def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
         found.append(Shot(name=f"oblique_{index:05d}.png", camera=camera, group=UNSEEN))
     for index in range(settings.facade):
         eye, target = _street_view(settings, rng)
-        camera = looking(eye, target, size, 0.8 * settings.width)
+        lens = 1.1 if settings.tiles else 0.8
+        camera = looking(eye, target, size, lens * settings.width)
         found.append(Shot(name=f"facade_{index:05d}.png", camera=camera, group=UNSEEN))
     return tuple(found)
 
@@ -295,7 +296,9 @@ def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarr
     eye[1 - axis] = rng.uniform(-0.7, 0.7) * half[1 - axis]
     eye[2] = rng.uniform(8.0, 12.0)
     ahead = np.zeros(3)
-    ahead[axis], ahead[1 - axis], ahead[2] = 14.0, rng.uniform(-12, 12), -4.5
+    # where the city is built by tiles, no view reaches the horizon: it would need the whole city
+    drop = 8.0 if settings.tiles else 4.5
+    ahead[axis], ahead[1 - axis], ahead[2] = 14.0, rng.uniform(-12, 12), -drop
     return eye, eye + ahead
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from splatbench.datasets.depth_maps import depth_path
 from splatbench.datasets.files import write_bytes
+from splatbench.datasets.moments import Moment, sky_path, write_moments
 from splatbench.datasets.procedural import sfm
 from splatbench.datasets.procedural.frames import Frame, take
 from splatbench.datasets.procedural.plan import Plan, Shot, content_hash
@@ -76,6 +77,9 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
             depths = _depths(work / group, shots, matched)
             sparse = sfm.observed(*base, [shot.camera for shot in shots], depths)
         _write_model(work / group, shots, sparse)
+        if plan.driven:
+            moments = {shot.name: Moment(time=shot.time, sensor=shot.sensor) for shot in shots}
+            write_moments(work / group, moments)
         _write_facts(plan, work / group, shots, name)
     if not (work / "scene.toml").exists():  # all views are in groups: the folder says what they are
         _write_facts(plan, work, plan.shots, name)
@@ -104,6 +108,8 @@ def _make_views(plan: Plan, work: Path, report: Report) -> None:
         )  # fmt: skip
         if shot.group in own:
             _write_corners(work, shot, _corners(plan, shot, frame))
+        if plan.driven:
+            write_sky(work / shot.group, shot.name, frame)
         write_frame(work / shot.group, shot.name, frame)
 
     missing = [i for i, shot in enumerate(plan.shots)
@@ -168,6 +174,13 @@ def write_frame(folder: Path, name: str, frame: Frame) -> None:
         buffer, depth=frame.depth, normal=frame.normal.astype(np.float16), object=frame.object
     )
     write_bytes(depth_path(folder, name), buffer.getvalue())
+
+
+def write_sky(folder: Path, name: str, frame: Frame) -> None:
+    """Write sky/<stem>.png: 255 where a view sees the sky through a pixel's centre, else 0."""
+    encoded, png = cv2.imencode(".png", np.where(frame.object == 0, 255, 0).astype(np.uint8))
+    assert encoded
+    write_bytes(sky_path(folder, name), png.tobytes())
 
 
 def read_frame(folder: Path, name: str) -> Frame:

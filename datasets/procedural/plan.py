@@ -34,6 +34,8 @@ class Shot:
     camera: Camera
     time: float = 0.0
     """Seconds since the first view."""
+    sensor: str = ""
+    """Name of the camera where several are used."""
     group: str = ""
     """"": part of the scene; else the name of the folder inside it that gets the view: views
     for tests only, with a model of their own."""
@@ -56,6 +58,9 @@ class Plan:
     """Corners looked for in a view when the sparse points are drawn."""
     movable: tuple[str, ...] = ()
     """Kinds of objects that never carry sparse points."""
+    driven: bool = False
+    """Whether time passes: views.json says when and by which camera each view was taken, and sky/
+    has masks of the sky."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Further facts for scene.toml."""
     kinds: Mapping[str, tuple[str, ...]]

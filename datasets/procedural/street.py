@@ -226,7 +226,8 @@ def shots(drive: Drive) -> tuple[Shot, ...]:
     settings = drive.settings
     size, focal = (settings.width, settings.height), 0.72 * settings.width
     found = []
-    again = set(np.linspace(1, settings.frames - 2, settings.shifted).astype(int).tolist())
+    # the first frame is among them: both scenes then count time from the same moment
+    again = set(np.linspace(0, settings.frames - 2, settings.shifted).astype(int).tolist())
     for index in range(settings.frames):
         time = index / RATE
         for name, yaw in CAMERAS.items():
@@ -234,13 +235,16 @@ def shots(drive: Drive) -> tuple[Shot, ...]:
             way = np.array([np.cos(angle), np.sin(angle), -0.03])
             file = f"frame_{index:04d}_{name}.png"
             eye = drive.eye(time)
-            found.append(Shot(name=file, camera=looking(eye, eye + way, size, focal), time=time))
+            camera = looking(eye, eye + way, size, focal)
+            found.append(Shot(name=file, camera=camera, time=time, sensor=name))
             if index in again:
                 for shift in SHIFTS:
                     moved = eye + np.array([0.0, shift, 0.0])
                     camera = looking(moved, moved + way, size, focal)
                     other = f"frame_{index:04d}_{name}_{shift:+.1f}m.png"
-                    found.append(Shot(name=other, camera=camera, time=time, group=SHIFTED))
+                    found.append(
+                        Shot(name=other, camera=camera, time=time, sensor=name, group=SHIFTED)
+                    )
     return tuple(found)
 
 
@@ -282,7 +286,7 @@ def plan(seed: int, settings: Settings) -> Plan:
     return Plan(
         world="street", settings=asdict(settings), seed=seed, shots=shots(drive),
         stage=lambda shot: drive.stage(shot.time), samples=settings.samples, features=400,
-        movable=("moving car", "walker"), kinds={"": drive.kinds},
+        movable=("moving car", "walker"), kinds={"": drive.kinds}, driven=True,
         extras=lambda folder: _extras(drive, folder),
         facts={
             "test": ",".join(tests),

@@ -246,8 +246,9 @@ def plan(seed: int, settings: Settings) -> Plan:
     tests = found[::8]
     for index in range(min(settings.relit, len(tests))):
         shot = tests[index * len(tests) // settings.relit]
-        found.append(Shot(name=shot.name, camera=shot.camera, group=RELIT))
-        lights[RELIT, shot.name] = (lights["", shot.name][0], _relit_offset(index))
+        name = shot.name.replace(".png", "_relit.png")
+        found.append(Shot(name=name, camera=shot.camera, group=RELIT))
+        lights[RELIT, name] = (lights["", shot.name][0], _relit_offset(index))
     lock, made = Lock(), []
 
     def stage(shot: Shot) -> Stage:
@@ -261,13 +262,13 @@ def plan(seed: int, settings: Settings) -> Plan:
         )  # fmt: skip
 
     relit = {
-        f"relit_{name}": " ".join(f"{x:g}" for x in lights[group, name][1])
+        f"lamps_{name}": " ".join(f"{x:g}" for x in lights[group, name][1])
         for group, name in lights
         if group == RELIT
     }
     return Plan(
         world="tunnel", settings=asdict(settings), seed=seed, shots=tuple(found), stage=stage,
         samples=settings.samples, features=500, kinds={"": world.kinds},
-        facts={"relit": "views in the folder relit: the same cameras, lamps moved by relit_<view> "
+        facts={"relit": "views in the folder relit: the same cameras, lamps moved by lamps_<view> "
                "metres (ahead, left, up)", **relit},
     )  # fmt: skip

@@ -50,7 +50,7 @@ def test_the_frames_do_not_depend_on_the_tiles_kept(unbounded):
 
 
 def test_a_view_sees_what_it_sees_of_the_whole_city(unbounded):
-    plan, shots = picked(replace(BLOCKS, tiles=0))
+    plan, shots = city.plan(SEED, replace(BLOCKS, tiles=0)), picked(BLOCKS)[1]
     for shot in shots:
         whole, part = picture(plan, shot), unbounded[shot.name]
         # the same triangles; a ray along an edge may take either side
@@ -64,7 +64,7 @@ def test_a_view_sees_what_it_sees_of_the_whole_city(unbounded):
         assert (gap.max(axis=2) > 60).mean() < 0.003
 
 
-def test_a_view_from_above_holds_few_blocks_however_large_the_city_is():
+def test_a_view_holds_few_blocks_however_large_the_city_is():
     settings = city.PRESETS["large"]
     half = np.array(settings.blocks) * city.PITCH / 2
     sketch = tiles.Sketch(city.PITCH, (-half[0], -half[1]))
@@ -72,13 +72,10 @@ def test_a_view_from_above_holds_few_blocks_however_large_the_city_is():
         for j in range(-3, settings.blocks[1] + 3):
             x, y = (np.array([i, j]) + 0.5) * city.PITCH - half
             sketch.later("tree", list, x, y)
-    counts = {"nadir": [], "oblique": []}
-    for shot in city.shots(1, settings)[::7]:
-        if not shot.name.startswith("facade"):
-            seen = tiles.looked_at(sketch, shot.camera, tiles.SPILL + tiles.SHADE)
-            counts[shot.name.split("_")[0]].append(len(seen))
-    assert max(counts["nadir"]) <= 30
-    assert max(counts["oblique"]) <= 50
+    most = {"nadir": 30, "oblique": 50, "facade": 50}
+    for shot in city.shots(1, settings)[::5]:
+        seen = tiles.looked_at(sketch, shot.camera, tiles.SPILL + tiles.SHADE)
+        assert len(seen) <= most[shot.name.split("_")[0]], shot.name
 
 
 def test_everything_stands_within_reach_of_its_tile():
