@@ -11,8 +11,9 @@ from splatbench.methods import training
 from splatbench.methods.city.blocks import BlockFacts, BlockJob
 from splatbench.methods.city.ground import Ground, ground
 from splatbench.methods.city.partition import Partition
-from splatbench.methods.city.roles import LEFT_OUT, Auxiliary, roles_of
+from splatbench.methods.city.roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
 from splatbench.methods.run import Run
+from splatbench.reference.ghosts import RIM
 from splatbench.reference.scene import Scene, SparsePoints
 from splatbench.reference.view_sampling import SamplingSettings
 from splatbench.reference.visibility import shared_points
@@ -30,6 +31,7 @@ def block_jobs(
     *,
     auxiliary: Auxiliary = "none",
     follow: bool = False,
+    surrounding: Surrounding = "box",
     sampling: SamplingSettings | None = None,
     coarse: Path | None = None,
 ) -> tuple[BlockJob, ...]:
@@ -45,13 +47,14 @@ def block_jobs(
         cache: Folder of all blocks' folders; runs that share it share equal blocks.
         auxiliary: What takes part beside the block's own points.
         follow: Let ghosts' opacity and colour follow.
+        surrounding: Where ghosts are taken from.
         sampling: Balanced sampling of views; None: uniform.
         coarse: File of a coarse model that all blocks start from.
     """
     place = ground(scene)
     return tuple(
         _job(place, found, block, settings, run, cache, auxiliary=auxiliary, follow=follow,
-             sampling=sampling, coarse=coarse)
+             surrounding=surrounding, sampling=sampling, coarse=coarse)
         for block in range(len(found.views))
     )  # fmt: skip
 
@@ -66,6 +69,7 @@ def _job(
     *,
     auxiliary: Auxiliary,
     follow: bool,
+    surrounding: Surrounding,
     sampling: SamplingSettings | None,
     coarse: Path | None,
 ) -> BlockJob:
@@ -74,8 +78,11 @@ def _job(
     if not bool(views.any()):
         views = place.trained & (shared_points(points, own, len(scene.views)) > 0)
         note = "no view covers it by the shares; it takes those that see a point of it"
+    near = None
+    if surrounding == "region" and auxiliary in ("ghosts", "both"):
+        near = found.regions[block].distance(points.positions) <= 1 + RIM
     roles = roles_of(
-        points, found.points[block], views, found.labels, block, place.positions, auxiliary
+        points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
     )
     job = BlockJob(
         scene=_part(scene, views, roles), roles=roles[roles != LEFT_OUT], settings=settings,

@@ -82,6 +82,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         jobs = block_jobs(
             scene, found, settings.training, run, run.cache or folder / "blocks",
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
+            surrounding=settings.surrounding,
             sampling=settings.bins if settings.sampling == "balanced" else None,
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]

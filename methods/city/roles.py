@@ -17,6 +17,10 @@ Auxiliary = Literal["none", "context", "ghosts", "both"]
 """none: own points only; context: and all that the block's views see, trained, not densified
 (BlockGaussian); ghosts: and what lies in the auxiliary box, rendered only (DPGS); both: ghosts in
 the auxiliary box, context beyond it."""
+Surrounding = Literal["box", "region"]
+"""Where ghosts are taken from. box: the bounds of what a block owns, a fifth longer (DPGS, Eq. 7);
+of a ragged block that is most of the scene. region: within a normalised distance of 1.2, which is
+that same box where the block is one."""
 
 
 def roles_of(
@@ -27,6 +31,7 @@ def roles_of(
     block: int,
     upright: Float64[Tensor, "n 3"],
     auxiliary: Auxiliary,
+    near: Bool[Tensor, " n"] | None = None,
 ) -> Int8[Tensor, " n"]:
     """Role of each sparse point in one block; LEFT_OUT for those it does not start from.
 
@@ -38,6 +43,7 @@ def roles_of(
         block: Which block.
         upright: Positions in the ground frame, whose axes the auxiliary box follows.
         auxiliary: What else takes part.
+        near: Where ghosts are taken from; None: the auxiliary box around what the block owns.
 
     Source: BlockGaussian, Sec. 3.2 (auxiliary points) and its release; DPGS, Sec. 3.3, Eq. 7
         (ghosts).
@@ -46,8 +52,10 @@ def roles_of(
     if auxiliary in ("context", "both"):
         roles[seen_points(points, views)] = CONTEXT
     if auxiliary in ("ghosts", "both") and bool((labels == block).any()):
-        _, around = block_boxes(upright, labels, block)
-        roles[ghosts(upright, labels, block, around)] = GHOST
+        if near is None:
+            _, around = block_boxes(upright, labels, block)
+            near = ghosts(upright, labels, block, around)
+        roles[near & (labels != block)] = GHOST
     roles[own] = OWN
     return roles
 

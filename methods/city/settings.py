@@ -6,7 +6,7 @@ from typing import Literal
 from splatbench.methods import training
 from splatbench.methods.city.partition import PartitionSettings
 from splatbench.methods.city.refine import RefineSettings
-from splatbench.methods.city.roles import Auxiliary
+from splatbench.methods.city.roles import Auxiliary, Surrounding
 from splatbench.methods.packing import FileSettings
 from splatbench.methods.schedules import require
 from splatbench.reference.stitching import StitchSettings
@@ -35,6 +35,8 @@ class CitySettings(training.Settings):
     """What takes part in a block beside its own points."""
     follow: bool = False
     """Let ghosts' opacity and colour follow; their geometry is held in any case."""
+    surrounding: Surrounding = "box"
+    """Where ghosts are taken from: the box around a block, or its own shape widened."""
     sampling: Literal["uniform", "balanced"] = "uniform"
     """How a block draws its views."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)

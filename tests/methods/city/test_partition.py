@@ -83,6 +83,8 @@ def test_roles_of_points():
     assert torch.equal(roles("both") == GHOST, roles("ghosts") == GHOST)
     assert torch.equal(roles("both") == CONTEXT, (roles("context") == CONTEXT) & ~near)
     assert bool((roles("none")[~own] == LEFT_OUT).all())
+    shape = roles_of(SCENE.points, own, few, found.labels, 0, upright, "ghosts", near & seen)
+    assert torch.equal(shape == GHOST, near & seen & ~own)
 
 
 def test_scenes_and_numbers_that_cannot_be_cut_are_refused():
