@@ -1,7 +1,6 @@
 """Packed files: the reference's numbers, whole or streamed; every kind of broken file refused."""
 
 import json
-import os
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
+from helpers.sh_models import model
 from splatbench.methods import packing, packing_records, packing_streams
 from splatbench.methods.morton import morton_codes, morton_order
 from splatbench.methods.packing import FileSettings, PackedFacts, write_packed
@@ -31,20 +31,6 @@ from splatbench.reference.gaussians import Gaussians
 SEEDS = st.integers(0, 2**16)
 DEGREES = st.integers(0, 3)
 D = torch.float64
-
-
-def model(count: int, degree: int, seed: int) -> Gaussians:
-    g = torch.Generator().manual_seed(seed)
-    rest = torch.rand(count, 1, 1, generator=g) * 0.1
-    sh = torch.randn(count, (degree + 1) ** 2, 3, generator=g)
-    sh[:, 1:] *= rest
-    return Gaussians(
-        means=1e3 * torch.randn(count, 3, generator=g),
-        quaternions=torch.randn(count, 4, generator=g) * 100,
-        log_scales=torch.randn(count, 3, generator=g) - 3,
-        opacity_logits=3 * torch.randn(count, generator=g),
-        sh=sh,
-    )
 
 
 def same(a: Gaussians, b: Gaussians) -> bool:
@@ -345,13 +331,12 @@ def test_twenty_million_primitives_merge_and_pack_under_8_gib(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_million_primitives_a_second_each_way(tmp_path):
-    if (os.cpu_count() or 1) < 2:
-        pytest.skip("the figure is for two cores")
-    whole = model(2_000_000, 3, 0)
-    write_packed(tmp_path / "m", model(1000, 3, 0))
-    report = write_packed(tmp_path / "m", whole)
-    start = time.perf_counter()
-    read_packed(tmp_path / "m")
-    assert 2 / report.seconds > 0.5  # million a second; half, for a machine that others use
-    assert 2 / (time.perf_counter() - start) > 0.5
+def test_a_million_primitives_a_second_each_way_on_two_cores(tmp_path):
+    # CPU seconds, since others may use the machine: 2 a million. Twice that is allowed, because a
+    # core that is shared is slower, too.
+    whole = model(1_000_000, 3, 0)
+    write_packed(tmp_path / "warm", model(1000, 3, 0))
+    for work in (lambda: write_packed(tmp_path / "m", whole), lambda: read_packed(tmp_path / "m")):
+        start = time.process_time()
+        work()
+        assert time.process_time() - start < 4

@@ -12,28 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
+from helpers.sh_models import model
 from splatbench.reference import container, packing, spectral
 from splatbench.reference.errors import DataError
-from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.packing import AS_RELEASED, PackedModel, PackSettings
 
 SEEDS = st.integers(0, 2**16)
 DEGREES = st.integers(0, 3)
 OURS = PackSettings()
-
-
-def model(count: int, degree: int, seed: int) -> Gaussians:
-    g = torch.Generator().manual_seed(seed)
-    rest = torch.rand(count, 1, 1, generator=g) * 0.1
-    sh = torch.randn(count, (degree + 1) ** 2, 3, generator=g)
-    sh[:, 1:] *= rest
-    return Gaussians(
-        means=1e3 * torch.randn(count, 3, generator=g),
-        quaternions=torch.randn(count, 4, generator=g) * 100,
-        log_scales=torch.randn(count, 3, generator=g) - 3,
-        opacity_logits=3 * torch.randn(count, generator=g),
-        sh=sh,
-    )
 
 
 def same(a: PackedModel, b: PackedModel) -> bool:

@@ -1,5 +1,6 @@
 """The fast merge against the reference, from memory and from disk, and what it writes."""
 
+import time
 from dataclasses import replace
 
 import pytest
@@ -196,3 +197,23 @@ def test_a_damaged_block_is_refused(tmp_path):
     facts.write_text(facts.read_text().replace('"primitives": 30', '"primitives": 31'))
     with pytest.raises(DataError, match="fewer primitives"):
         fast.stitch([stored], OURS, generator(0))
+
+
+@pytest.mark.slow
+def test_a_million_and_a_half_compete_within_thirty_seconds_of_two_cores():
+    g = generator(0)
+    scene = []
+    for i in range(8):
+        centre = torch.tensor([2.0 * (i % 4), 2.0 * (i // 4), 0.0], dtype=D)
+        local = 2.2 * torch.rand(1_087_500, 3, generator=g, dtype=D) - 1.1
+        local[:, 2] *= 0.2  # flat, as a city is: rims are at the sides
+        box = replace(cube(0.0), centre=centre)
+        scene.append(BlockModel(region=box, model=gaussians(local + centre, g, bands=1)))
+    competing = sum(
+        int((stitching.zones(block.region.distance(trained(block).means.double())) == 1).sum())
+        for block in scene
+    )
+    assert competing > 1_500_000
+    start = time.process_time()
+    fast.stitch(scene, OURS, g)
+    assert time.process_time() - start < 60  # CPU seconds: others may use the machine
