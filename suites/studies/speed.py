@@ -136,10 +136,10 @@ class Timer:
                 lambda: {n: one.ask("turn", seconds) for n, one in sessions.items()},
                 self.patience, pids, anyway=self.quick,
             )  # fmt: skip
-            if turns is None and any(runs.values()):
-                continue  # the rounds that were quiet are enough
+            if turns is None:  # patience is at its end; rounds that were quiet still count
+                return runs, max(shares, default=percent)
             shares.append(percent)
-            for name, turn in (turns or {}).items():
+            for name, turn in turns.items():
                 runs[name].extend(turn)
         return runs, max(shares)
 
