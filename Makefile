@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev bench test test-slow lint types clean
+.PHONY: setup setup-dev bench test test-slow fuzz lint types clean
 
 bench: setup
 	$(BIN)/bench run quick
@@ -15,6 +15,11 @@ test: setup-dev
 
 test-slow: setup-dev
 	$(BIN)/pytest -q -m slow
+
+# odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer
+fuzz: setup-dev
+	$(BIN)/pip install -q -c constraints.txt nanobind cmake
+	$(BIN)/python tests/fuzz/sanitized.py
 
 lint: setup-dev
 	$(BIN)/ruff check .
@@ -36,7 +41,7 @@ $(VENV)/.installed: $(SOURCES) | $(VENV)/bin/pip
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/pip install -q -c constraints.txt -e '.[dev]'
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev,distributed]'
 	touch $@
 
 clean:

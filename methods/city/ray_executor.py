@@ -1,0 +1,106 @@
+"""Train the blocks of a city on a Ray cluster whose machines see the run's folder."""
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+from splatbench.methods.city.blocks import BlockFacts, BlockJob, train_block
+from splatbench.methods.city.executor import BlocksReport, alone
+from splatbench.methods.training import threads as torch_threads
+from splatbench.reference.errors import MissingError, SplatbenchError
+
+RETRIES = 3
+"""How often a block whose worker died is given to another one."""
+POLL_SECONDS = 0.5
+"""Between two looks at what the workers report."""
+
+
+def run_on_ray(
+    jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
+) -> list[BlockFacts]:
+    """Each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
+
+    A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
+    must lie where all machines read and write it. A task asks for its share of the threads as CPUs.
+
+    Raises: MissingError without the package ray; SplatbenchError naming a block that lost its worker
+        more than RETRIES times, or what a block itself raised.
+    """
+    ray = _ray()
+    each = max(1, (threads or os.cpu_count() or 1) // workers)
+    started = not ray.is_initialized()
+    if started:
+        ray.init(address=os.environ.get("RAY_ADDRESS"), include_dashboard=False,
+                 log_to_driver=False, configure_logging=False)  # fmt: skip
+    reports = ray.remote(num_cpus=0)(Reports).remote()
+    train = ray.remote(num_cpus=each, max_retries=RETRIES)(train_remotely)
+    waiting, running = list(range(len(jobs)))[::-1], dict[Any, int]()
+    found: dict[int, BlockFacts] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                index = waiting.pop()
+                running[train.remote(jobs[index], index, each, reports)] = index
+            ready, _ = ray.wait(list(running), timeout=POLL_SECONDS)
+            for at in ray.get(reports.drain.remote()):
+                report(*at)
+            for one in ready:
+                index = running.pop(one)
+                found[index] = _facts(ray, one, jobs[index])
+    finally:
+        for one in running:
+            ray.cancel(one, force=True)
+        ray.kill(reports)
+        if started:
+            ray.shutdown()
+    return [found[index] for index in range(len(jobs))]
+
+
+class Reports:
+    """An actor that keeps what workers report until the driver asks."""
+
+    def __init__(self) -> None:
+        """Nothing was reported yet."""
+        self.waiting: list[tuple[int, int, int, dict[str, float]]] = []
+
+    def put(self, index: int, step: int, total: int, values: dict[str, float]) -> None:
+        """A worker's report."""
+        self.waiting.append((index, step, total, values))
+
+    def drain(self) -> list[tuple[int, int, int, dict[str, float]]]:
+        """What was reported since the last call."""
+        out, self.waiting = self.waiting, []
+        return out
+
+
+def train_remotely(job: BlockJob, index: int, threads: int, reports: Any) -> BlockFacts:
+    """What a worker does."""
+    with torch_threads(threads), alone(job):
+        return train_block(job, lambda *at: reports.put.remote(index, *at))
+
+
+def _facts(ray: Any, one: Any, job: BlockJob) -> BlockFacts:
+    where = f"block {job.facts.block}"
+    try:
+        return ray.get(one)
+    except ray.exceptions.RayTaskError as error:
+        if isinstance(error.cause, SplatbenchError):
+            raise type(error.cause)(f"{where}: {error.cause}") from None
+        raise
+    except ray.exceptions.RayError as error:
+        line = " ".join(str(error).split())[:200]
+        raise SplatbenchError(
+            f"{where}: lost on the cluster ({type(error).__name__}: {line}); the same command "
+            "continues from its checkpoint"
+        ) from None
+
+
+def _ray() -> Any:
+    try:
+        import ray
+        import ray.exceptions
+    except ImportError:
+        raise MissingError(
+            "the engine 'ray' needs the package ray; run `pip install splatbench[distributed]`"
+        ) from None
+    return ray

@@ -1,0 +1,111 @@
+"""Blocks on a local cluster of two workers, one of which is killed in mid-block."""
+
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from helpers.city_scene import small_scene
+from splatbench.methods.city import ray_executor
+from splatbench.methods.city.blocks import BlockJob
+from splatbench.methods.city.executor import run_blocks
+from splatbench.methods.city.jobs import block_jobs
+from splatbench.methods.city.partition import PartitionSettings, partition
+from splatbench.methods.density import Density
+from splatbench.methods.reconstruction import load_reconstruction
+from splatbench.methods.run import Run
+from splatbench.methods.training import Settings
+from splatbench.reference.errors import DataError, MissingError
+
+STEPS = 300
+SETTINGS = Settings(iterations=STEPS, sh_degree=0, density=Density(stop=0))
+
+
+def jobs(folder: Path, settings: Settings = SETTINGS) -> tuple[BlockJob, ...]:
+    scene = small_scene(60)
+    run = Run(backend="cpu", threads=1, checkpoint_seconds=0.0)
+    found = partition(scene, 2, PartitionSettings(margin=0.1))
+    return block_jobs(scene, found, settings, run, folder)
+
+
+def nothing(*_: object) -> None: ...
+
+
+def means(job: BlockJob):
+    return load_reconstruction(job.model).gaussians().means
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two CPUs: two workers of a thread each."""
+    ray = pytest.importorskip("ray", reason="ray is not installed: pip install -e '.[distributed]'")
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, configure_logging=False)
+    yield ray
+    ray.shutdown()
+
+
+def parent(pid: int) -> int:
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("PPid:")), 0)
+
+
+def busy_workers() -> list[int]:
+    """Processes below this one that train a block now; ray names a worker after its task."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        pid = int(path.parent.name)
+        try:
+            name = path.read_bytes()
+        except OSError:
+            continue
+        above = pid
+        while above > 1 and above != os.getpid():
+            above = parent(above)
+        if name.startswith(b"ray::train_remotely") and above == os.getpid():
+            found.append(pid)
+    return sorted(found)
+
+
+def test_a_block_whose_worker_is_killed_goes_on_elsewhere_from_its_checkpoint(tmp_path, cluster):
+    straight, killed = jobs(tmp_path / "straight"), jobs(tmp_path / "killed")
+    run_blocks(straight, engine="inline", threads=1, report=nothing)
+    heard: list[tuple[int, int]] = []
+    victims: list[int] = []
+
+    def report(index: int, step: int, total: int, values: dict[str, float]) -> None:
+        heard.append((index, step))
+        if not victims and 20 <= step < STEPS / 2 and busy_workers():
+            victims.append(busy_workers()[0])
+            os.kill(victims[0], signal.SIGKILL)
+
+    facts = run_blocks(killed, engine="ray", workers=2, threads=2, report=report)
+    assert victims
+    assert [one.block for one in facts] == [0, 1]
+    assert all(one.seconds > 0 for one in facts)
+    assert {(0, STEPS), (1, STEPS)} <= set(heard)
+    for index in (0, 1):  # from a checkpoint, not from the start again
+        assert [step for i, step in heard if i == index].count(10) <= 1
+    for one, other in zip(straight, killed, strict=True):
+        assert torch.equal(means(one), means(other))
+
+
+def test_a_blocks_own_error_names_it(tmp_path, cluster):
+    spoilt = jobs(tmp_path, replace(SETTINGS, iterations=10))
+    checkpoint = spoilt[1].folder / "checkpoint" / "training.safetensors"
+    checkpoint.parent.mkdir(parents=True)
+    checkpoint.write_bytes(b"spoilt")
+    with pytest.raises(DataError, match="block 1: .*not a whole safetensors file"):
+        run_blocks(spoilt[1:], engine="ray", threads=1, report=nothing)
+
+
+def test_without_the_package_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(MissingError, match=r"pip install splatbench\[distributed\]"):
+        ray_executor.run_on_ray(jobs(tmp_path), 1, 1, nothing)
