@@ -63,7 +63,8 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
 
     A point lies on the ray through a uniform place in the image of a uniform training camera, at a
     depth that is log-uniform from 0.1 to 10 extents; colours are uniform. Every point is in sight,
-    whether cameras look inwards, ahead or down, near or far for how they are spread.
+    whether cameras look inwards, ahead or down, near or far for how they are spread; its track is
+    the one view that it was drawn in.
 
     Args:
         scene: Its points are looked at first.
@@ -92,8 +93,8 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
         points=SparsePoints(
             positions=positions,
             colours=torch.randint(0, 256, (count, 3), generator=generator, dtype=torch.uint8),
-            track_starts=torch.zeros(count + 1, dtype=torch.int64),
-            track_views=torch.zeros(0, dtype=torch.int64),
+            track_starts=torch.arange(count + 1),
+            track_views=torch.tensor(scene.train, dtype=torch.int64)[chosen],
         ),
     )
 

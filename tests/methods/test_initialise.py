@@ -91,6 +91,14 @@ def test_random_points_lie_where_a_training_camera_sees():
     middle = torch.stack(depths).median().log10() - math.log10(reach)
     assert abs(middle) < 5 / math.sqrt(500)
     assert positions.std(dim=0).min() > 0.1 * reach
+    drawn = filled.points.track_views
+    assert filled.points.track_starts.tolist() == list(range(501))
+    assert set(drawn.tolist()) == set(scene.train)
+    for index in scene.train:
+        camera_ = scene.views[index].camera
+        pixels, _ = project_points(camera_, positions[drawn == index])
+        size = torch.tensor([camera_.width, camera_.height])
+        assert ((pixels >= -1e-6) & (pixels <= size + 1e-6)).all()
     assert len(initialise.from_points(filled, degree=1, opacity=0.1)) == 500
     again = initialise.with_random_points(scene, 500, seed=3).points
     assert torch.equal(again.positions, positions)
