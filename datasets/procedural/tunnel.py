@@ -43,10 +43,10 @@ RELIT = "relit"
 class Settings:
     """Length of the drive and size of the pictures."""
 
-    length: float = 20.0
+    length: float = 10.0
     """Metres that are driven."""
-    stop: float = 2.5
-    """Metres between stops."""
+    stop: float = 1.25
+    """Metres between stops; walls are 2.4 metres away, so half of a view is in the next one."""
     width: int = 224
     height: int = 128
     relit: int = 6

@@ -1,11 +1,13 @@
 """Every world in miniature: made, opened by the ordinary adapter, with what it promises beside."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from splatbench.cli import main
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.procedural import aerial, city, exporting, frames, street, tunnel, worlds
 from splatbench.reference.protocol import Protocol
@@ -197,6 +199,25 @@ def test_moving_things_are_where_their_pose_says(made):
         pose = drive.movers[identity - drive.first].pose(shot.time)
         own = (points[objects[rows] == identity] - pose[:3, 3]) @ pose[:3, :3]
         assert (np.abs(own) < [2.5, 1.1, 1.6]).all()
+
+
+@pytest.mark.parametrize(
+    ("world", "rules"),
+    [("city", "hold = 8"), ("tunnel", "hold = 8"),
+     ("street", f'hold = {street.HELD}\nhold_unit = "time"')],
+)  # fmt: skip
+def test_3dgs_learns_it_from_the_command_line(made, tmp_path, capsys, world, rules):
+    folder, _ = made(world)
+    rules_file = tmp_path / "rules.toml"
+    rules_file.write_text(f'source = "test"\n{rules}\n')
+    found = {}
+    for steps in (1, 150):
+        options = ["--out", str(tmp_path / str(steps)), "--protocol", str(rules_file), "--json"]
+        options += ["--iterations", str(steps), "--sh-degree", "0", "--threads", "1", "--quiet"]
+        assert main(["fit", "3dgs", str(folder), *options]) == 0
+        found[steps] = json.loads(capsys.readouterr().out.splitlines()[-1])["psnr"]
+    # in decibels; the tunnel gains least (1.1), since its lamps travel with the cameras
+    assert found[150] > found[1] + 0.7
 
 
 def replace_size(camera):
