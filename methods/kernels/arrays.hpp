@@ -26,6 +26,9 @@ auto* data(const Maybe<A>& array) {
   return array ? array->data() : nullptr;
 }
 
+// An array argument: taken as it is or refused, for a copy of an output would lose what is written into it.
+inline auto array(const char* name) { return nb::arg(name).noconvert(); }
+
 // Throws std::invalid_argument where the parts of a camera do not fit together.
 Camera make_camera(const In<double, 2>& k, const In<double, 2>& pose, int width, int height, double near);
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from splatbench import _ext
 from splatbench.methods.kernels.rasterizer import (
     MAX_CHANNELS,
+    check_background,
     check_model,
     native_camera,
     plain,
@@ -59,6 +60,7 @@ def render_blocks(
     ]
     means, quaternions, scales, opacities = (v for v in values if v is not None)
     sh = gaussians.sh.detach().contiguous()
+    check_background(background, 3)
     check_model(means, quaternions, scales, opacities, None, sh)
     model = _ext.Model(
         means, quaternions, scales, opacities, None, sh, sh.shape[1], False, mode == "antialiased"

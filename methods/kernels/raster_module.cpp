@@ -181,25 +181,25 @@ void bind_raster(nb::module_& m) {
              new (self)
                  ModelArrays{means, quaternions, scales, opacities, colours, sh, sh_rest, sh_used, raw, antialiased};
            },
-           nb::arg("means"), nb::arg("quaternions"), nb::arg("scales"), nb::arg("opacities"),
-           nb::arg("colours").none(), nb::arg("sh").none(), nb::arg("sh_used"), nb::arg("raw"),
-           nb::arg("antialiased"), nb::arg("sh_rest").none() = nb::none());
+           array("means"), array("quaternions"), array("scales"), array("opacities"),
+           array("colours").none(), array("sh").none(), nb::arg("sh_used"), nb::arg("raw"),
+           nb::arg("antialiased"), array("sh_rest").none() = nb::none());
   nb::class_<State>(m, "State", "What a backward pass needs of the forward pass.")
       .def_prop_ro("bytes", &State::bytes, "Memory held.")
       .def_prop_ro("pairs", [](const State& s) { return s.bins.entries.size(); }, "Pairs of Gaussian and tile.");
-  m.def("render", &render, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"),
-        nb::arg("height"), nb::arg("near"), nb::arg("background").none(), nb::arg("colour"), nb::arg("alpha"),
-        nb::arg("depth"), nb::arg("radii"), nb::arg("left").none(), nb::arg("distance").none(), nb::arg("median").none(),
-        nb::arg("ids").none(), nb::arg("weights").none(), "Render into the given arrays.");
-  m.def("render_backward", &render_backward, nb::arg("state"), nb::arg("model"), nb::arg("background").none(),
-        nb::arg("alpha_value"), nb::arg("depth_value"), nb::arg("distance_value").none(), nb::arg("colour").none(),
-        nb::arg("alpha").none(), nb::arg("depth").none(), nb::arg("distance").none(), nb::arg("median").none(),
-        nb::arg("means").none(), nb::arg("quaternions").none(), nb::arg("scales").none(),
-        nb::arg("opacities").none(), nb::arg("colours").none(), nb::arg("sh").none(), nb::arg("screen").none(),
-        nb::arg("screen_absolute").none(), "Gradients of the model from gradients of the pictures.");
-  m.def("render_blocks", &render_blocks, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"),
-        nb::arg("height"), nb::arg("near"), nb::arg("background").none(), nb::arg("blocks"), nb::arg("colour"),
-        nb::arg("alpha"), nb::arg("depth"), "Render each block of Gaussians alone.");
+  m.def("render", &render, nb::arg("model"), array("K"), array("world_to_camera"), nb::arg("width"),
+        nb::arg("height"), nb::arg("near"), array("background").none(), array("colour"), array("alpha"),
+        array("depth"), array("radii"), array("left").none(), array("distance").none(), array("median").none(),
+        array("ids").none(), array("weights").none(), "Render into the given arrays.");
+  m.def("render_backward", &render_backward, nb::arg("state"), nb::arg("model"), array("background").none(),
+        array("alpha_value"), array("depth_value"), array("distance_value").none(), array("colour").none(),
+        array("alpha").none(), array("depth").none(), array("distance").none(), array("median").none(),
+        array("means").none(), array("quaternions").none(), array("scales").none(),
+        array("opacities").none(), array("colours").none(), array("sh").none(), array("screen").none(),
+        array("screen_absolute").none(), "Gradients of the model from gradients of the pictures.");
+  m.def("render_blocks", &render_blocks, nb::arg("model"), array("K"), array("world_to_camera"), nb::arg("width"),
+        nb::arg("height"), nb::arg("near"), array("background").none(), array("blocks"), array("colour"),
+        array("alpha"), array("depth"), "Render each block of Gaussians alone.");
   m.def("memory", [] {
     const Memory now = memory_in_use();
     return std::make_tuple(now.held, now.peak, now.idle);

@@ -57,8 +57,7 @@ def rasterize(
     if contributors < 0:
         raise ValueError(f"contributors is {contributors}, expected at least 0")
     channels = 3 if colours is None else colours.shape[1]
-    if background is not None and background.shape != (channels,):
-        raise ValueError(f"background has shape {tuple(background.shape)}, expected ({channels},)")
+    check_background(background, channels)
     probes = (None, None) if probe is None else (probe.signed, probe.absolute)
     asked = (mode == "antialiased", distance, median, contributors)
     images = _Rasterize.apply(camera, asked, *model, background, *probes)
@@ -105,6 +104,21 @@ def check_model(
             raise ValueError(
                 f"{name} is {tensor.dtype} on {tensor.device}, expected torch.float32 on the CPU"
             )
+
+
+def check_background(background: Tensor | None, channels: int) -> None:
+    """Refuse a background that the kernels cannot read.
+
+    Raises: ValueError, naming what was found and what was expected.
+    """
+    if background is None:
+        return
+    if background.shape != (channels,):
+        raise ValueError(f"background has shape {tuple(background.shape)}, expected ({channels},)")
+    if background.dtype != torch.float32 or background.device.type != "cpu":
+        raise ValueError(
+            f"background is {background.dtype} on {background.device}, expected torch.float32 on the CPU"
+        )
 
 
 _NAMES = (

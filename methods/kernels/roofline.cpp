@@ -60,7 +60,7 @@ double rate(double seconds, Loop loop) {
   std::vector<float> sinks((size_t)threads() * 64);
   int64_t rounds = 16;
   for (;;) {  // as many rounds as take the wished time
-    const double took = least_seconds(1, [&](int t) { done[t] = loop(rounds, &sinks[(size_t)t * 64]); });
+    const double took = least_seconds(3, [&](int t) { done[t] = loop(rounds, &sinks[(size_t)t * 64]); });
     if (took >= seconds / REPEATS / 2) break;
     rounds *= 2;
   }
@@ -80,14 +80,14 @@ double bandwidth(double seconds, int64_t bytes) {
     std::fill(y.data() + each * t, y.data() + each * (t + 1), 1.0f);
   };
   least_seconds(1, touch);
-  const auto passes = [&](int64_t rounds, float*) {
+  const auto passes = [&](int64_t rounds) {
     return [&, rounds](int t) {
       for (int64_t i = 0; i < rounds; ++i) loops().stream(x.data() + each * t, y.data() + each * t, each);
     };
   };
   int64_t rounds = 1;
-  while (least_seconds(1, passes(rounds, nullptr)) < seconds / 10) rounds *= 2;
-  return 12.0 * (double)(each * n) * (double)rounds / least_seconds(5, passes(rounds, nullptr));
+  while (least_seconds(3, passes(rounds)) < seconds / 10) rounds *= 2;
+  return 12.0 * (double)(each * n) * (double)rounds / least_seconds(5, passes(rounds));
 }
 
 Numbers roofline(double seconds, int64_t bytes) {

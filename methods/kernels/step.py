@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatbench import _ext
-from splatbench.methods.kernels.rasterizer import DEGREES, native_camera
+from splatbench.methods.kernels.rasterizer import DEGREES, check_background, native_camera, plain
 from splatbench.reference.camera import Camera
 from splatbench.reference.rasterizer import Mode
 
@@ -75,6 +75,7 @@ class ViewGradients:
         Source: Kerbl et al. 2023, "3D Gaussian Splatting", Alg. 1; gradients without a graph: ours.
         """
         check(parameters, degree, mode)
+        check_background(background, 3)
         size = (camera.height, camera.width)
         if truth.shape != (*size, 3) or truth.dtype != torch.float32:
             raise ValueError(
@@ -96,7 +97,7 @@ class ViewGradients:
             del new["sh_rest"]
         _ext.set_threads(torch.get_num_threads())
         loss = _ext.step(
-            model, *native_camera(camera), background, truth.contiguous(),
+            model, *native_camera(camera), plain(background), truth.contiguous(),
             None if mask is None else mask.contiguous(), dssim, new["means"], new["quaternions"],
             new["scales"], new["opacity"], new["sh_dc"], new.get("sh_rest"), screen, None, radii,
         )  # fmt: skip

@@ -99,18 +99,18 @@ void observe(In<float, 2> screen, In<float, 1> radii, double half_width, double 
 }  // namespace
 
 void bind_training(nb::module_& m) {
-  m.def("photometric", &photometric_loss, nb::arg("image"), nb::arg("truth"), nb::arg("mask").none(),
-        nb::arg("dssim"), nb::arg("gradient").none(), "The loss; its gradient goes into `gradient`.");
-  m.def("adam", &adam_update, nb::arg("values"), nb::arg("gradients"), nb::arg("first"), nb::arg("second"),
+  m.def("photometric", &photometric_loss, array("image"), array("truth"), array("mask").none(),
+        nb::arg("dssim"), array("gradient").none(), "The loss; its gradient goes into `gradient`.");
+  m.def("adam", &adam_update, array("values"), array("gradients"), array("first"), array("second"),
         nb::arg("rates"), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
-        nb::arg("rows").none(), "One update of all tensors in place.");
-  m.def("step", &step, nb::arg("model"), nb::arg("K"), nb::arg("world_to_camera"), nb::arg("width"), nb::arg("height"),
-        nb::arg("near"), nb::arg("background").none(), nb::arg("truth"), nb::arg("mask").none(), nb::arg("dssim"),
-        nb::arg("means").none(), nb::arg("quaternions").none(), nb::arg("scales").none(), nb::arg("opacities").none(),
-        nb::arg("sh").none(), nb::arg("sh_rest").none(), nb::arg("screen").none(), nb::arg("screen_absolute").none(),
-        nb::arg("radii"), "The loss of one view; its gradients go into the given arrays, unless it is not finite.");
-  m.def("observe", &observe, nb::arg("screen"), nb::arg("radii"), nb::arg("half_width"), nb::arg("half_height"),
-        nb::arg("gradient_sum"), nb::arg("seen"), "Add one view's screen gradients to the sums.");
+        array("rows").none(), "One update of all tensors in place.");
+  m.def("step", &step, nb::arg("model"), array("K"), array("world_to_camera"), nb::arg("width"), nb::arg("height"),
+        nb::arg("near"), array("background").none(), array("truth"), array("mask").none(), nb::arg("dssim"),
+        array("means").none(), array("quaternions").none(), array("scales").none(), array("opacities").none(),
+        array("sh").none(), array("sh_rest").none(), array("screen").none(), array("screen_absolute").none(),
+        array("radii"), "The loss of one view; its gradients go into the given arrays, unless it is not finite.");
+  m.def("observe", &observe, array("screen"), array("radii"), nb::arg("half_width"), nb::arg("half_height"),
+        array("gradient_sum"), array("seen"), "Add one view's screen gradients to the sums.");
 }
 
 }  // namespace splat

@@ -1,0 +1,238 @@
+"""Calls of the native layer with what nobody should give it, drawn at random."""
+
+import random
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from splatbench import _ext
+from splatbench.methods.kernels import adam
+from splatbench.methods.kernels.blocks import block_weights, render_blocks
+from splatbench.methods.kernels.loss import photometric
+from splatbench.methods.kernels.rasterizer import native_camera, rasterize
+from splatbench.methods.kernels.step import ViewGradients, observe
+from splatbench.reference.camera import Camera
+from splatbench.reference.gaussians import Gaussians
+
+ODD = (0.0, -0.0, 1e-45, -1e-30, 1e-8, 1.0, -1.0, 88.0, -104.0, 1e10, -1e20, 3e38, -3e38,
+       float("inf"), float("-inf"), float("nan"))  # fmt: skip
+DTYPES = (torch.float64, torch.float16, torch.int64, torch.bool)
+COUNTS = (0, 1, 2, 15, 16, 17, 31, 33, 100, 300, 700)
+
+
+def numbers(draw: random.Random, *shape: int, spoil: bool = True) -> Tensor:
+    """Mostly ordinary numbers, sometimes with some or only odd ones between them."""
+    g = torch.Generator().manual_seed(draw.getrandbits(31))
+    values = torch.randn(shape, generator=g) * 10.0 ** draw.randint(-3, 2)
+    share = draw.choice((0, 0, 0.02, 0.3, 1)) if spoil else 0
+    odd = torch.tensor(ODD)[torch.randint(len(ODD), shape, generator=g)]
+    return torch.where(torch.rand(shape, generator=g) < share, odd, values)
+
+
+def spoiled(draw: random.Random, tensor: Tensor) -> Tensor:
+    """Rarely of another dtype, shape or layout, with the same numbers where that is possible."""
+    kind = draw.randrange(120)
+    if kind == 0:
+        return tensor.to(draw.choice(DTYPES))
+    if kind == 1 and tensor.ndim:
+        return tensor[: len(tensor) // 2]
+    if kind == 2 and tensor.ndim:
+        return torch.cat([tensor, tensor])
+    if kind == 3:
+        return tensor[..., None].expand(*tensor.shape, 2)[..., 0]  # strides of their own
+    if kind == 4 and tensor.ndim > 1:
+        return tensor.transpose(0, 1)
+    if kind == 5 and tensor.ndim > 1:
+        return tensor.transpose(0, 1).contiguous().transpose(0, 1)
+    if kind == 6:
+        return tensor.reshape(-1)
+    if kind == 7:
+        return torch.empty(0)
+    return tensor
+
+
+def camera(draw: random.Random) -> Camera:
+    """Of any size from one pixel on; sometimes no camera at all."""
+    width, height = draw.randint(1, 90), draw.randint(1, 70)
+    focal = draw.choice((0.5, 1.0, 1.0, 10.0, 1e-6, 1e6, 0.0, float("nan"))) * width
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    pose = torch.eye(4)
+    if draw.random() < 0.1:
+        pose = numbers(draw, 4, 4)
+    elif draw.random() < 0.7:
+        pose[2, 3] = draw.choice((3.0, 300.0, 0.0, 1e30))
+    return Camera(
+        K=K.double(), world_to_camera=pose.double(), width=width, height=height,
+        near=draw.choice((0.01, 0.01, 0.0, -1.0, 1e30, float("nan"))),
+    )  # fmt: skip
+
+
+def background(draw: random.Random, channels: int = 3) -> Tensor | None:
+    return None if draw.random() < 0.4 else spoiled(draw, numbers(draw, channels))
+
+
+def model(draw: random.Random) -> dict[str, Tensor]:
+    n, k = draw.choice(COUNTS), draw.choice((1, 4, 9, 16))
+    return {
+        "means": numbers(draw, n, 3), "quaternions": numbers(draw, n, 4),
+        "scales": numbers(draw, n, 3), "opacities": numbers(draw, n).abs(),
+        "sh": numbers(draw, n, k, 3),
+    }  # fmt: skip
+
+
+def draw_and_differentiate(draw: random.Random) -> None:
+    parts = {name: spoiled(draw, value) for name, value in model(draw).items()}
+    if draw.random() < 0.3:
+        channels = draw.choice((0, 1, 2, 3, 5, 16, 31, 32, 33))
+        parts["colours"] = spoiled(draw, numbers(draw, len(parts["means"]), channels))
+        del parts["sh"]
+    for value in parts.values():
+        if value.is_floating_point():
+            value.requires_grad_()
+    out = rasterize(
+        camera(draw), **parts, background=background(draw, draw.choice((3, 3, 1))),
+        mode=draw.choice(("classic", "antialiased")), distance=draw.random() < 0.3,
+        median=draw.random() < 0.3, contributors=draw.choice((0, 0, 1, 5)),
+    )  # fmt: skip
+    if out.colour.requires_grad:
+        total = (out.colour * numbers(draw, *out.colour.shape)).sum() + out.alpha.sum()
+        for picture in (out.depth, out.distance, out.median_depth):
+            if picture is not None and draw.random() < 0.5:
+                total = total + (picture * numbers(draw, *picture.shape)).sum()
+        total.backward()
+
+
+def step(draw: random.Random) -> None:
+    values, view = model(draw), camera(draw)
+    parameters = {
+        "means": values["means"], "quaternions": values["quaternions"], "scales": values["scales"],
+        "opacity": values["opacities"], "sh_dc": values["sh"][:, :1].contiguous(),
+        "sh_rest": values["sh"][:, 1:].contiguous(),
+    }  # fmt: skip
+    own = ViewGradients()
+    for _ in range(draw.choice((1, 2))):
+        truth = spoiled(draw, numbers(draw, view.height, view.width, 3))
+        own.of(
+            view, {name: spoiled(draw, value) for name, value in parameters.items()}, truth,
+            degree=draw.choice((-1, 0, 0, 0, 1, 2, 3, 4)), background=background(draw),
+            mask=spoiled(draw, numbers(draw, view.height, view.width) > 0),
+            dssim=draw.choice((0.0, 0.2, 1.0, float("nan"))),
+        )  # fmt: skip
+
+
+def blocks(draw: random.Random) -> None:
+    values, count = model(draw), draw.choice((0, 1, 2, 7, 40))
+    gaussians = Gaussians(
+        means=values["means"], quaternions=values["quaternions"], log_scales=values["scales"],
+        opacity_logits=values["opacities"], sh=values["sh"],
+    )  # fmt: skip
+    highest = count + (draw.random() < 0.2)
+    chosen = [draw.randrange(max(highest, 1)) for _ in range(len(gaussians))]
+    ids = torch.tensor(chosen, dtype=torch.int64) - (draw.random() < 0.1)
+    ids = spoiled(draw, ids)
+    render_blocks(camera(draw), gaussians, ids, count, background=background(draw))
+    block_weights(camera(draw), gaussians, ids, count)
+
+
+def loss(draw: random.Random) -> None:
+    shape = (draw.randint(0, 40), draw.randint(0, 40), draw.choice((0, 1, 2, 3, 4, 17)))
+    image = spoiled(draw, numbers(draw, *shape))
+    if image.is_floating_point():
+        image.requires_grad_()
+    mask = None if draw.random() < 0.5 else spoiled(draw, numbers(draw, *shape[:2]) > 0)
+    value = photometric(image, spoiled(draw, numbers(draw, *shape)), mask=mask)
+    value.backward()
+
+
+def update(draw: random.Random) -> None:
+    n = draw.choice(COUNTS)
+    shapes = [(n, 3), (n,), (n, 15, 3), (n, 0, 3)][: draw.randint(0, 4)]
+    groups = [[spoiled(draw, numbers(draw, *shape)) for shape in shapes] for _ in range(4)]
+    rows = None if draw.random() < 0.5 else spoiled(draw, numbers(draw, n) > 0)
+    adam.step(*groups, rates=[0.01] * len(shapes), number=draw.choice((1, 2, 10**6)), rows=rows)
+
+
+def statistics(draw: random.Random) -> None:
+    n = draw.choice(COUNTS)
+    observe(
+        spoiled(draw, numbers(draw, n, 2)), spoiled(draw, numbers(draw, n)), camera(draw),
+        spoiled(draw, numbers(draw, n)), spoiled(draw, numbers(draw, n)),
+    )  # fmt: skip
+
+
+def bare(draw: random.Random) -> None:
+    """The bindings themselves, without the wrappers' checks."""
+    values, view = model(draw), camera(draw)
+    n, k = values["sh"].shape[:2]
+    rest = numbers(draw, n, draw.choice((0, 3, 8, 15))) if draw.random() < 0.3 else None
+    made = _ext.Model(
+        *(spoiled(draw, values[name]) for name in ("means", "quaternions", "scales", "opacities")),
+        None, spoiled(draw, values["sh"]), draw.choice((k, k, 0, -1, 16, 17)),
+        draw.random() < 0.5, draw.random() < 0.5, rest,
+    )  # fmt: skip
+    height, width = view.height, view.width
+    pictures = [
+        torch.empty(height, width, 3),
+        torch.empty(height, width),
+        torch.empty(height, width),
+    ]
+    radii = torch.empty(n)
+    if draw.random() < 0.5:
+        ids = torch.empty(height, width, 2, dtype=torch.int64)
+        weights = torch.empty(height, width, draw.choice((2, 2, 3)))
+    else:
+        ids = weights = None
+    pictures, radii = [spoiled(draw, p) for p in pictures], spoiled(draw, radii)
+    state = _ext.render(
+        made,
+        *native_camera(view),
+        background(draw),
+        *pictures,
+        radii,
+        None,
+        None,
+        None,
+        ids,
+        weights,
+    )
+    gradients = [
+        torch.empty(n, 3), torch.empty(n, 4), torch.empty(n, 3), torch.empty(n), None,
+        torch.empty(n, k, 3), torch.empty(n, 2), torch.empty(n, 2),
+    ]  # fmt: skip
+    given = [None if g is None else spoiled(draw, g) for g in gradients]
+    colour = spoiled(draw, numbers(draw, height, width, 3))
+    _ext.render_backward(
+        state, made, background(draw), pictures[1], pictures[2], None, colour, None, None, None, None,
+        *given,
+    )  # fmt: skip
+
+
+def huge(draw: random.Random) -> None:
+    """More than memory holds, claimed by arrays that repeat one row: refused without a copy."""
+    n = draw.choice((2**31, 2**33, 2**40))
+    one = torch.zeros(1)
+    _ext.Model(
+        one[:, None].expand(n, 3), one[:, None].expand(n, 4), one[:, None].expand(n, 3),
+        one.expand(n), None, one[:, None, None].expand(n, 1, 3), 1, False, False,
+    )  # fmt: skip
+
+
+def flood(draw: random.Random) -> None:
+    """Gaussians that each cover the whole image, and bands of one pair."""
+    values = model(draw)
+    values["scales"] = values["scales"] * 0 + 10.0 ** draw.randint(-2, 8)
+    values["means"][:, 2] = 1
+    _ext.set_backward_rows(draw.choice((0, 1, 50)))
+    try:
+        for value in values.values():
+            value.requires_grad_()
+        rasterize(camera(draw), **values).colour.sum().backward()
+    finally:
+        _ext.set_backward_rows(2**22)
+
+
+CASES: dict[str, Callable[[random.Random], None]] = {
+    "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
+    "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
+}  # fmt: skip
