@@ -1,9 +1,10 @@
 """How long a case will take and how much memory, before it runs: right within a factor of two."""
 
 import statistics
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from splatbench.datasets.opening import open_scene
 from splatbench.methods.initialise import with_random_points
@@ -92,10 +93,11 @@ def estimate(case: Case, scene: Scene, backend: str, ratios: Sequence[float] = (
     """
     factor = statistics.median(ratios) if ratios else 1.0
     score = sum(_pixels(scene, i) for i in scene.test) * PIXEL_SCORE / usable_cores()
-    train = _train_seconds(case.settings.iterations, scene)
+    settings = asdict(case.settings)
+    train = _train_seconds(settings, scene)
     images = min(Run.image_bytes, 12 * sum(_pixels(scene, i) for i in scene.train))
     largest = max((_pixels(scene, i) for i in (*scene.train, *scene.test)), default=0)
-    gaussians = 2 * _mean_gaussians(case.settings.iterations, scene)
+    gaussians = 2 * _mean_gaussians(settings["iterations"], scene)
     extra = images + gaussians * GAUSSIAN_BYTES + largest * PIXEL_BYTES
     basis = "model"
     if ratios:
@@ -109,10 +111,16 @@ def estimate(case: Case, scene: Scene, backend: str, ratios: Sequence[float] = (
     )
 
 
-def _train_seconds(iterations: int, scene: Scene) -> float:
-    pixels = statistics.fmean(_pixels(scene, i) for i in scene.train)
-    step = pixels * PIXEL_STEP + _mean_gaussians(iterations, scene) * GAUSSIAN_STEP
-    return iterations * step / usable_cores()
+def _train_seconds(settings: Mapping[str, Any], scene: Scene) -> float:
+    """Of a model in one piece, or of a city: a coarse model if any, and K blocks that share the
+    Gaussians, each in a process of its own."""
+    pixels = statistics.fmean(_pixels(scene, i) for i in scene.train) * PIXEL_STEP
+    steps, blocks = settings["iterations"], settings.get("blocks", 1)
+    gaussians = _mean_gaussians(steps, scene) * GAUSSIAN_STEP
+    start = START_SECONDS * blocks if blocks > 1 else 0.0
+    coarse = settings.get("coarse_iterations", 0)
+    work = blocks * steps * (pixels + gaussians / blocks) + coarse * (pixels + gaussians)
+    return (work + start) / usable_cores()
 
 
 def _mean_gaussians(iterations: int, scene: Scene) -> float:
@@ -121,12 +129,11 @@ def _mean_gaussians(iterations: int, scene: Scene) -> float:
 
 def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -> list[float]:
     """Measured over modelled training seconds of a record; nothing if its scene is not open."""
-    iterations = record.settings.get("iterations")
     names = {case.scene_name: case.scene for case in suite.cases}
     scene = scenes.get((names.get(record.scene, ""), record.protocol))
-    if scene is None or not isinstance(iterations, int):
+    if scene is None or not isinstance(record.settings.get("iterations"), int):
         return []
-    return [record.training_seconds / _train_seconds(iterations, scene)]
+    return [record.training_seconds / _train_seconds(record.settings, scene)]
 
 
 def _pixels(scene: Scene, index: int) -> int:

@@ -1,6 +1,7 @@
 """Estimates grow with the work and learn from earlier records."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -8,10 +9,12 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
+from splatbench.methods.city.settings import CitySettings
 from splatbench.methods.registry import METHODS
 from splatbench.methods.training import Settings
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.suites import cases, estimate
+from splatbench.suites.environment import usable_cores
 from splatbench.suites.runner import run_suite
 from splatbench.suites.suite_files import Case, Suite
 from splatbench.suites.workers import in_process
@@ -64,3 +67,18 @@ def test_scenes_without_points_cost_what_the_random_ones_do(tmp_path, monkeypatc
     )
     assert filled.seconds > bare.seconds
     assert filled.memory_mb > bare.memory_mb
+
+
+def test_blocks_share_the_gaussians_and_repeat_the_pixels():
+    def seconds(**settings: Any) -> float:
+        row = Case(
+            scene="s", method="stitchgs", settings=CitySettings(iterations=1000, **settings),
+            seed=0, protocol=PROTOCOL,
+        )  # fmt: skip
+        return estimate.estimate(row, SCENE, "cpu").seconds
+
+    one, two, four = (seconds(blocks=k) for k in (1, 2, 4))
+    assert one < two < four
+    start = estimate.START_SECONDS / usable_cores()
+    assert four - two - 2 * start == pytest.approx(2 * (two - one - 2 * start))
+    assert seconds(blocks=4, coarse_iterations=500) > four
