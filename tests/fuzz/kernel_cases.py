@@ -1,5 +1,8 @@
 """Calls of the native layer with what nobody should give it, drawn at random."""
 
+# Wrong arguments are what is tried here.
+# pyright: reportArgumentType=false, reportCallIssue=false
+
 import random
 from collections.abc import Callable
 
