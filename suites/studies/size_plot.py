@@ -26,8 +26,9 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
         at = (row["bytes_each"], -row["psnr_change"])
         left.scatter(*at, s=22, color=COLOURS[kind], zorder=2)
     for x, y, names in _together(held):
-        left.annotate(names, (x, y), xytext=(0, 5), textcoords="offset points", fontsize=7,
-                      rotation=90, ha="center", va="bottom")  # fmt: skip
+        label = left.annotate(names, (x, y), xytext=(0, 5), textcoords="offset points",
+                              fontsize=7, rotation=90, ha="center", va="bottom")  # fmt: skip
+        label.set_in_layout(False)  # many names at one place would leave no room for the axes
     left.set_xscale("log")
     left.set_xticks([20, 30, 50, 80, 120, 240], ["20", "30", "50", "80", "120", "240"])
     left.minorticks_off()
