@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import torch
 from jaxtyping import Float, Int
@@ -13,6 +14,20 @@ from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.render import RenderOutput
 
 
+class BlockPictures(Protocol):
+    """Each block's Gaussians alone."""
+
+    @property
+    def colours(self) -> Float[Tensor, "b h w 3"]:
+        """Not clamped."""
+        ...
+
+    @property
+    def depths(self) -> Float[Tensor, "b h w"]:
+        """0 where nothing is drawn."""
+        ...
+
+
 def render_seam_view(
     rasterize: Callable[..., RenderOutput],
     camera: Camera,
@@ -21,6 +36,9 @@ def render_seam_view(
     distances: Float[Tensor, " n"],
     truth: Float[Tensor, "h w 3"],
     background: Float[Tensor, "3"] | None = None,
+    *,
+    render_blocks: Callable[..., BlockPictures] | None = None,
+    block_weights: Callable[..., Tensor] | None = None,
 ) -> SeamView:
     """Render the whole model, each block's share of it, and each block alone.
 
@@ -32,6 +50,10 @@ def render_seam_view(
         distances: Normalised distance of each Gaussian to the oriented box of its own block.
         truth: The test image, in [0, 1].
         background: Colour behind everything, also behind a single block; None is black.
+        render_blocks: Called as render_blocks(camera, gaussians, blocks, count, background=...):
+            every block alone, in one pass where a backend has one; None: a pass each.
+        block_weights: Called as block_weights(camera, gaussians, blocks, count): each block's share
+            of every pixel, for backends with a bound on channels; None: one channel a block.
     Returns: Colours clamped to [0, 1]; depths are 0 where nothing is drawn.
     """
     count = int(blocks.max()) + 1 if len(blocks) else 1
@@ -43,12 +65,19 @@ def render_seam_view(
 
     with torch.no_grad():
         whole = render(gaussians, sh=gaussians.sh, background=background, contributors=TOP)
-        membership = torch.nn.functional.one_hot(blocks.long(), count).to(gaussians.means)
-        weights = render(gaussians, colours=membership).colour
-        alone = []
-        for block in range(count):
-            part = _select(gaussians, blocks == block)
-            alone.append(render(part, sh=part.sh, background=background))
+        if block_weights is None:
+            membership = torch.nn.functional.one_hot(blocks.long(), count).to(gaussians.means)
+            weights = render(gaussians, colours=membership).colour
+        else:
+            weights = block_weights(camera, gaussians, blocks, count)
+        if render_blocks is None:
+            parts = [_select(gaussians, blocks == block) for block in range(count)]
+            alone = [render(part, sh=part.sh, background=background) for part in parts]
+            colours = torch.stack([output.colour for output in alone])
+            depths = torch.stack([output.depth for output in alone])
+        else:
+            pictures = render_blocks(camera, gaussians, blocks, count, background=background)
+            colours, depths = pictures.colours, pictures.depths
     assert whole.contributor_ids is not None
     return SeamView(
         image=whole.colour.clamp(0, 1),
@@ -56,8 +85,8 @@ def render_seam_view(
         depth=whole.depth,
         seam=seam_mask(whole.contributor_ids, overlap_band(distances), blocks),
         block_weights=weights,
-        block_images=torch.stack([output.colour.clamp(0, 1) for output in alone]),
-        block_depths=torch.stack([output.depth for output in alone]),
+        block_images=colours.clamp(0, 1),
+        block_depths=depths,
     )
 
 

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from splatbench.methods.backends import get_backend
+from splatbench.methods.kernels import blocks as kernels
 from splatbench.metrics.scoring import round_to_8_bit
 from splatbench.metrics.seam import SeamView, seam_scores, seam_sums
 from splatbench.metrics.seam_partition import partition_seam_mask
@@ -97,9 +98,12 @@ def seam_view(
 ) -> SeamView:
     """One test view with the partition's seam mask; masked pixels of the view are on no seam."""
     view = scene.views[index]
+    native = backend == "cpu"
     seen = render_seam_view(
         partial(get_backend(backend).rasterize, mode=model.mode), view.camera, model.gaussians(),
         model.blocks, model.distances, view.load(), torch.tensor(protocol.background),
+        render_blocks=partial(kernels.render_blocks, mode=model.mode) if native else None,
+        block_weights=partial(kernels.block_weights, mode=model.mode) if native else None,
     )  # fmt: skip
     seam = partition_seam_mask(view.camera, surface_depth(scene, index), model.regions)
     if view.load_mask is not None and protocol.masked:

@@ -39,6 +39,20 @@ def test_a_row_over_its_budget_fails_the_command(tiny, tmp_path, capsys):
     assert "over its budget" in err
 
 
+def test_an_interrupted_study_keeps_its_rows_and_says_so(monkeypatch, tmp_path, capsys):
+    def rows(*, quick: bool) -> Iterator[dict]:
+        yield {"case": "needle", "error": 1e-7, "ok": True}
+        raise KeyboardInterrupt
+
+    made = study.Study(description="cut", columns=("case", "error"), rows=rows)
+    monkeypatch.setitem(study.STUDIES, "cut", made)
+    assert main(["run", "cut", "--out", str(tmp_path)]) == 130
+    assert json.loads((tmp_path / "cut.jsonl").read_text())["case"] == "needle"
+    told = " ".join(capsys.readouterr().err.split())
+    assert "1 rows are kept" in told
+    assert "continues" not in told
+
+
 def test_quick_is_for_studies(tmp_path, capsys):
     assert main(["run", "quick", "--quick", "--out", str(tmp_path)]) == 2
     assert "has no reduced form" in capsys.readouterr().err

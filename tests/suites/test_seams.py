@@ -1,6 +1,7 @@
 """Seam metrics of a case: a planted seam is seen, and only where the partition says so."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -193,3 +194,24 @@ def test_pictures(tmp_path):
     assert painted[0, 1].tolist() == [0, 0, 0]
     seam = torch.tensor([[True, False]])
     assert mask_picture(torch.full((1, 2, 3), 1.0), seam).tolist() == [[[255, 128, 128], [255] * 3]]
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_one_pass_over_all_blocks_sees_what_a_pass_each_sees(mode: Mode):
+    """The kernels' passes against metrics' own, with more blocks than one pass has channels."""
+    from splatbench.methods.kernels.blocks import block_weights, render_blocks
+    from splatbench.metrics.seam_render import render_seam_view
+
+    held = wall(step=0.1)
+    blocks = torch.arange(len(held.model)) % 20
+    at, truth, grey = camera(0), torch.zeros(18, 24, 3), torch.full((3,), 0.5)
+    plain = partial(rasterize, mode=mode)
+    one = render_seam_view(plain, at, held.model, blocks, held.distances, truth, grey)
+    passes = {"render_blocks": partial(render_blocks, mode=mode),
+              "block_weights": partial(block_weights, mode=mode)}  # fmt: skip
+    two = render_seam_view(plain, at, held.model, blocks, held.distances, truth, grey, **passes)
+    for name in ("image", "depth", "seam", "block_weights", "block_images", "block_depths"):
+        assert torch.equal(getattr(one, name), getattr(two, name)), name
+    many = torch.arange(len(held.model)) % 40
+    wide = render_seam_view(plain, at, held.model, many, held.distances, truth, grey, **passes)
+    assert wide.block_weights.shape[2] == 40

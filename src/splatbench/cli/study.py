@@ -52,12 +52,10 @@ def run_study(
         write_page(study, machine, rows, page)
         return 0
     machine = _machine(study, backend)
-    rows = _measure(name, study, quick, {"wait": wait, "backend": backend})
+    file = out / f"{name}.jsonl"
+    rows = _measure(name, study, quick, {"wait": wait, "backend": backend}, file)
     if not output.wants_json():
         _print_table(study.columns, rows)
-    file = out / f"{name}.jsonl"
-    lines = [json.dumps(output.finite(row), ensure_ascii=False) + "\n" for row in rows]
-    write_text(file, "".join(lines))
     failed = [row for row in rows if row.get("ok") is False]
     for row in failed:
         output.warn(f"{name}: {row} is over its budget")
@@ -72,19 +70,30 @@ def run_study(
     return int(bool(failed))
 
 
-def _measure(name: str, study: Study, quick: bool, given: dict[str, Any]) -> list[Row]:
-    """All rows, told as they come."""
+def _measure(name: str, study: Study, quick: bool, given: dict[str, Any], file: Path) -> list[Row]:
+    """All rows, told and kept in the file as they come: a kill loses only what is being measured."""
     options = {option: given[option] for option in study.options}
     if "backend" in study.options:
         get_backend(given["backend"])
-    rows = []
-    with output.progress() as bar:
-        task = bar.add_task(name, total=None, values="")
-        for row in study.rows(quick=quick, **options):
-            rows.append(row)
-            bar.update(task, completed=len(rows), values=str(row.get("case", "")))
-            if output.wants_json():
-                output.print_record(row)
+    rows: list[Row] = []
+    write_text(file, "")
+    try:
+        with output.progress() as bar:
+            task = bar.add_task(name, total=None, values="")
+            for row in study.rows(quick=quick, **options):
+                rows.append(row)
+                lines = (
+                    json.dumps(output.finite(held), ensure_ascii=False) + "\n" for held in rows
+                )
+                write_text(file, "".join(lines))
+                bar.update(task, completed=len(rows), values=str(row.get("case", "")))
+                if output.wants_json():
+                    output.print_record(row)
+    except KeyboardInterrupt:  # rows are measured side by side: nothing to go on from
+        output.warn(
+            f"interrupted: {len(rows)} rows are kept in {file}; the same command starts over"
+        )
+        raise SystemExit(130) from None
     return rows
 
 
