@@ -1,6 +1,5 @@
 """Makes a planned scene on disk: view by view, resumable, whole or not at all."""
 
-import hashlib
 import io
 import os
 import shutil
@@ -269,13 +268,3 @@ def _write_facts(plan: Plan, folder: Path, shots: Sequence[Shot], name: str) -> 
     }
     file = SceneFile(units="metres", up=(0.0, 0.0, 1.0), facts=facts | chosen | dict(plan.facts))
     write_scene_file(folder, file)
-
-
-def pixels_hash(folder: Path) -> str:
-    """Sha256 over the photos' names and pixels, in name order."""
-    digest = hashlib.sha256()
-    for path in sorted((folder / "photos").glob("*.png")):
-        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        assert picture is not None
-        digest.update(path.name.encode() + picture.tobytes())
-    return digest.hexdigest()
