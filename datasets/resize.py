@@ -20,21 +20,28 @@ FILTER_RADIUS = {"area": 0.5, "bicubic": 2.0, "lanczos": 3.0}
 def scaled_size(width: int, height: int, protocol: Protocol) -> tuple[int, int]:
     """Whole-pixel size of an image under a protocol: (w s, h s) with s = W / w or 1 / factor.
 
-    With `protocol.width` the width is exact and only the height follows the size rule.
+    With `protocol.width` the width is exact and only the height follows the size rule; so it is
+    with `protocol.max_width` where an image is wider.
 
     Args:
         width: Width of the full-size (undistorted) image in pixels.
         height: Its height in pixels.
-        protocol: Gives `width` or `factor`, and `size_rule`: "round" is half up, not to even.
+        protocol: Gives `width`, `factor` or `max_width`, and `size_rule`: "round" is half up, not
+            to even.
 
     Returns: (width, height), each at least 1.
     Raises: UsageError if the protocol would enlarge the image or its numbers make no sense.
     """
-    if protocol.width is not None:
-        if protocol.width < 1:
-            raise UsageError(f"protocol {protocol.name}: width is {protocol.width}, expected >= 1")
+    for name in ("width", "max_width"):
+        value = getattr(protocol, name)
+        if value is not None and value < 1:
+            raise UsageError(f"protocol {protocol.name}: {name} is {value}, expected >= 1")
+    wanted = protocol.width
+    if protocol.max_width is not None and width > protocol.max_width:
+        wanted = protocol.max_width
+    if wanted is not None:
         # integers: height * W / w exactly, so a half is a half and not 0.4999...
-        pixels = (protocol.width, _divide(height * protocol.width, width, protocol.size_rule))
+        pixels = (wanted, _divide(height * wanted, width, protocol.size_rule))
     else:
         if not (math.isfinite(protocol.factor) and protocol.factor >= 1):
             raise UsageError(

@@ -74,12 +74,24 @@ def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Prot
 
 def _check(protocol: Protocol, where: str) -> None:
     """Refuse values that no rule can mean."""
-    sizes = protocol.width is not None and protocol.factor != 1
+    sizes = [
+        name
+        for name, given in (
+            ("width", protocol.width is not None),
+            ("factor", protocol.factor != 1),
+            ("max_width", protocol.max_width is not None),
+        )
+        if given
+    ]
     problems = [
         (not protocol.source.strip(), "source is empty; say where the rules come from"),
         (not protocol.images, "images is empty; name the folder of the source images"),
-        (sizes, "both width and factor are given; choose one"),
+        (len(sizes) > 1, f"both {' and '.join(sizes)} are given; choose one"),
         (protocol.width is not None and protocol.width < 1, f"width is {protocol.width}, not >= 1"),
+        (
+            protocol.max_width is not None and protocol.max_width < 1,
+            f"max_width is {protocol.max_width}, not >= 1",
+        ),
         (not 1 <= protocol.factor < float("inf"), f"factor is {protocol.factor}, not >= 1"),
         (
             bool(protocol.test_folder and protocol.test_names),
@@ -87,6 +99,7 @@ def _check(protocol: Protocol, where: str) -> None:
         ),
         (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
         (protocol.hold_first < 0, f"hold_first is {protocol.hold_first}, expected 0 or more"),
+        (protocol.train_views < 0, f"train_views is {protocol.train_views}, expected 0 or more"),
         (not protocol.metrics, "metrics is empty; name at least one"),
         (
             not all(0 <= value <= 1 for value in protocol.background),

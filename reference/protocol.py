@@ -17,6 +17,8 @@ class Protocol:
     """Scale so that images have this width (aspect kept); None: use `factor`."""
     factor: float = 1.0
     """Divide both sides by this; 1 leaves the size alone."""
+    max_width: int | None = None
+    """Scale wider images to this width (aspect kept) and leave the others alone."""
     filter: Literal["area", "lanczos", "bicubic"] = "area"
     """Resampling filter of the down-scale."""
     size_rule: Literal["round", "floor"] = "round"
@@ -32,7 +34,12 @@ class Protocol:
     sensors: tuple[str, ...] = ()
     """Names of the cameras that are used, in training and in testing; empty: all."""
     test_names: tuple[str, ...] = ()
-    """Names of the test views; when given, `hold` is ignored."""
+    """Names of the test views, or patterns such as "test_*"; when given, `hold` is ignored."""
+    train_views: int = 0
+    """Train on this many, spread evenly over the name-sorted views that are not held out. The rest of
+    them is test where no other rule holds any out, else not used. 0: train on all."""
+    scored: Literal["held-out", "training"] = "held-out"
+    """Which views are scored; "training" (reconstruction) says how well a model fits what it saw."""
     test_folder: str = ""
     """Folder inside the scene's, a scene of its own in the same frame: its views are the test views,
     and all of the scene's own are for training (`hold` is ignored)."""

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatbench.datasets.resize import resample, scale_intrinsics, scaled_size
+from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.errors import UsageError
 from splatbench.reference.protocol import Protocol
 
@@ -29,6 +30,11 @@ def protocol(**rules) -> Protocol:
         ((4946, 3286), {"factor": 4.0}, (1237, 822)),  # Mip-NeRF 360 garden: 1236.5, 821.5
         ((4946, 3286), {"factor": 4.0, "size_rule": "floor"}, (1236, 821)),
         ((997, 561), {}, (997, 561)),
+        ((1000, 563), {"max_width": 400}, (400, 225)),  # 225.2
+        ((1000, 564), {"max_width": 400}, (400, 226)),  # 225.6
+        ((1000, 564), {"max_width": 400, "size_rule": "floor"}, (400, 225)),
+        ((400, 563), {"max_width": 400}, (400, 563)),
+        ((399, 1000), {"max_width": 400}, (399, 1000)),
         ((900, 3), {"factor": 8.0}, (113, 1)),  # a side never becomes 0
     ],
 )
@@ -52,9 +58,39 @@ def test_scaled_size_is_exact_for_any_factor(width, height, factor, rule):
     assert size == (whole(width), whole(height))
 
 
+@given(width=st.integers(1, 9000), height=st.integers(1, 9000), cap=st.integers(1, 4000))
+@settings(deadline=None, max_examples=200)
+def test_a_cap_scales_what_is_wider_and_nothing_else(width, height, cap):
+    size = scaled_size(width, height, protocol(max_width=cap))
+    if width <= cap:
+        assert size == (width, height)
+    else:
+        assert size == scaled_size(width, height, protocol(width=cap))
+
+
+def test_photos_are_capped_as_the_3dgs_release_does():
+    """Its PILtoTorch size: int(w / s), int(h / s) with s = w / 1600 in float64 where w > 1600."""
+    rules = load_protocol("3dgs")
+    for width, height in ((5472, 3648), (4000, 3000), (4946, 3286), (1601, 901), (1600, 1066)):
+        shrink = width / 1600 if width > 1600 else 1.0
+        release = int(width / shrink), int(height / shrink)
+        ours = scaled_size(width, height, rules)
+        # the release's quotient can lie one rounding below 1600, and is cut to 1599 then
+        assert 0 <= ours[0] - release[0] <= 1
+        assert ours[1] == release[1]
+        assert ours[0] == min(width, 1600)
+
+
 @pytest.mark.parametrize(
     "rules",
-    [{"width": 101}, {"factor": 0.5}, {"factor": math.nan}, {"factor": math.inf}, {"width": 0}],
+    [
+        {"width": 101},
+        {"factor": 0.5},
+        {"factor": math.nan},
+        {"factor": math.inf},
+        {"width": 0},
+        {"max_width": 0},
+    ],
 )
 def test_enlarging_and_nonsense_are_refused(rules):
     with pytest.raises(UsageError, match="protocol test"):

@@ -45,6 +45,8 @@ def test_what_ours_change():
         "truncate": {"rounding": "truncate"},
         "3dgs": {
             "images": "images",
+            "max_width": 1600,
+            "size_rule": "floor",
             "filter": "bicubic",
             "masked": False,
             "metrics": ("psnr", "ssim_3dgs"),
@@ -99,6 +101,9 @@ def test_a_file_of_ones_own(tmp_path):
         ("width = 2.5", "width: .*integer.*found 2.5"),
         ("width = 0", "width is 0"),
         ("width = 250\nfactor = 2", "both width and factor"),
+        ("width = 250\nmax_width = 200", "both width and max_width"),
+        ("factor = 2\nmax_width = 200", "both factor and max_width"),
+        ("max_width = 0", "max_width is 0"),
         ("factor = 0", "factor is 0"),
         ("factor = 0.5", "factor is 0.5"),
         ("factor = nan", "factor is nan"),
