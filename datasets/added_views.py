@@ -6,19 +6,21 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from splatbench.datasets.splits import split_hash
+from splatbench.datasets.splits import chosen_views, split_hash
 from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene, View
 
 
-def with_tests(scene: Scene, tests: Scene) -> Scene:
-    """The scene with all of its views for training, and those of `tests` as its test views.
+def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
+    """The scene with its own views for training, and those of `tests` as its test views.
 
     Points and their tracks stay the scene's: no test view observes any.
 
     Args:
         scene: What is trained on.
         tests: In the same original frame; its shift may be another.
+        protocol: Whose `train_views` and `scored` are applied.
     Raises: DataError where a view's name is in both, or the units differ.
     """
     both = {view.name for view in scene.views} & {view.name for view in tests.views}
@@ -30,15 +32,23 @@ def with_tests(scene: Scene, tests: Scene) -> Scene:
     views = sorted((*scene.views, *moved), key=lambda view: view.name)
     index = {view.name: i for i, view in enumerate(views)}
     names = [view.name for view in views]
-    test = tuple(sorted(index[view.name] for view in tests.views))
+    train, test = chosen_views(
+        tuple(sorted(index[view.name] for view in scene.views)),
+        tuple(sorted(index[view.name] for view in tests.views)),
+        protocol,
+    )
     new = torch.tensor([index[view.name] for view in scene.views])
     points = replace(scene.points, track_views=new[scene.points.track_views.long()])
-    facts = {"split_sha256": split_hash(names, test), "tests": tests.name}
+    facts = {"split_sha256": split_hash(names, train, test), "tests": tests.name}
     facts |= {f"tests_{key}": tests.facts[key] for key in ("photos_sha256",) if key in tests.facts}
     return replace(
-        scene, views=tuple(views), test=test, points=points, facts=scene.facts | facts,
-        train=tuple(sorted(index[view.name] for view in scene.views)),
-    )  # fmt: skip
+        scene,
+        views=tuple(views),
+        train=train,
+        test=test,
+        points=points,
+        facts=scene.facts | facts,
+    )
 
 
 def _moved(view: View, shift: Float64[Tensor, "3"]) -> View:

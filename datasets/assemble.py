@@ -22,7 +22,7 @@ from splatbench.datasets.lidar import sample_sweeps
 from splatbench.datasets.photos import photo_size
 from splatbench.datasets.resize import scale_intrinsics, scaled_size
 from splatbench.datasets.sparse_points import seen_in_training
-from splatbench.datasets.splits import split_hash, split_views
+from splatbench.datasets.splits import chosen_views, split_hash, split_views
 from splatbench.datasets.truth import Truth
 from splatbench.datasets.undistort import Undistortion, is_pinhole, plan_undistortion
 from splatbench.reference.camera import Camera
@@ -81,7 +81,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
         | {
             "adapter": layout.adapter,
             "photos_sha256": _photos_hash(photos),
-            "split_sha256": split_hash(names, test),
+            "split_sha256": split_hash(names, train, test),
             "split_source": split_source,
             "up_source": up_source,
             "points": f"{len(points)} of {every}",
@@ -118,7 +118,7 @@ def _split(
     test = tuple(i for i, split in enumerate(shipped) if split == "test")
     if not train:
         raise DataError(f"{folder}: the data set's split has no training view")
-    return train, test, "data set"
+    return *chosen_views(train, test, protocol), "data set"
 
 
 def _points(

@@ -127,13 +127,13 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
         folder = find_scene(str(spec))
     if not protocol.test_folder:
         return _open_folder(folder, protocol)
-    whole = replace(protocol, hold=0, test_folder="")
+    whole = replace(protocol, hold=0, test_folder="", train_views=0, scored="held-out")
     tests = folder / protocol.test_folder
     if not tests.is_dir():
         raise DataError(
             f"{tests}: no such folder, but protocol {protocol.name!r} takes its test views from it"
         )
-    return with_tests(_open_folder(folder, whole), _open_folder(tests, whole))
+    return with_tests(_open_folder(folder, whole), _open_folder(tests, whole), protocol)
 
 
 def _open_folder(folder: Path, protocol: Protocol) -> Scene:

@@ -13,6 +13,8 @@ from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
 
+RULES = Protocol(name="p", source="test")
+
 
 def renamed(scene: Scene, prefix: str) -> Scene:
     views = tuple(replace(view, name=prefix + view.name) for view in scene.views)
@@ -32,12 +34,24 @@ def tracked(scene: Scene) -> Scene:
 
 def test_all_own_views_train_and_tracks_keep_their_views():
     scene = renamed(tracked(tiny_scene()), "m")
-    both = with_tests(scene, renamed(tiny_scene(views=2), "a"))  # sorts before the scene's
+    both = with_tests(scene, renamed(tiny_scene(views=2), "a"), RULES)  # sorts before the scene's
     assert [view.name for view in both.test_views] == ["a0.png", "a1.png"]
     assert [view.name for view in both.train_views] == [view.name for view in scene.views]
     names = [both.views[i].name for i in both.points.track_views.tolist()]
     assert names == [scene.views[i].name for i in scene.points.track_views.tolist()]
     assert [view.name for view in both.views] == sorted(view.name for view in both.views)
+
+
+def test_fewer_views_train_and_the_tests_stay():
+    scene, tests = renamed(tiny_scene(), "m"), renamed(tiny_scene(views=2), "a")
+    few = with_tests(scene, tests, replace(RULES, train_views=2))
+    own = [view.name for view in scene.views]
+    assert [view.name for view in few.train_views] == [own[0], own[-1]]
+    assert [view.name for view in few.test_views] == ["a0.png", "a1.png"]
+    all_of_it = with_tests(scene, tests, RULES)
+    assert few.facts["split_sha256"] != all_of_it.facts["split_sha256"]
+    fitted = with_tests(scene, tests, replace(RULES, scored="training"))
+    assert fitted.test == fitted.train == all_of_it.train
 
 
 def test_another_shift_of_the_test_views_changes_no_pixel():
@@ -47,7 +61,7 @@ def test_another_shift_of_the_test_views_changes_no_pixel():
     pose[:3, 3] += pose[:3, :3] @ (away - scene.shift)  # the same camera, told from `away`
     tests = renamed(replace(tiny_scene(views=1), shift=away, train=(0,), test=()), "t")
     view = replace(tests.views[0], camera=replace(camera(0), world_to_camera=pose))
-    both = with_tests(scene, replace(tests, views=(view,)))
+    both = with_tests(scene, replace(tests, views=(view,)), RULES)
     points = scene.points.positions
     want, _ = project_points(camera(0), points)
     found, _ = project_points(both.test_views[0].camera, points)
@@ -56,9 +70,9 @@ def test_another_shift_of_the_test_views_changes_no_pixel():
 
 def test_names_in_both_and_other_units_are_refused():
     with pytest.raises(DataError, match=r"test view '0\.png' has the name of a training view"):
-        with_tests(tiny_scene(), tiny_scene(views=1))
+        with_tests(tiny_scene(), tiny_scene(views=1), RULES)
     with pytest.raises(DataError, match="units are 'metres', the scene's 'sfm'"):
-        with_tests(tiny_scene(), replace(renamed(tiny_scene(), "t"), units="metres"))
+        with_tests(tiny_scene(), replace(renamed(tiny_scene(), "t"), units="metres"), RULES)
 
 
 def test_a_scene_without_the_folder_is_refused(tmp_path):

@@ -42,7 +42,9 @@ def test_text_binary_with_and_without_rigs_are_one_scene(tmp_path):
     assert binary.test == (0, 3)
     assert binary.name == "binary"
     assert binary.units == "sfm"
-    assert binary.facts["split_sha256"] == split_hash([v.name for v in binary.views], (0, 3))
+    assert binary.facts["split_sha256"] == split_hash(
+        [v.name for v in binary.views], binary.train, (0, 3)
+    )
     assert binary.facts["model_sha256"] != text.facts["model_sha256"]
 
 

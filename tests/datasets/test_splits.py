@@ -1,6 +1,9 @@
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from splatbench.datasets.splits import split_hash, split_views
+from splatbench.datasets.splits import split_hash, split_views, spread_evenly
 from splatbench.reference.errors import DataError, UsageError
 from splatbench.reference.protocol import Protocol
 
@@ -20,6 +23,7 @@ def protocol(**rules) -> Protocol:
         ({"hold": 18}, (0,)),
         ({"test_names": ("img_09.jpg", "img_03.jpg")}, (3, 9)),
         ({"test_names": ("img_09.jpg",), "hold": 2}, (9,)),
+        ({"test_names": ("img_1*", "img_03.jpg")}, (3, *range(10, 18))),
     ],
 )
 def test_split(rules, test):
@@ -50,11 +54,78 @@ def test_unsorted_names_are_our_own_mistake():
 
 
 def test_the_hash_names_the_split():
-    base = split_hash(NAMES, (0, 8, 16))
-    assert base == split_hash(list(NAMES), (16, 0, 8))
-    assert base != split_hash(NAMES, (0, 8))
-    assert base != split_hash([*NAMES[:-1], "other.jpg"], (0, 8, 16))
+    train, test = (1, 2, 3), (0, 8, 16)
+    base = split_hash(NAMES, train, test)
+    assert base == split_hash(list(NAMES), train[::-1], (16, 0, 8))
+    others = [
+        split_hash(NAMES, train, (0, 8)),
+        split_hash(NAMES, (1, 2), test),
+        split_hash([*NAMES[:-1], "other.jpg"], train, test),
+        split_hash(NAMES, test, train),
+        split_hash(NAMES, (*train, *test), test),
+    ]
+    assert len({base, *others}) == 6
     assert len(base) == 64
+
+
+def test_a_name_with_brackets_is_a_name_first():
+    names = ["a1.jpg", "a[1].jpg", "b.jpg"]
+    assert split_views(names, protocol(test_names=("a[1].jpg",)))[1] == (1,)
+    assert split_views(["a1.jpg", "b.jpg"], protocol(test_names=("a[1].jpg",)))[1] == (0,)
+
+
+@given(size=st.integers(1, 300), count=st.integers(1, 300))
+@settings(deadline=None)
+def test_spread_evenly(size, count):
+    count = min(size, count)
+    chosen = spread_evenly(size, count)
+    assert len(set(chosen)) == count
+    assert chosen == sorted(chosen)
+    assert 0 <= chosen[0] <= chosen[-1] < size
+    if count > 1:
+        assert (chosen[0], chosen[-1]) == (0, size - 1)
+        # each is the place nearest to an equal step, so two steps differ by at most one
+        assert np.abs(np.array(chosen) - np.linspace(0, size - 1, count)).max() <= 0.5 + 1e-9
+        assert np.ptp(np.diff(chosen)) <= 1
+    # the same from either end, up to the rounding of halves
+    back = [size - 1 - i for i in reversed(chosen)]
+    assert max(abs(a - b) for a, b in zip(chosen, back, strict=True)) <= 1
+
+
+@given(size=st.integers(2, 40), count=st.integers(1, 40), hold=st.sampled_from([0, 3, 8]))
+@settings(deadline=None)
+def test_few_training_views(size, count, hold):
+    names = [f"{i:03d}" for i in range(size)]
+    rules = protocol(train_views=count, hold=hold, hold_first=1 if size > 3 else 0)
+    everything, held = split_views(names, protocol(hold=hold, hold_first=rules.hold_first))
+    if count > len(everything) - (not held):
+        with pytest.raises(DataError, match=f"trains on {count} views, but there are"):
+            split_views(names, rules)
+        return
+    train, test = split_views(names, rules)
+    assert len(train) == count
+    assert set(train) <= set(everything)
+    if held:  # what is held out does not depend on how many train: fewer views stay comparable
+        assert test == held
+    else:
+        assert sorted(train + test) == list(range(size))
+
+
+def test_published_numbers_of_views():
+    names = [f"{i:03d}.png" for i in range(21)]
+    train, test = split_views(names, protocol(train_views=3, hold=0))
+    assert train == (0, 10, 20)
+    assert len(test) == 18
+    assert split_views(names, protocol(train_views=1, hold=0))[0] == (10,)
+    with pytest.raises(UsageError, match="train_views is -1, expected >= 0"):
+        split_views(names, protocol(train_views=-1))
+
+
+def test_training_views_can_be_scored():
+    train, scored = split_views(NAMES, protocol(hold=6, scored="training"))
+    assert train == scored == split_views(NAMES, protocol(hold=6))[0]
+    everything, scored = split_views(NAMES, protocol(hold=0, scored="training"))
+    assert everything == scored == tuple(range(18))
 
 
 def test_moments_are_counted_with_all_their_views():
