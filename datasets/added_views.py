@@ -40,7 +40,8 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
     new = torch.tensor([index[view.name] for view in scene.views])
     points = replace(scene.points, track_views=new[scene.points.track_views.long()])
     facts = {"split_sha256": split_hash(names, train, test), "tests": tests.name}
-    facts |= {f"tests_{key}": tests.facts[key] for key in ("photos_sha256",) if key in tests.facts}
+    hashes = ("photos_sha256", "cameras_sha256", "model_sha256")
+    facts |= {f"tests_{key}": tests.facts[key] for key in hashes if key in tests.facts}
     return replace(
         scene,
         views=tuple(views),
@@ -48,6 +49,7 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
         test=test,
         points=points,
         facts=scene.facts | facts,
+        sources=tuple(sorted({*scene.sources, *tests.sources})),
     )
 
 

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from splatbench.datasets.depth_maps import depth_loader
+from splatbench.datasets.depth_maps import depth_loader, depth_path
 from splatbench.datasets.frame import origin_shift, up_vector
 from splatbench.datasets.images import TensorCache
 from splatbench.datasets.layout import Layout, PosedPhoto
@@ -76,6 +76,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
         units=layout.units,
         shift=torch.from_numpy(shift),
         left_out=layout.left_out,
+        sources=_sources(folder, layout),
         facts=layout.facts
         | ({"cameras_sha256": _hash(folder, layout.description)} if layout.description else {})
         | {
@@ -218,6 +219,16 @@ def _pinhole(
         raise DataError(f"{photo.path}: {error}") from None
     known[key] = plan.K, (plan.width, plan.height), plan
     return known[key]
+
+
+def _sources(folder: Path, layout: Layout) -> tuple[Path, ...]:
+    """Every file whose pixels, depths or points the scene's views and points are made of."""
+    files = {sweep.path for sweep in layout.sweeps}
+    for photo in layout.photos:
+        depth = depth_path(folder, photo.name)
+        files |= {photo.path, *filter(None, (photo.valid, photo.sky))}
+        files |= {depth} if depth.is_file() else set()
+    return tuple(sorted(files))
 
 
 def _hash(folder: Path, files: Sequence[Path]) -> str:

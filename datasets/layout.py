@@ -47,6 +47,7 @@ class Sweep:
 
     time: float
     """As the photos'."""
+    path: Path
     read: Callable[[], Float64[np.ndarray, "n 3"]]
     """Reads all its points, in the scene's frame."""
 

@@ -73,6 +73,8 @@ class Scene:
     """(image name, reason) of every photo that is in the folder but not in the scene."""
     facts: dict[str, str] = field(default_factory=dict)
     """What a result must record: hashes, library versions, how the scene was made."""
+    sources: tuple[Path, ...] = ()
+    """Files that images, masks, true depth and LiDAR points are read from, sorted."""
 
     @property
     def train_views(self) -> tuple[View, ...]:

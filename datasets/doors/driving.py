@@ -91,7 +91,7 @@ def sweep(
         columns: Numbers a row.
         first: Column of x; y and z follow.
     """
-    return Sweep(time=time, read=lambda: _points(path, to_world, columns, first))
+    return Sweep(time=time, path=path, read=lambda: _points(path, to_world, columns, first))
 
 
 def _points(

@@ -127,6 +127,7 @@ def test_points_are_seen_where_they_were_painted(tmp_path, write):
     assert [view.sensor for view in scene.test_views] == ["image_02", "image_03"]
     found = scene.points.positions + scene.shift - torch.from_numpy(np.tile(POINTS, (4, 1)))
     assert found.abs().max() < 1e-5
+    assert {path.suffix for path in scene.sources} == {".bin", ".png"}
 
 
 def test_sky_of_tracking(tmp_path):
