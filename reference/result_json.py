@@ -9,12 +9,19 @@ from collections.abc import Mapping
 from typing import Any
 
 from splatbench.reference.errors import DataError
+from splatbench.reference.protocol import Protocol
 from splatbench.reference.result import Result
 
 VERSION = 1
 """Of the format; a reader refuses every other."""
 NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 """JSON has no such numbers, so they are written as these strings."""
+RULES = {
+    field.name: field.default
+    for field in dataclasses.fields(Protocol)
+    if field.default is not dataclasses.MISSING
+}
+"""A record from before a rule existed was made as the rule's default says."""
 
 
 def result_to_json(result: Result) -> str:
@@ -36,6 +43,9 @@ def result_to_json(result: Result) -> str:
 def result_from_json(text: str, source: str) -> Result:
     """The result that `result_to_json` wrote; arrays in free-form fields come back as tuples.
 
+    Rules of the protocol that the record does not know are added with their defaults, so that it
+    still stands beside results of later releases.
+
     Args:
         text: What was written.
         source: Name of the file, for errors.
@@ -53,7 +63,9 @@ def result_from_json(text: str, source: str) -> Result:
             f"{source}: record version {version!r}, expected {VERSION}; run the case again "
             "or read it with the release that wrote it"
         )
-    return _read(record, Result, "result", source)
+    result = _read(record, Result, "result", source)
+    newer = {name: rule for name, rule in RULES.items() if name not in result.protocol_rules}
+    return dataclasses.replace(result, protocol_rules=result.protocol_rules | newer)
 
 
 def _plain(value: object, where: str) -> Any:
