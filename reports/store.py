@@ -82,8 +82,8 @@ def find_cases(out: Path) -> list[Path]:
         if "record.json" in files:
             found.append(Path(folder))
             below.clear()
-        elif "mlartifacts" in below:
-            below.remove("mlartifacts")  # the store's own copies
+        # neither the store's own copies nor what a later run has replaced
+        below[:] = [name for name in below if name != "mlartifacts" and name[0] != "."]
     return sorted(found)
 
 

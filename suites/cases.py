@@ -59,7 +59,9 @@ class Job:
     engine: str = "processes"
     """Where they are trained."""
     cache: Path | None = None
-    """Where cases of one suite share trained blocks; None: they do not."""
+    """Where cases of one suite and the same data share trained blocks; None: they do not."""
+    data: dict[str, str] = field(default_factory=dict)
+    """Facts of the scene's files, for the record; nothing that was made of others is continued."""
 
     @property
     def key(self) -> str:
@@ -79,7 +81,7 @@ class Spent:
 def run_case(job: Job, tell: Tell) -> None:
     """Run a case to its record.json; a failure is recorded too, with its reason in one line.
 
-    A folder of other settings is emptied first; one of these settings is continued: from the
+    A folder of other settings or data is emptied first; one of these is continued: from the
     saved model if training had ended, else from the method's last checkpoint.
     """
     try:
@@ -120,7 +122,8 @@ def _prepare(job: Job) -> None:
     """Leave in the folder only what belongs to this very case, and no record."""
     job.folder.mkdir(parents=True, exist_ok=True)
     path = job.folder / "case.json"
-    text = json.dumps({"key": job.key, "case": job.case.label, "backend": job.backend}) + "\n"
+    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
+    text = json.dumps(made_of) + "\n"
     same = path.exists() and path.read_text(encoding="utf-8") == text
     if not (same and job.resume):
         clear(job.folder)
@@ -164,7 +167,7 @@ def _run(job: Job, tell: Tell) -> None:
         split_sha256=measure.split_sha256(scene),
         model_sha256=measure.arrays_sha256(job.folder / "model"),
         curve=curve.points(),
-        scene_facts=scene.facts,
+        scene_facts=scene.facts | job.data,
         left_out=scene.left_out,
     )
     write_record(job.folder, result)

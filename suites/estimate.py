@@ -9,11 +9,10 @@ from typing import Any
 from splatbench.datasets.opening import open_scene
 from splatbench.methods.initialise import with_random_points
 from splatbench.methods.run import Run
-from splatbench.reference.errors import DataError
 from splatbench.reference.result import Result
 from splatbench.reference.scene import Scene
 from splatbench.suites.environment import usable_cores
-from splatbench.suites.records import RECORD_NAME, read_record
+from splatbench.suites.records import read_finished
 from splatbench.suites.suite_files import Case, Suite
 
 START_SECONDS = 3.0
@@ -68,7 +67,7 @@ def estimate_suite(suite: Suite, folder: Path, backend: str) -> list[Estimate]:
         )
         for key, case in rows.items()
     }
-    records = _records(folder / suite.name)
+    records = read_finished(folder / suite.name)
     estimates = []
     for case in suite.cases:
         ratios = [
@@ -139,16 +138,3 @@ def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -
 def _pixels(scene: Scene, index: int) -> int:
     camera = scene.views[index].camera
     return camera.width * camera.height
-
-
-def _records(folder: Path) -> list[Result]:
-    """The finished records below a folder; damaged ones are none."""
-    found = []
-    for path in sorted(folder.rglob(RECORD_NAME)):
-        try:
-            record = read_record(path.parent)
-        except DataError:
-            continue
-        if not record.error:
-            found.append(record)
-    return found

@@ -30,3 +30,21 @@ def read_record(folder: Path) -> Result:
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read: {error}") from None
     return result_from_json(text, str(path))
+
+
+def read_finished(folder: Path) -> list[Result]:
+    """The results of all finished cases below a folder, by path; damaged records are none.
+
+    Hidden folders are left out: they hold what was replaced.
+    """
+    found = []
+    for path in sorted(folder.rglob(RECORD_NAME)):
+        if any(part.startswith(".") for part in path.relative_to(folder).parts):
+            continue
+        try:
+            result = read_record(path.parent)
+        except DataError:
+            continue
+        if not result.error:
+            found.append(result)
+    return found

@@ -9,8 +9,9 @@ from typing import Literal
 
 from splatbench.reference.errors import DataError, UsageError
 from splatbench.reference.result import Result
-from splatbench.suites.cases import Job
+from splatbench.suites.cases import Job, reason_of
 from splatbench.suites.records import RECORD_NAME, read_record
+from splatbench.suites.scene_data import SceneData, changed, digest
 from splatbench.suites.suite_files import Case, Suite, key_of
 from splatbench.suites.workers import Launch, Lock, in_worker
 
@@ -38,10 +39,11 @@ class Progress:
     count: int
     """Cases of this run."""
     stage: str
-    """load, init, train, save, score; "start" before, with a note why an old result does not count."""
+    """files (hashing the scene's), then "start" with a note why an old result does not count, then
+    load, init, train, save, score."""
     step: int = 0
     total: int = 0
-    """Training steps; 0 outside training."""
+    """Training steps, or files; 0 elsewhere."""
     values: dict[str, float] | None = None
     note: str = ""
 
@@ -87,6 +89,10 @@ def run_suite(
 ) -> tuple[Outcome, ...]:
     """Run all cases that are not finished yet, one after the other.
 
+    A case is finished if its record was made of these settings, protocol, backend and data. Where
+    the data behind the scene's name have changed it runs again, and what it had goes to
+    <folder>/<suite>/.replaced/.../seed<k>/<n>.
+
     Args:
         suite: What to run.
         folder: Results go to <folder>/<suite>/<scene>/<method>/<protocol>/seed<k>/.
@@ -106,6 +112,7 @@ def run_suite(
     cases = select(suite, only=only).cases
     outcomes = []
     blocks = folder / suite.name / ".blocks"
+    scenes = SceneData(folder / suite.name / ".files.json")
     with Lock(folder / suite.name):
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
@@ -120,18 +127,51 @@ def run_suite(
                 resume=resume,
                 workers=workers,
                 engine=engine,
-                cache=blocks,
             )
+            here = Progress(case=case, index=index, count=len(cases), stage="start")
+            job, unread = _with_data(job, scenes, blocks, here, on_progress)
             found = finished(job) if resume else "starts over"
+            if isinstance(found, Result) and (odd := changed(found.scene_facts, job.data)):
+                found = f"runs again: {odd} changed since; the old result is in {_set_aside(job)}"
             if isinstance(found, str):
-                here = Progress(case=case, index=index, count=len(cases), stage="start", note=found)
-                on_progress(here)
+                on_progress(replace(here, note=found))
                 outcome = _launch(job, here, on_progress, launch)
             else:
+                if unread:
+                    on_progress(replace(here, note=f"kept, unchecked: {unread}"))
                 outcome = Outcome(case=case, folder=job.folder, status="kept", result=found)
             outcomes.append(outcome)
             on_result(outcome)
     return tuple(outcomes)
+
+
+def _with_data(
+    job: Job,
+    scenes: SceneData,
+    blocks: Path,
+    here: Progress,
+    on_progress: Callable[[Progress], None],
+) -> tuple[Job, str]:
+    """The job with the facts of its data, and why there are none ("" where there are)."""
+
+    def report(done: int, total: int) -> None:
+        on_progress(replace(here, stage="files", step=done, total=total))
+
+    try:
+        data = scenes.of(job.case.scene, job.case.protocol, report)
+    except Exception as error:  # noqa: BLE001 (whatever an adapter raises, the other cases go on)
+        return replace(job, cache=blocks / "unread"), reason_of(error)
+    return replace(job, data=data, cache=blocks / digest(data)), ""
+
+
+def _set_aside(job: Job) -> Path:
+    """Move the case's folder to where nothing is looked for; returns that place."""
+    above = job.folder.parents[3]
+    places = above / ".replaced" / job.folder.relative_to(above)
+    places.mkdir(parents=True, exist_ok=True)
+    place = places / str(1 + len(list(places.iterdir())))
+    job.folder.rename(place)
+    return place
 
 
 def finished(job: Job) -> Result | str:

@@ -6,9 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatbench.reference.errors import DataError
 from splatbench.reference.result import Result, row_name
-from splatbench.suites.records import RECORD_NAME, read_record
+from splatbench.suites.records import read_finished
 
 MB = 2**20
 
@@ -31,14 +30,9 @@ def our_rows(folder: Path) -> list[OurRow]:
     Damaged and failed records are left out.
     """
     groups: dict[tuple[str, str, str], list[Result]] = defaultdict(list)
-    for path in sorted(folder.rglob(RECORD_NAME)):
-        try:
-            result = read_record(path.parent)
-        except DataError:
-            continue
-        if not result.error:
-            row = row_name(result.method, result.variant)
-            groups[result.scene, row, result.protocol].append(result)
+    for result in read_finished(folder):
+        row = row_name(result.method, result.variant)
+        groups[result.scene, row, result.protocol].append(result)
     return [
         OurRow(scene=scene, method=row, protocol=protocol, seeds=len(group), values=_means(group))
         for (scene, row, protocol), group in groups.items()

@@ -1,0 +1,87 @@
+"""What a scene's name stands for now, and whether an earlier result was made of the same."""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from splatbench.datasets.fingerprint import Known, files_sha256
+from splatbench.datasets.opening import open_scene
+from splatbench.methods.files import write_text
+from splatbench.reference.protocol import Protocol
+
+FILES = "files_sha256"
+"""The fact of a record that this room adds to the scene's own."""
+WORDS = {
+    "model_sha256": "its COLMAP model",
+    "cameras_sha256": "its camera files",
+    "photos_sha256": "its photos",
+    FILES: "its photos, masks or depth",
+}
+"""Facts that depend on a scene's files alone, neither on code nor on protocol, most telling first."""
+TESTS = "tests_"
+"""Begins the same facts of test views that have a folder of their own."""
+
+
+class SceneData:
+    """Facts of the scenes of a run, each found once."""
+
+    def __init__(self, path: Path) -> None:
+        """Read what earlier runs know.
+
+        Args:
+            path: File that remembers the hashes of files, so that only new ones are read.
+        """
+        self._path = path
+        self._known = _read(path)
+        self._found: dict[tuple[str, Protocol], dict[str, str]] = {}
+
+    def of(
+        self, scene: str, protocol: Protocol, report: Callable[[int, int], None]
+    ) -> dict[str, str]:
+        """The facts of a scene that name its data.
+
+        Args:
+            scene: As `open_scene` takes it.
+            protocol: Which photos it uses.
+            report: Told (files looked at, files in all).
+        Raises: What `open_scene` raises.
+        """
+        if (scene, protocol) not in self._found:
+            opened, before = open_scene(scene, protocol), dict(self._known)
+            facts = opened.facts | {FILES: files_sha256(opened, self._known, report)}
+            self._found[scene, protocol] = {
+                name: value for name, value in facts.items() if _plain(name) in WORDS and value
+            }
+            if self._known != before:
+                write_text(self._path, json.dumps(self._known))
+        return self._found[scene, protocol]
+
+
+def changed(old: Mapping[str, str], new: Mapping[str, str]) -> str:
+    """Words for the data that differ; empty where nothing does that both have."""
+    odd = [name for name in new if name in old and old[name] != new[name]]
+    if not odd:
+        return ""
+    first = min(odd, key=lambda name: list(WORDS).index(_plain(name)))
+    return "its test views" if first.startswith(TESTS) else WORDS[first]
+
+
+def digest(data: Mapping[str, str]) -> str:
+    """Twelve letters that name the data."""
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _plain(name: str) -> str:
+    return name.removeprefix(TESTS)
+
+
+def _read(path: Path) -> Known:
+    """What the file remembers; nothing where it is missing or damaged."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        return {
+            name: (int(size), int(time), str(sha)) for name, (size, time, sha) in stored.items()
+        }
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}
