@@ -4,7 +4,7 @@ import copy
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -32,7 +32,7 @@ from splatbench.reference.scene import Scene, SparsePoints, View
 
 POSITION_BYTES = 512 * 2**20
 """Bound of the undistortion maps that a scene keeps: 8 bytes a pixel, so one camera of 64 MP."""
-Pinholes = dict[tuple[object, ...], tuple[Tensor, tuple[int, int], Undistortion | None]]
+Pinholes = dict[tuple[object, ...], "Pinhole"]
 
 
 def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
@@ -155,15 +155,13 @@ def _views(
     views = []
     for photo, pose in zip(photos, torch.from_numpy(poses), strict=True):
         size = photo_size(photo.path)
-        K, full, plan = _pinhole(photo, size, protocol, pinholes)
-        try:
-            scaled = scaled_size(*full, protocol)
-        except UsageError as error:
-            raise UsageError(f"{photo.path}: {error}") from None
+        pinhole = _pinhole(photo, size, protocol, pinholes)
+        scaled = pinhole.size
         truth = Truth(
             path=photo.path,
             photo_size=size,
-            undistortion=plan,
+            undistortion=pinhole.undistortion,
+            shrunk=pinhole.shrunk,
             size=scaled,
             filter=protocol.filter,
             positions=positions,
@@ -175,14 +173,16 @@ def _views(
             View(
                 name=photo.name,
                 camera=Camera(
-                    K=scale_intrinsics(K, full, scaled),
+                    K=pinhole.K,
                     world_to_camera=pose,
                     width=scaled[0],
                     height=scaled[1],
                 ),
                 load=truth.image,
                 load_mask=truth.mask if truth.has_mask else None,
-                load_depth=None if plan else depth_loader(folder, photo.name, size, scaled),
+                load_depth=None
+                if pinhole.undistortion
+                else depth_loader(folder, photo.name, size, scaled),
                 load_sky=truth.sky_mask if photo.sky else None,
                 time=None if photo.time is None else photo.time - start,
                 sensor=photo.sensor,
@@ -191,10 +191,23 @@ def _views(
     return tuple(views)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pinhole:
+    """What a photo's camera becomes under a protocol."""
+
+    K: Float[Tensor, "3 3"]
+    """Of the truth image."""
+    size: tuple[int, int]
+    """(width, height) of the truth image."""
+    undistortion: Undistortion | None
+    shrunk: tuple[int, int]
+    """Size of the photo when it is undistorted."""
+
+
 def _pinhole(
     photo: PosedPhoto, size: tuple[int, int], protocol: Protocol, known: Pinholes
-) -> tuple[Float[Tensor, "3 3"], tuple[int, int], Undistortion | None]:
-    """(K, size, undistortion) of a photo at its file's size; equal cameras share them."""
+) -> Pinhole:
+    """The pinhole of a photo at its file's size; equal cameras share it."""
     camera = photo.camera
     key = (camera.model_name, camera.width, camera.height, *camera.params.tolist(), *size)
     if key in known:
@@ -210,14 +223,20 @@ def _pinhole(
             )
         camera = copy.deepcopy(camera)
         camera.rescale(*size)
-    if is_pinhole(camera):
-        known[key] = torch.from_numpy(camera.calibration_matrix()), size, None
-        return known[key]
     try:
-        plan = plan_undistortion(camera, protocol.undistort)
-    except DataError as error:
-        raise DataError(f"{photo.path}: {error}") from None
-    known[key] = plan.K, (plan.width, plan.height), plan
+        if is_pinhole(camera):
+            plan, K, full = None, torch.from_numpy(camera.calibration_matrix()), size
+        else:
+            plan = plan_undistortion(camera, protocol.undistort)
+            K, full = plan.K, (plan.width, plan.height)
+        scaled = scaled_size(*full, protocol)
+    except (DataError, UsageError) as error:
+        raise type(error)(f"{photo.path}: {error}") from None
+    K, shrunk = scale_intrinsics(K, full, scaled), size
+    if plan is not None and protocol.undistort_at == "scaled":
+        plan = replace(plan, K=K, width=scaled[0], height=scaled[1])
+        shrunk = tuple(max(1, round(a * b / c)) for a, b, c in zip(size, scaled, full, strict=True))
+    known[key] = Pinhole(K=K, size=scaled, undistortion=plan, shrunk=(shrunk[0], shrunk[1]))
     return known[key]
 
 

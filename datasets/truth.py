@@ -1,7 +1,8 @@
 """The image that a view is scored against, made from its photo each time it is asked for.
 
 Order: decode, undistort at full size, then down-scale. The photo is sampled bilinearly only
-once and at its own resolution, and the protocol's filter sees straight lines.
+once and at its own resolution, and the protocol's filter sees straight lines. A protocol may ask
+for the other order, which others use; bilinear sampling of a small photo blurs it.
 """
 
 import math
@@ -38,6 +39,8 @@ class Truth:
     """(width, height) that the camera was calibrated for."""
     undistortion: Undistortion | None
     """None: the photo is a pinhole image already."""
+    shrunk: tuple[int, int]
+    """(width, height) to which the photo is down-scaled before it is undistorted."""
     size: tuple[int, int]
     """(width, height) of the truth image."""
     filter: str
@@ -60,6 +63,7 @@ class Truth:
                 f"{self.photo_size[0]} x {self.photo_size[1]}; use the photos of this model"
             )
         if self.undistortion is not None:
+            pixels = resample(pixels, self.shrunk, self.filter)
             pixels = undistort_image(pixels, self._positions(self.undistortion))
         pixels = resample(pixels, self.size, self.filter)
         return pixels * self.mask()[..., None] if self.has_mask else pixels
@@ -81,6 +85,7 @@ class Truth:
         if self.undistortion is None:
             return shrink_mask(good > 0, self.size, self.filter)
         positions = self._positions(self.undistortion)
+        good = shrink_mask(good > 0, self.shrunk, self.filter).float()
         # bilinear: a pixel that a masked one has any share in is masked
         inside = undistort_image(good[..., None], positions)[..., 0] > 1 - _SHARE
         return shrink_mask(inside & valid_pixels(positions), self.size, self.filter)
@@ -88,10 +93,11 @@ class Truth:
     def sky_mask(self) -> Bool[Tensor, "h w"]:
         """Pixels that are sky by more than half their area. Raises: DataError naming the file."""
         assert self.sky is not None
-        share = self._flag(self.sky)
+        share = self._flag(self.sky)[..., None].expand(-1, -1, 3)
         if self.undistortion is not None:
-            share = undistort_image(share[..., None], self._positions(self.undistortion))[..., 0]
-        return resample(share[..., None].expand(-1, -1, 3), self.size, "area")[..., 0] > 0.5
+            share = resample(share, self.shrunk, "area")
+            share = undistort_image(share, self._positions(self.undistortion))
+        return resample(share, self.size, "area")[..., 0] > 0.5
 
     def _flag(self, path: Path) -> Float[Tensor, "h w"]:
         """1 where a mask image is above 0."""

@@ -25,6 +25,8 @@ class Protocol:
     """How a scaled size becomes whole pixels (round: half up); K is scaled per axis accordingly."""
     undistort: Literal["crop", "keep"] = "crop"
     """crop: no invalid border pixel is left; keep: all source pixels stay, invalid ones masked."""
+    undistort_at: Literal["full", "scaled"] = "full"
+    """When: before the down-scale, or after it as OpenSplat does; the second blurs the truth."""
     hold: int = 8
     """Every hold-th of the name-sorted views is test (indices 0, hold, ...); 0: none."""
     hold_first: int = 0
@@ -43,6 +45,9 @@ class Protocol:
     test_folder: str = ""
     """Folder inside the scene's, a scene of its own in the same frame: its views are the test views,
     and all of the scene's own are for training (`hold` is ignored)."""
+    points: Literal["scene", "triangulated"] = "scene"
+    """scene: the sparse points that it has; triangulated: from the training views under their given
+    poses, so that nothing of a held-out view is in them."""
     drop_test_points: bool = False
     """Leave out sparse points that only test views see."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -79,17 +79,18 @@ def spots(made: Flight, i: int) -> np.ndarray:
 SPOTS = np.array([[x, y] for x in (-0.9, 0.2, 1.3) for y in (-0.8, 0.4, 1.2)])
 
 
+@pytest.mark.parametrize("order", ["full", "scaled"])
 @pytest.mark.parametrize(
     ("model", "filter"),
     [(model, "area") for model in MODELS] + [("OPENCV", "lanczos"), ("FOV", "bicubic")],
 )
-def test_content_lands_where_the_camera_says(tmp_path, model, filter):
+def test_content_lands_where_the_camera_says(tmp_path, model, filter, order):
     """Centroids of spots in the truth image are where its pinhole projects the spots: < 0.1 px."""
     made = scaled_up(model)
     scene_folder = write_scene(tmp_path / "s", made)
     pixels = np.round(255 * spots(made, 0).clip(0, 1)).astype(np.uint8)
     Image.fromarray(pixels).save(scene_folder / "photos" / view_name(0))
-    scene = open_scene(scene_folder, protocol(width=110, filter=filter))
+    scene = open_scene(scene_folder, protocol(width=110, filter=filter, undistort_at=order))
     view = scene.views[0]
     image = view.load()[..., 0]
     world = torch.from_numpy(np.concatenate([SPOTS, np.zeros((len(SPOTS), 1))], axis=1))
@@ -186,17 +187,51 @@ def test_keep_has_every_photo_pixel_and_masks_the_rest(model):
     assert 0 < (~valid).sum() < valid.numel() / 2
 
 
+@pytest.mark.parametrize("order", ["full", "scaled"])
 @pytest.mark.parametrize("filter", ["area", "lanczos", "bicubic"])
-def test_no_invalid_pixel_bleeds_into_a_valid_one(tmp_path, filter):
+def test_no_invalid_pixel_bleeds_into_a_valid_one(tmp_path, filter, order):
     """A white photo stays white under the mask; outside it is black."""
     made = dataclasses.replace(scaled_up("OPENCV"), paint=lambda xy: np.ones((*xy.shape[:-1], 3)))
     folder = write_scene(tmp_path / "s", made)
-    view = open_scene(folder, protocol(width=80, undistort="keep", filter=filter)).views[0]
+    rules = protocol(width=80, undistort="keep", filter=filter, undistort_at=order)
+    view = open_scene(folder, rules).views[0]
     assert view.load_mask is not None
     image, mask = view.load(), view.load_mask()
     assert 0 < (~mask).sum() < mask.numel() / 3
     assert (image[mask] - 1).abs().max() < 1e-6
     assert (image[~mask] == 0).all()
+
+
+@every_distortion
+@pytest.mark.parametrize("undistort", ["crop", "keep"])
+def test_the_order_changes_no_geometry_and_is_nothing_without_a_down_scale(
+    tmp_path, model, undistort
+):
+    folder = write_scene(tmp_path / "s", flight(model))
+
+    def view(**rules):
+        return open_scene(folder, protocol(undistort=undistort, **rules)).views[0]
+
+    before, after = (view(width=37, undistort_at=order) for order in ("full", "scaled"))
+    assert torch.equal(before.camera.K, after.camera.K)
+    assert before.camera.width == after.camera.width == 37
+    assert before.camera.height == after.camera.height
+    same = [view(undistort_at=order).load() for order in ("full", "scaled")]
+    assert torch.equal(*same)
+
+
+def test_undistorting_a_small_photo_blurs_it(tmp_path):
+    """What the order is worth: noise of one photo pixel loses contrast in the second sampling."""
+    made = scaled_up("OPENCV")
+    folder = write_scene(tmp_path / "s", made)
+    noise = np.random.default_rng(0).integers(0, 256, (made.size[1], made.size[0], 3))
+    Image.fromarray(noise.astype(np.uint8)).save(folder / "photos" / view_name(0))
+    images = [
+        open_scene(folder, protocol(factor=3.0, undistort_at=order)).views[0].load()
+        for order in ("full", "scaled")
+    ]
+    # bilinear at random places keeps (2 / 3)^2 of the variance of white noise
+    assert float(images[1].var() / images[0].var()) < 0.7
 
 
 def test_a_pinhole_photo_is_passed_through_bit_for_bit(tmp_path):
