@@ -28,7 +28,7 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
 
     Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     """
-    model = read_model(find_model(folder))
+    model = read_model(find_model(folder), pointless=protocol.points != "scene")
     photos = photo_folder(folder, protocol)
     about = read_scene_file(folder)
     names = [image.name for image in model.images]

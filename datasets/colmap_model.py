@@ -56,8 +56,12 @@ def find_model(scene: Path) -> Path:
     )
 
 
-def read_model(folder: Path) -> Model:
+def read_model(folder: Path, *, pointless: bool = False) -> Model:
     """Read and check a model.
+
+    Args:
+        folder: Has its files.
+        pointless: Whether it may be poses alone.
 
     Raises: DataError, one line, naming the file and the fault.
     """
@@ -99,7 +103,7 @@ def read_model(folder: Path) -> Model:
         images=images,
         sha256=_hash(folder, suffix),
     )
-    _check_numbers(model, suffix)
+    _check_numbers(model, suffix, pointless)
     return model
 
 
@@ -110,17 +114,17 @@ def pose_matrix(image: pycolmap.Image) -> Float64[np.ndarray, "3 4"]:
     return pycolmap.Rigid3d(pycolmap.Rotation3d(quaternion), pose.translation).matrix()
 
 
-def _check_numbers(model: Model, suffix: str) -> None:
+def _check_numbers(model: Model, suffix: str, pointless: bool) -> None:
     """Poses, used cameras and points must be finite, focal lengths positive."""
     if not model.images:
         raise DataError(
             f"{model.folder / f'images{suffix}'}: none of {len(model.index.image_ids)} images has "
             "a pose; run the mapper first"
         )
-    if not len(model.index.point_ids):
+    if not pointless and not len(model.index.point_ids):
         raise DataError(
-            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; "
-            "run a triangulator first"
+            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; take a "
+            "protocol whose `points` is 'triangulated', or run a triangulator first"
         )
     for image in model.images:
         pose = image.cam_from_world()

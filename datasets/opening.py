@@ -116,7 +116,7 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
         spec: A scene folder, or a registered name; an existing folder goes first.
         protocol: The rules.
 
-    Returns: The scene; no image has been decoded yet.
+    Returns: The scene; no image has been decoded yet, unless points are triangulated.
     Raises: DataError naming the file and fault, or listing what was looked for in the folder.
     """
     folder = Path(spec)
@@ -125,6 +125,16 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
         from splatbench.datasets.registry import find_scene
 
         folder = find_scene(str(spec))
+    scene = _with_test_views(folder, protocol)
+    if protocol.points == "scene":
+        return scene
+    from splatbench.datasets.triangulation import with_triangulated  # brings COLMAP's matcher
+
+    return with_triangulated(scene)
+
+
+def _with_test_views(folder: Path, protocol: Protocol) -> Scene:
+    """Open a folder, its test views from the protocol's test folder where it names one."""
     if not protocol.test_folder:
         return _open_folder(folder, protocol)
     whole = replace(protocol, hold=0, test_folder="", train_views=0, scored="held-out")

@@ -28,8 +28,8 @@ def read_points(model: Model) -> SparsePoints:
     starts = np.zeros(len(points) + 1, dtype=np.int64)
     np.cumsum(np.bincount(pairs[:, 0], minlength=len(points)), out=starts[1:])
     return SparsePoints(
-        positions=torch.from_numpy(np.stack([point.xyz for point in points])),
-        colours=torch.from_numpy(np.stack([point.color for point in points])),
+        positions=torch.from_numpy(np.array([p.xyz for p in points], np.float64).reshape(-1, 3)),
+        colours=torch.from_numpy(np.array([p.color for p in points], np.uint8).reshape(-1, 3)),
         track_starts=torch.from_numpy(starts),
         track_views=torch.from_numpy(pairs[:, 1].copy()),
     )

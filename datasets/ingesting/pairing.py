@@ -34,11 +34,11 @@ def following(count: int) -> Pairs:
     return {(a, b) for a in range(count) for b in range(a + 1, min(a + 1 + FOLLOWING, count))}
 
 
-def nearest(positions: Float64[np.ndarray, "n 2"], of: Sequence[int]) -> Pairs:
+def nearest(positions: Float64[np.ndarray, "n d"], of: Sequence[int]) -> Pairs:
     """Each photo with its nearest ones on the map.
 
     Args:
-        positions: East and north in metres.
+        positions: Of each photo, e.g. east and north in metres.
         of: Photo index of each position.
     """
     count = min(NEIGHBOURS + 1, len(of))

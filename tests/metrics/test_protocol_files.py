@@ -149,7 +149,7 @@ def test_a_protocol_without_a_source_is_refused(tmp_path, text):
 
 @pytest.mark.parametrize("name", ["defalt", "", "../default", "../protocols/default"])
 def test_an_unknown_name_is_refused_with_the_nearest(name):
-    with pytest.raises(UsageError, match="nearest is .*known: 3dgs"):
+    with pytest.raises(UsageError, match="nearest is .*known: 3das_7, 3dgs"):
         load_protocol(name)
 
 

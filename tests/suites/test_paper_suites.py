@@ -17,8 +17,9 @@ def written(kind: str, folder: Path) -> None:
     writers = {
         "mill19/rubble": fixtures("doors").mega_nerf,
         "kitti/training": partial(fixtures("kitti").tracking, frames=8),
+        "3das/city_0": partial(fixtures("doors").nerfstudio, distorted=False, views=9),
     }
-    (folder / kind).mkdir(parents=True)
+    (folder / kind).mkdir(parents=True, exist_ok=True)
     writers[kind](folder / kind)
 
 
@@ -32,10 +33,17 @@ def written(kind: str, folder: Path) -> None:
             "kitti_tracking/0001/*/seed0",
             [f"image_{c}/00000{i}.png" for c in ("02", "03") for i in (3, 7)],
         ),
+        (
+            "paper_stratosplat",
+            "3das/city_0",
+            "3das/city_0/*/seed0",
+            ["images/2.png", "images/6.png"],
+        ),
     ],
 )
 def test_a_case_of_a_paper(tmp_path, monkeypatch, suite, kind, only, held):
     monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
     written(kind, tmp_path / "data")
     chosen = select(load_suite(suite), only=only)
     (case,) = chosen.cases

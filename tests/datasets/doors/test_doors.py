@@ -35,9 +35,9 @@ def bent(rays):
     )
 
 
-def nerfstudio(folder, *, swap=False, distorted=True):
+def nerfstudio(folder, *, swap=False, distorted=True, views=4):
     frames, points = [], {}
-    for i in range(4):
+    for i in range(views):
         pose, point = opengl_to_world(i), POINTS[i % 3]
         rays = opengl_rays(pose, point[None])
         name = f"images/{i}.png"

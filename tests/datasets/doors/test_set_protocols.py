@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pycolmap
 import pytest
 
 from helpers.door_checks import fixtures, tenths
@@ -78,11 +79,50 @@ def test_matrix_city(tmp_path):
     assert (sizes(scene), held(scene)) == ({(80, 60)}, ["test/block_1_test/0002.png"])
 
 
-def test_levir_nvs_has_three_training_views(tmp_path):
+def test_levir_nvs_has_three_training_views(tmp_path, monkeypatch):
+    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
     fixtures("doors").levir_nvs(tmp_path, views=21)
     scene = open_scene(tmp_path, load_protocol("levir_nvs_3"))
     assert [view.name for view in scene.train_views] == ["000.png", "010.png", "020.png"]
     assert len(scene.test) == 18
+    assert scene.facts["points"].endswith(" triangulated from 3 training views")
+
+
+@pytest.mark.parametrize("layout", ["colmap", "nerfstudio"])
+def test_3das_has_seven_training_views(tmp_path, monkeypatch, layout):
+    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path))
+    folder = tmp_path / "3das" / "port_2"
+    if layout == "colmap":  # poses alone
+        made = fixtures("photo_tourism")
+        made.write_scene(folder, replace(made.FLIGHT, views=13))
+        model = pycolmap.Reconstruction(folder / "sparse/0")
+        for number in list(model.point3D_ids()):
+            model.delete_point3D(number)
+        model.write(folder / "sparse/0")
+    else:
+        folder.mkdir(parents=True)
+        fixtures("doors").nerfstudio(folder, distorted=False, views=13)
+    scene = open_scene("3das/port_2", load_protocol("3das_7"))
+    assert (scene.facts["adapter"], scene.train) == (layout, (0, 2, 4, 6, 8, 10, 12))
+    assert scene.test == (1, 3, 5, 7, 9, 11)
+    assert scene.facts["points"].endswith(" triangulated from 7 training views")
+
+
+@pytest.mark.parametrize(("count", "train"), [(3, "048"), (5, "02468"), (9, "012345678")])
+def test_aerial_sparse_keeps_its_tests(tmp_path, monkeypatch, count, train):
+    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    made = fixtures("photo_tourism")
+    made.write_scene(tmp_path, replace(made.FLIGHT, views=12))
+    model = pycolmap.Reconstruction(tmp_path / "sparse/0")
+    for i, image in enumerate(sorted(model.images.values(), key=lambda image: image.name)):
+        name = f"test_{i:02d}.png" if i < 3 else f"train_{i - 3:02d}.png"
+        (tmp_path / "photos" / image.name).rename(tmp_path / "photos" / name)
+        image.name = name
+    model.write(tmp_path / "sparse/0")
+    scene = open_scene(tmp_path, load_protocol(f"aerial_sparse_{count}"))
+    assert held(scene) == ["test_00.png", "test_01.png", "test_02.png"]
+    assert [view.name for view in scene.train_views] == [f"train_0{i}.png" for i in train]
 
 
 @pytest.mark.parametrize(
