@@ -15,6 +15,7 @@ from splatbench.methods.reconstruction import load_reconstruction
 from splatbench.methods.registry import get_method
 from splatbench.methods.run import Run
 from splatbench.methods.training import threads
+from splatbench.metrics.registry import load_weights
 from splatbench.metrics.scoring import scene_metrics
 from splatbench.reference.errors import SplatbenchError
 from splatbench.reference.result import Result
@@ -133,6 +134,7 @@ def _prepare(job: Job) -> None:
 
 
 def _run(job: Job, tell: Tell) -> None:
+    weights = load_weights(job.case.protocol.metrics)
     curve, spent = Curve(job.folder / "curve.jsonl"), Spent()
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
@@ -154,8 +156,10 @@ def _run(job: Job, tell: Tell) -> None:
         if isinstance(model, CityModel):
             images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
             means |= extra
+    identity = _identity(job)
+    identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     result = Result(
-        **_identity(job),
+        **identity,
         images=images,
         metrics=means,
         stages=before.stages,

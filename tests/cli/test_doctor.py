@@ -3,7 +3,9 @@
 import json
 
 import pytest
+import torch
 
+from helpers.random_weights import forget, write_weights
 from splatbench import _ext
 from splatbench.cli import main
 from splatbench.methods import backends
@@ -34,6 +36,21 @@ def test_what_is_absent_says_how_to_get_it(tmp_path, capsys, monkeypatch):
     assert found["brighton_beach"]["status"] == "absent"
     for record in found.values():
         assert (record["status"] == "ok") == (record["fix"] == "")
+
+
+def test_weights_are_looked_for_where_the_variable_says(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    forget()
+    monkeypatch.setenv("SPLATBENCH_WEIGHTS", str(tmp_path / "mine"))
+    sha = write_weights(tmp_path / "mine", "alex", monkeypatch)
+    assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
+    found = findings(capsys)
+    assert (
+        found["lpips_alex_m11"] | {"found": f"sha256 {sha}", "fix": ""} == found["lpips_alex_m11"]
+    )
+    assert found["lpips_vgg_m11"]["status"] == "absent"
+    assert "SPLATBENCH_WEIGHTS" in found["lpips_vgg_m11"]["fix"]
+    forget()
 
 
 def test_a_backend_that_is_essential_is_a_fault(tmp_path, capsys, monkeypatch):

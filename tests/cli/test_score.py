@@ -236,7 +236,7 @@ def test_missing_weights_are_told_before_any_work(folders, capsys, tmp_path, mon
     code, out, errors = run(folders, capsys, "--protocol", str(path))
     assert (code, out) == (3, "")
     assert len(errors) == 1
-    assert "LPIPS" in errors[0]
+    assert "vgg16-397923af.pth are not in" in errors[0]
 
 
 def test_folders_without_images_or_with_two_of_a_name(folders, tmp_path, capsys):

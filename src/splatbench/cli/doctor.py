@@ -54,6 +54,7 @@ def findings(out: Path) -> Iterator[Finding]:
     yield from _versions()
     yield from _processor()
     yield from _backends()
+    yield from _weights()
     yield from _scenes()
     yield from _folders(out)
 
@@ -96,6 +97,20 @@ def _backends() -> Iterator[Finding]:
             found="missing" if backend.missing else ", ".join(sorted(backend.capabilities)),
             fix=backend.missing,
         )
+
+
+def _weights() -> Iterator[Finding]:
+    from splatbench.metrics.registry import METRICS
+
+    for metric in METRICS.values():
+        if metric.load_weights is None:
+            continue
+        try:
+            found, fix = f"sha256 {metric.load_weights()}", ""
+        except SplatbenchError as error:
+            found, fix = "missing", str(error)
+        status = "absent" if fix else "ok"
+        yield Finding(topic="weights", name=metric.name, status=status, found=found, fix=fix)
 
 
 def _scenes() -> Iterator[Finding]:

@@ -55,11 +55,13 @@ def fit(
     from splatbench.methods.registry import get_method
     from splatbench.methods.run import Run
     from splatbench.metrics.protocol_files import load_protocol
+    from splatbench.metrics.registry import load_weights
     from splatbench.metrics.scoring import scene_metrics
     from splatbench.suites.held_out import score_views
 
     row, rules = get_method(method), load_protocol(protocol)
     get_backend(backend)
+    load_weights(rules.metrics)
     started = time.perf_counter()
     opened = open_scene(scene, rules)
     stages = {"load": time.perf_counter() - started}

@@ -72,6 +72,7 @@ def run(
         raise UsageError(f"--page and --rows are for the studies {', '.join(STUDIES)}")
     from splatbench.cli.report import print_tables, sync_cases
     from splatbench.methods.backends import get_backend
+    from splatbench.metrics.registry import load_weights
     from splatbench.reports.leaderboard import build_tables
     from splatbench.reports.mlflow_client import default_uri
     from splatbench.suites.environment import usable_cores
@@ -90,6 +91,7 @@ def run(
     else:
         chosen, absent = without_absent(chosen)
         here = chosen.cases
+        load_weights({metric for case in here for metric in case.protocol.metrics})
         for reason in absent:
             output.log(f"left out: {reason}")
     with output.progress() as bar:
