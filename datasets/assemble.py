@@ -168,6 +168,7 @@ def _views(
             background=protocol.background if flatten else None,
             valid=photo.valid,
             sky=photo.sky,
+            moving=photo.moving,
         )
         views.append(
             View(
@@ -184,6 +185,7 @@ def _views(
                 if pinhole.undistortion
                 else depth_loader(folder, photo.name, size, scaled),
                 load_sky=truth.sky_mask if photo.sky else None,
+                load_moving=truth.moving_masks if photo.moving else None,
                 time=None if photo.time is None else photo.time - start,
                 sensor=photo.sensor,
             )

@@ -9,6 +9,7 @@ from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.colmap_model import Model, find_model, pose_matrix, read_model
 from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
 from splatbench.datasets.moments import read_moments, sky_path
+from splatbench.datasets.moving import FOLDER, moving_masks
 from splatbench.datasets.photos import list_photos
 from splatbench.datasets.scene_file import SceneFile, read_scene_file
 from splatbench.datasets.sparse_points import read_points
@@ -85,7 +86,7 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
 
 
 def _with_moments(folder: Path, photos: list[PosedPhoto]) -> list[PosedPhoto]:
-    """The photos with time, camera and sky mask where the folder has them."""
+    """The photos with time, camera, and masks of sky and movers where the folder has them."""
     moments = read_moments(folder, [photo.name for photo in photos])
     found = []
     for photo in photos:
@@ -95,6 +96,7 @@ def _with_moments(folder: Path, photos: list[PosedPhoto]) -> list[PosedPhoto]:
             replace(
                 photo,
                 sky=sky if sky.is_file() else None,
+                moving=moving_masks(folder / FOLDER, str(Path(photo.name).with_suffix(".png"))),
                 time=moment.time if moment else None,
                 sensor=moment.sensor if moment else photo.sensor,
             )

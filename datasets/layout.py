@@ -1,7 +1,7 @@
 """A scene as a data set's files describe it, before a protocol's rules: what every adapter reads."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import pycolmap
 import torch
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from splatbench.reference.scene import SparsePoints
 
@@ -36,6 +36,9 @@ class PosedPhoto:
     """Mask image of the photo's size: 0 where a pixel must not be used."""
     sky: Path | None = None
     """Mask image of the photo's size: above 0 where there is sky."""
+    moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
+    """By kind ("vehicles", "people"), what moves: a mask image of the photo's size, above 0 there, or
+    what makes such a mask. Empty: not known."""
     time: float | None = None
     """Seconds from any start."""
     sensor: str = ""

@@ -6,7 +6,8 @@ for the other order, which others use; bilinear sampling of a small photo blurs 
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -52,6 +53,8 @@ class Truth:
     """Mask image of the photo: 0 where a pixel must not be used."""
     sky: Path | None = None
     """Mask image of the photo: above 0 where there is sky."""
+    moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
+    """By kind, mask image of the photo or what makes one: above 0 where something moves."""
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
@@ -93,7 +96,22 @@ class Truth:
     def sky_mask(self) -> Bool[Tensor, "h w"]:
         """Pixels that are sky by more than half their area. Raises: DataError naming the file."""
         assert self.sky is not None
-        share = self._flag(self.sky)[..., None].expand(-1, -1, 3)
+        return self._mostly(self._flag(self.sky))
+
+    def moving_masks(self) -> dict[str, Bool[Tensor, "h w"]]:
+        """By kind, pixels that move by more than half their area. Raises: DataError naming the file."""
+        return {
+            kind: self._mostly(
+                self._flag(source)
+                if isinstance(source, Path)
+                else torch.from_numpy(source()).float()
+            )
+            for kind, source in self.moving.items()
+        }
+
+    def _mostly(self, flags: Float[Tensor, "_h _w"]) -> Bool[Tensor, "h w"]:
+        """Pixels of the truth image more than half of which is flagged in the photo."""
+        share = flags[..., None].expand(-1, -1, 3)
         if self.undistortion is not None:
             share = resample(share, self.shrunk, "area")
             share = undistort_image(share, self._positions(self.undistortion))

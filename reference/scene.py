@@ -25,6 +25,8 @@ class View:
     """Reads true z-depth in scene units where it is known (inf: nothing hit); None: unknown."""
     load_sky: Callable[[], Bool[Tensor, "h w"]] | None = None
     """Reads the mask of the sky (True: sky) where it is known; None: unknown."""
+    load_moving: Callable[[], dict[str, Bool[Tensor, "h w"]]] | None = None
+    """Reads the masks of what moves (True: moves) by kind, "vehicles" and "people"; None: unknown."""
     time: float | None = None
     """Seconds since the scene's first view; None: static."""
     sensor: str = ""

@@ -13,6 +13,7 @@ from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.doors import driving
 from splatbench.datasets.doors.posed import checked_pose, find_photo, pinhole_camera, positive
 from splatbench.datasets.layout import Layout, PosedPhoto
+from splatbench.datasets.moving import moving_masks
 from splatbench.datasets.photos import list_photos, photo_size
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
@@ -23,6 +24,8 @@ CAMERAS = ("front", "front_left", "front_right", "side_left", "side_right")
 OPENCV_TO_VEHICLE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Right, down, forward in the axes of Waymo's cameras: x forward, y left, z up."""
 SUFFIXES = (".jpg", ".png")
+MASKS = {"vehicles": "vehicle", "people": "human"}
+"""Folders of drivestudio's masks; its third one, all, is these two together."""
 
 
 def recognises_drivestudio(folder: Path) -> bool:
@@ -31,15 +34,18 @@ def recognises_drivestudio(folder: Path) -> bool:
 
 
 def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
-    """Read ego_pose, extrinsics, intrinsics, images, and lidar and sky_masks where they are.
+    """Read ego_pose, extrinsics, intrinsics, images; lidar, sky and dynamic masks where they are.
 
     Intrinsics are fx, fy, cx, cy, k1, k2, p1, p2, k3; photos are undistorted by the protocol's
-    rule. LiDAR rows are 14 float32 in the vehicle's frame: origin, point, 8 labels. Boxes and
-    dynamic masks have no place in a Scene and are not read.
+    rule. LiDAR rows are 14 float32 in the vehicle's frame: origin, point, 8 labels. What moves
+    faster than 1 m/s is masked: by rectangles around its box (dynamic_masks) or, where they are, by
+    segments inside those (fine_dynamic_masks). Boxes (instances) are not read: nothing needs them.
 
-    Source: Chen et al. 2025 (OmniRe), release drivestudio: datasets/waymo.
+    Source: Chen et al. 2025 (OmniRe), release drivestudio: datasets/waymo, datasets/base/pixel_source.py.
     """
     frames = driving.frame_names(folder / "ego_pose")
+    fine, coarse = folder / "fine_dynamic_masks", folder / "dynamic_masks"
+    masks = fine if fine.is_dir() else coarse
     poses = [folder / "ego_pose" / f"{frame}.txt" for frame in frames]
     vehicle = [driving.homogeneous(_pose(path)) for path in poses]
     photos, files = [], list(poses)
@@ -61,6 +67,7 @@ def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
                     camera=_camera(numbers, photo_size(path), paths[0]),
                     camera_to_world=(vehicle[index] @ driving.homogeneous(to_vehicle))[:3],
                     sky=sky if sky.is_file() else None,
+                    moving=moving_masks(masks, f"{frame}_{camera}.png", MASKS),
                     time=index * driving.FRAME_SECONDS,
                     sensor=sensor,
                 )

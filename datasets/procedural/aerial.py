@@ -1,6 +1,7 @@
 """Small aerial scenes of eight kinds for reconstruction from 3, 5, 7 or 9 views.
 
-In the spirit of LEVIR-NVS and 3DAS: a few oblique views over an arc, and more to test on.
+In the spirit of LEVIR-NVS and 3DAS: a few oblique views over an arc, and more to test on. Protocols
+aerial_sparse_3 to aerial_sparse_9 choose how many of them train.
 """
 
 from collections.abc import Callable
@@ -22,10 +23,6 @@ from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
 
-TRAINING = (3, 5, 7, 9)
-"""Numbers of training views that are to be tried; each set holds the smaller ones."""
-ORDER = (4, 0, 8, 2, 6, 1, 7, 3, 5)
-"""Places on the arc of 9, in the order in which training sets grow."""
 GROUND = 110.0
 """Half-side of the ground of a scene in metres."""
 
@@ -238,11 +235,6 @@ def shots(kind: str, seed: int, settings: Settings) -> list[Shot]:
     return found
 
 
-def training_names(count: int) -> list[str]:
-    """Names of the first `count` training views, in the order in which sets grow."""
-    return [f"train_{index:02d}.png" for index in ORDER[:count]]
-
-
 def plan(seed: int, settings: Settings) -> Plan:
     """All eight scenes of a seed, each in a folder of its own."""
     worlds = {kind: make(seed) for kind, make in SCENES.items()}
@@ -260,7 +252,6 @@ def plan(seed: int, settings: Settings) -> Plan:
         shots=tuple(shot for kind in SCENES for shot in shots(kind, seed, settings)),
         stage=stage, samples=settings.samples, features=500,
         kinds={kind: world.kinds for kind, world in worlds.items()},
-        facts={f"training_{count}": ",".join(training_names(count)) for count in TRAINING},
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ import pycolmap
 import torch
 from jaxtyping import Float
 
+from splatbench.datasets import moving
 from splatbench.datasets.depth_maps import depth_path
 from splatbench.datasets.files import write_bytes
 from splatbench.datasets.moments import Moment, sky_path, write_moments
@@ -108,7 +109,7 @@ def _make_views(plan: Plan, work: Path, report: Report) -> None:
         if shot.group in own:
             _write_corners(work, shot, _corners(plan, shot, frame))
         if plan.driven:
-            write_sky(work / shot.group, shot.name, frame)
+            write_masks(plan, work, shot, frame)
         write_frame(work / shot.group, shot.name, frame)
 
     missing = [i for i, shot in enumerate(plan.shots)
@@ -175,11 +176,22 @@ def write_frame(folder: Path, name: str, frame: Frame) -> None:
     write_bytes(depth_path(folder, name), buffer.getvalue())
 
 
-def write_sky(folder: Path, name: str, frame: Frame) -> None:
-    """Write sky/<stem>.png: 255 where a view sees the sky through a pixel's centre, else 0."""
-    encoded, png = cv2.imencode(".png", np.where(frame.object == 0, 255, 0).astype(np.uint8))
-    assert encoded
-    write_bytes(sky_path(folder, name), png.tobytes())
+def write_masks(plan: Plan, work: Path, shot: Shot, frame: Frame) -> None:
+    """Write what a view sees through pixels' centres as PNGs, 255 there and 0 elsewhere.
+
+    sky/<stem>.png, and moving/<kind>/<stem>.png for each kind of things that move.
+    """
+    kinds = np.array(plan.kinds_of(shot.group))[frame.object]
+    scene = work / shot.group
+    flags = {sky_path(scene, shot.name): frame.object == 0}
+    for mask in moving.KINDS:
+        movers = [kind for kind, shown in plan.movable.items() if shown == mask]
+        path = scene / moving.FOLDER / mask / Path(shot.name).with_suffix(".png")
+        flags[path] = np.isin(kinds, movers)
+    for path, flag in flags.items():
+        encoded, png = cv2.imencode(".png", np.where(flag, 255, 0).astype(np.uint8))
+        assert encoded
+        write_bytes(path, png.tobytes())
 
 
 def read_frame(folder: Path, name: str) -> Frame:

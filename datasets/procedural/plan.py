@@ -56,8 +56,9 @@ class Plan:
     """Strata a pixel on each axis."""
     features: int = 400
     """Corners looked for in a view when the sparse points are drawn."""
-    movable: tuple[str, ...] = ()
-    """Kinds of objects that never carry sparse points."""
+    movable: Mapping[str, str] = field(default_factory=dict)
+    """Kinds of objects that move and so never carry sparse points, each with the mask that shows it
+    (splatbench.datasets.moving.KINDS)."""
     driven: bool = False
     """Whether time passes: views.json says when and by which camera each view was taken, and sky/
     has masks of the sky."""

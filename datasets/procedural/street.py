@@ -286,11 +286,13 @@ def plan(seed: int, settings: Settings) -> Plan:
     return Plan(
         world="street", settings=asdict(settings), seed=seed, shots=shots(drive),
         stage=lambda shot: drive.stage(shot.time), samples=settings.samples, features=400,
-        movable=("moving car", "walker"), kinds={"": drive.kinds}, driven=True,
+        movable={"moving car": "vehicles", "walker": "people"},
+        kinds={"": drive.kinds}, driven=True,
         extras=lambda folder: _extras(drive, folder),
         facts={
             "test": ",".join(tests),
             "lidar": "lidar/frame_*.npz: points (world, noisy), ranges (true), beams, objects, origin",
+            "moving": "moving/vehicles, moving/people: masks of what moves, a file a view",
             "motion": "motion.npz: poses[frame, mover] world from object, objects (ids), rigid",
             "lane_shift": "views in the folder lane_shift: the same moments from other lanes",
         },

@@ -52,6 +52,12 @@ def sky(view: View) -> Tensor:
     return view.load_sky()
 
 
+def moving(view: View) -> dict[str, Tensor]:
+    """A view's masks of what moves."""
+    assert view.load_moving is not None
+    return view.load_moving()
+
+
 def refused(folder: Path, said: str, **rules) -> None:
     """The scene does not open, and one line says why."""
     with pytest.raises(DataError, match=said) as caught:

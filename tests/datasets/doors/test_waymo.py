@@ -4,7 +4,16 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, sky, tenths, without
+from helpers.door_checks import (
+    hard_links,
+    moving,
+    opens_in_bounds,
+    protocol,
+    refused,
+    sky,
+    tenths,
+    without,
+)
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_to_world, worst_error
 from splatbench.datasets.opening import open_scene
 from splatbench.reference.errors import DataError
@@ -52,6 +61,17 @@ def write_sky(path):
     Image.fromarray(mask).save(path)
 
 
+def write_moving(folder, name, *, human=(30, 50), vehicle=(40, 90)):
+    """Rectangles of drivestudio: columns 30 to 50 a person, 40 to 90 a vehicle, rows 20 to 60."""
+    spans = {"human": [human], "vehicle": [vehicle], "all": [human, vehicle]}
+    for kind, columns in spans.items():
+        mask = np.zeros((SIZE[1], SIZE[0]), np.uint8)
+        for start, end in columns:
+            mask[20:60, start:end] = 255
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+        Image.fromarray(mask).save(folder / kind / name)
+
+
 def drivestudio(folder, *, frames=4, paint=True):
     points = {}
     for name in ("ego_pose", "extrinsics", "intrinsics", "lidar"):
@@ -73,6 +93,8 @@ def drivestudio(folder, *, frames=4, paint=True):
         rows[:, 3:6] = inside[:, :3]
         rows.tofile(folder / f"lidar/{i:03d}.bin")
         write_sky(folder / f"sky_masks/{i:03d}_1.png")
+        for camera in (0, 1):
+            write_moving(folder / "dynamic_masks", f"{i:03d}_{camera}.png")
     return points
 
 
@@ -142,8 +164,58 @@ def test_lidar_sky_and_chosen_cameras(tmp_path, write):
     refused(tmp_path, "has no camera 'back', .* it has 'front', 'front_left'", sensors=("back",))
 
 
+def test_what_moves(tmp_path):
+    drivestudio(tmp_path)
+    rules = {"hold": 0, "sensors": ("front_left",)}  # a pinhole: pixels stay where they are
+    view = open_scene(tmp_path, protocol(**rules)).views[0]
+    whole = moving(view)
+    assert whole.keys() == {"people", "vehicles"}
+    assert whole["people"].nonzero().amin(0).tolist() == [20, 30]
+    assert whole["people"].nonzero().amax(0).tolist() == [59, 49]
+    assert int(whole["vehicles"].sum()) == 40 * 50
+    half = moving(open_scene(tmp_path, protocol(factor=2.0, **rules)).views[0])
+    assert half["vehicles"].nonzero().amin(0).tolist() == [10, 20]
+    assert int(half["vehicles"].sum()) == 20 * 25
+    for i in range(4):  # segments go before rectangles
+        for camera in (0, 1):
+            write_moving(tmp_path / "fine_dynamic_masks", f"{i:03d}_{camera}.png", vehicle=(60, 70))
+    fine = moving(open_scene(tmp_path, protocol(**rules)).views[0])
+    assert int(fine["vehicles"].sum()) == 40 * 10
+    assert torch.equal(fine["people"], whole["people"])
+
+
+def test_masks_of_bent_photos_are_bent_back(tmp_path):
+    """The blob's own pixels as a mask land on the blob of the undistorted photo."""
+    drivestudio(tmp_path)
+    name = "002_0.png"
+    spot = np.array(Image.open(tmp_path / f"images/{name[:-4]}.jpg").convert("L")) > 100
+    Image.fromarray(255 * spot.astype(np.uint8)).save(tmp_path / "dynamic_masks/human" / name)
+    views = {v.name: v for v in open_scene(tmp_path, protocol(hold=0)).views}
+    view = views[f"images/{name[:-4]}.jpg"]
+    bright = view.load()[..., 0] > 100 / 255
+    people = moving(view)["people"]
+    assert int(bright.sum()) > 8
+    # an outline may move by the rounding of a bilinear sample
+    assert int((people ^ bright).sum()) <= 0.35 * int(bright.sum())
+    assert not (people & ~spread(bright)).any()
+
+
+def spread(mask):
+    """The mask and its neighbours."""
+    grown = torch.nn.functional.max_pool2d(mask[None].float(), 3, stride=1, padding=1)
+    return grown[0] > 0
+
+
 def test_drivestudio_faults(tmp_path):
     drivestudio(tmp_path)
+    mask = tmp_path / "dynamic_masks/human/000_1.png"
+    kept = mask.read_bytes()
+    mask.unlink()
+    refused(tmp_path, r"human/000_1\.png: mask of what moves is missing; export it again, or remove")
+    mask.write_bytes(b"rubbish")
+    with pytest.raises(DataError, match=r"human/000_1\.png: not a readable image"):
+        moving(open_scene(tmp_path, protocol()).views[1])
+    mask.write_bytes(kept)
     without(tmp_path / "intrinsics/0.txt", tmp_path, r"intrinsics/0\.txt: missing")
     without(tmp_path / "extrinsics/1.txt", tmp_path, r"extrinsics/1\.txt: missing")
     without(tmp_path / "images/002_1.jpg", tmp_path, "images/002_1: photo is missing with any of")
@@ -159,6 +231,9 @@ def test_drivestudio_faults(tmp_path):
     scene = open_scene(tmp_path, protocol())
     assert scene.facts["sweeps"] == "3 of 4 frames"
     assert scene.left_out == (("images/009_0.jpg", "no pose or no camera"),)
+    Image.new("L", (7, 5)).save(tmp_path / "dynamic_masks/vehicle/000_1.png")
+    with pytest.raises(DataError, match=r"vehicle/000_1\.png: mask is 7 x 5, its photo is 96 x 72"):
+        moving(open_scene(tmp_path, protocol()).views[1])
     Image.new("L", (5, 5)).save(tmp_path / "sky_masks/000_1.png")
     with pytest.raises(DataError, match="mask is 5 x 5, its photo is 96 x 72"):
         sky(open_scene(tmp_path, protocol()).views[1])

@@ -9,7 +9,16 @@ import torch
 
 from splatbench.cli import main
 from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import aerial, city, exporting, frames, street, tunnel, worlds
+from splatbench.datasets.procedural import (
+    aerial,
+    city,
+    exporting,
+    frames,
+    street,
+    tracing,
+    tunnel,
+    worlds,
+)
 from splatbench.reference.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
@@ -179,6 +188,28 @@ def test_street_views_know_their_moment_their_camera_and_the_sky(made):
     assert 0.05 < max(shares) < 0.6
 
 
+def test_masks_of_movers_cover_what_was_not_there_before(made):
+    """A pixel is in a mask where the world without movers lies at another depth, and nowhere else."""
+    folder, plan = made("street")
+    still = tracing.Caster(street.Drive(1, TINY["street"]).still.build())
+    scene = open_scene(folder, PROTOCOL)
+    shares = {"vehicles": 0.0, "people": 0.0}
+    for view in scene.views:
+        assert view.load_moving is not None
+        assert view.load_depth is not None
+        masks = view.load_moving()
+        assert masks.keys() == shares.keys()
+        shot = next(s for s in plan.shots if s.name == view.name)
+        empty = torch.from_numpy(frames.truth(still, shot.camera)[0])
+        moved = masks["vehicles"] | masks["people"]
+        assert torch.equal(moved, view.load_depth() < empty)
+        assert not (masks["vehicles"] & masks["people"]).any()
+        for kind, mask in masks.items():
+            shares[kind] += float(mask.float().mean())
+    assert min(shares.values()) > 0.001
+    assert open_scene(made("city")[0], PROTOCOL).views[0].load_moving is None
+
+
 def test_moving_things_are_where_their_pose_says(made):
     """A hit on a moving car, taken back by its pose, lies inside the car's own box."""
     _, plan = made("street")
@@ -242,12 +273,10 @@ def test_sparse_points_leave_moving_things_out(made):
     assert hits <= 0.1 * len(model.points3D)  # noise of a pixel at an outline
 
 
-def test_an_aerial_scene_has_nested_training_sets():
-    shots = aerial.shots("church", 2, aerial.PRESETS["small"])
-    names = {shot.name for shot in shots}
-    for few, many in zip(aerial.TRAINING[:-1], aerial.TRAINING[1:], strict=True):
-        assert set(aerial.training_names(few)) < set(aerial.training_names(many)) <= names
-    assert sum(name.startswith("test") for name in names) == 3
+def test_an_aerial_scene_has_nine_views_to_train_on():
+    names = [shot.name for shot in aerial.shots("church", 2, aerial.PRESETS["small"])]
+    assert sorted(names)[3:] == [f"train_{i:02d}.png" for i in range(9)]
+    assert sum(name.startswith("test_") for name in names) == 3
     assert len(aerial.SCENES) == 8
 
 
