@@ -1,9 +1,12 @@
-"""Photo files: which there are, how large they are, and their pixels. 8-bit RGB or grey only."""
+"""Photo files: which there are, how large they are, and their pixels. 8-bit RGB or grey, or 16-bit
+RGB as PNG.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -53,7 +56,8 @@ def photo_size(path: Path) -> tuple[int, int]:
 def read_photo(
     path: Path, background: tuple[float, float, float] | None = None
 ) -> Float[Tensor, "h w 3"]:
-    """Pixels of a photo: float32 sRGB in [0, 1] as stored (k / 255), grey repeated to RGB.
+    """Pixels of a photo: float32 sRGB in [0, 1] as stored (k / 255, of 16 bits k / 65535), grey
+    repeated to RGB.
 
     The EXIF orientation is not applied: COLMAP does not apply it either, and the camera's size
     and pixels must mean the same.
@@ -70,8 +74,19 @@ def read_photo(
         if background is not None and image.has_transparency_data:
             rgba = torch.from_numpy(np.array(image.convert("RGBA"))).float() / 255
             return rgba[..., :3] * rgba[..., 3:] + torch.tensor(background) * (1 - rgba[..., 3:])
+        if _is_16_bit(path):
+            # Pillow would drop the lower byte
+            stored = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+            return torch.from_numpy(stored[..., ::-1].astype(np.float32)) / 65535
         pixels = np.array(image.convert("RGB"))
     return torch.from_numpy(pixels).float() / 255
+
+
+def _is_16_bit(path: Path) -> bool:
+    """Whether the header is that of a PNG of 16-bit RGB (bit depth 16, colour type 2)."""
+    with path.open("rb") as file:
+        head = file.read(26)
+    return head[:8] == b"\x89PNG\r\n\x1a\n" and head[24:] == bytes([16, 2])
 
 
 def check_photo(path: Path) -> None:

@@ -1,6 +1,7 @@
 """From a render and its truth to numbers, by the rules of a protocol."""
 
 import hashlib
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
@@ -150,25 +151,26 @@ def scene_metrics(images: Iterable[ImageScore]) -> dict[str, float]:
         images: Scores of one scene under one protocol; read once, so a generator will do.
     Raises: DataError where there is none, or where images have different metrics.
     """
-    sums: dict[str, float] = {}
-    mse: dict[str, float] = {}
+    values: dict[str, list[float]] = {}
     count, first = 0, ""
     for image in images:
         if not count:
             first = image.name
-            sums = dict.fromkeys(image.metrics, 0.0)
-            mse = {key: 0.0 for key in sums if key == "psnr" or key.endswith("_psnr")}
-        if image.metrics.keys() != sums.keys():
+            values = {key: [] for key in image.metrics}
+        if image.metrics.keys() != values.keys():
             raise DataError(
                 f"{image.name} has the metrics {', '.join(image.metrics)} but {first} has "
-                f"{', '.join(sums)}; score all images under one protocol"
+                f"{', '.join(values)}; score all images under one protocol"
             )
         count += 1
         for key, value in image.metrics.items():
-            sums[key] += value
-        for key in mse:
-            mse[key] += 10 ** (-image.metrics[key] / 10)
+            values[key].append(value)
     if not count:
         raise DataError("no image was scored, so there is no mean")
-    pooled = {f"{key}_of_mean_mse": psnr_of_mse(total / count) for key, total in mse.items()}
-    return {key: total / count for key, total in sums.items()} | pooled
+    # fsum: the mean does not depend on the order of the images
+    means = {key: math.fsum(own) / count for key, own in values.items()}
+    for key, own in values.items():
+        if key == "psnr" or key.endswith("_psnr"):
+            mse = math.fsum(10 ** (-value / 10) for value in own) / count
+            means[f"{key}_of_mean_mse"] = psnr_of_mse(mse)
+    return means

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 EXPERIMENTS = "splatbench/"
 """Start of the name of every experiment of ours; the suite's name follows."""
-ARTIFACTS = ("record.json", "renders", "truth", "errors", "seams", "blocks", "model")
+ARTIFACTS = ("record.json", "renders", "truth", "masks", "errors", "seams", "blocks", "model")
 """What of a case folder is logged. Checkpoints are not: they are of no use once a case is done."""
 STATE, RECORD, ORIGIN, CASE = (
     f"splatbench.{name}" for name in ("state", "record_sha256", "origin", "case")

@@ -34,7 +34,7 @@ CHECKPOINT_SECONDS = 15.0
 """A kill loses at most this much training."""
 OURS = (
     RECORD_NAME, "case.json", "trained.json", "curve.jsonl", "failure.txt",
-    "renders", "truth", "errors", "seams", "blocks", "model", "checkpoint",
+    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
 

@@ -2,12 +2,14 @@
 
 import statistics
 import time
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, UInt8, UInt16
 from torch import Tensor
 
 from splatbench.methods.reconstruction import Reconstruction
@@ -31,8 +33,9 @@ def score_views(
 ) -> tuple[tuple[ImageScore, ...], float]:
     """Score every test view, one in memory at a time.
 
-    Writes renders/, truth/ and errors/ (FLIP error maps, magma, black where nothing is scored) as
-    PNGs named after the views.
+    Writes renders/, truth/, masks/ (where the scene has any) and errors/ (FLIP error maps, magma,
+    black where nothing is scored) as PNGs named after the views. Renders, truth and masks are what
+    was scored: scoring the files again gives the same numbers (see `kept`).
 
     Args:
         scene: With test views.
@@ -50,19 +53,48 @@ def score_views(
         raise DataError(f"scene {scene.name}: two test views have the same name but for the suffix")
     background = torch.tensor(protocol.background)
     scores = []
+    masked = any(view.load_mask is not None for view in views)
     with (
         new_folder(folder / "renders") as renders,
         new_folder(folder / "truth") as truths,
         new_folder(folder / "errors") as errors,
+        new_folder(folder / "masks") if masked else nullcontext(folder) as masks,
     ):
         for view, name in zip(views, names, strict=True):
-            render, truth = model.render(view.camera, background).colour, view.load()
+            render, shown = kept(model.render(view.camera, background).colour, protocol.rounding)
+            truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
             scores.append(score_image(view.name, render, truth, protocol, mask))
-            write_png(renders / name, to_8_bit(render))
-            write_png(truths / name, to_8_bit(truth))
+            write_png(renders / name, shown)
+            write_png(truths / name, true)
             write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))
+            if masked:
+                valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
+                write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
     return tuple(scores), render_milliseconds(views, model, background)
+
+
+def kept(
+    image: Float[Tensor, "h w 3"], rounding: Literal["round", "truncate", "float"]
+) -> tuple[Float[Tensor, "h w 3"], UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]]:
+    """What is scored of an image, and the PNG that holds exactly that.
+
+    8 bits a channel where they hold the (rounded) image, else 16, to which it is rounded half up:
+    a step of 1.5e-5, the noise of which lies at 107 dB.
+
+    Args:
+        image: Any values; outside [0, 1] and where it is not finite it is scored as it is.
+        rounding: The protocol's, of a render; "float" for truth.
+    """
+    clean = image.detach().float().nan_to_num().clamp(0, 1)
+    rounded = round_to_8_bit(clean, rounding)
+    bits: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"] = to_8_bit(rounded)
+    stored = torch.from_numpy(bits).float() / 255
+    if not torch.equal(stored, rounded):
+        steps = torch.floor(rounded * 65535 + 0.5)
+        bits, stored = steps.numpy().astype(np.uint16), steps / 65535
+    inside = (image >= 0) & (image <= 1)
+    return torch.where(inside, stored, image.detach().float()), bits
 
 
 def to_8_bit(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
@@ -84,8 +116,8 @@ def error_picture(
     return np.asarray(colours[..., ::-1], dtype=np.uint8)
 
 
-def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Write RGB bytes as a PNG."""
+def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]) -> None:
+    """Write RGB of 8 or 16 bits as a PNG."""
     done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
     assert done
     path.write_bytes(data.tobytes())

@@ -48,10 +48,25 @@ def test_pictures_have_the_views_names_and_the_truths_size(tmp_path):
             picture = cv2.imread(str(tmp_path / kind / picture_name(image.name)))
             assert picture is not None
             assert picture.shape == (18, 24, 3)
-    truth = cv2.imread(str(tmp_path / "truth" / "0.png"))
+    truth = cv2.imread(str(tmp_path / "truth" / "0.png"), cv2.IMREAD_UNCHANGED)
     assert truth is not None
-    want = to_8_bit(scene.test_views[0].load())
+    want = np.floor(scene.test_views[0].load().numpy() * 65535 + 0.5)
     assert np.array_equal(truth[..., ::-1], want)
+    assert not (tmp_path / "masks").exists()
+
+
+def test_masks_are_kept_where_a_view_has_one(tmp_path):
+    mask = torch.ones(18, 24, dtype=torch.bool)
+    mask[:5] = False
+    scene = fake_scene("town", PROTOCOL)
+    views = [
+        replace(view, load_mask=mask.clone if i else None) for i, view in enumerate(scene.views)
+    ]
+    score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
+    for name, want in (("0.png", torch.ones_like(mask)), ("3.png", mask)):
+        stored = cv2.imread(str(tmp_path / "masks" / name), cv2.IMREAD_GRAYSCALE)
+        assert stored is not None
+        assert np.array_equal(stored, want.numpy() * 255)
 
 
 def test_scenes_that_cannot_be_scored_leave_nothing(tmp_path):
