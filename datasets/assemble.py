@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
+from splatbench.datasets.chosen import chosen_part
 from splatbench.datasets.depth_maps import depth_loader, depth_path
 from splatbench.datasets.frame import origin_shift, up_vector
 from splatbench.datasets.images import TensorCache
@@ -49,7 +50,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
 
     Raises: DataError naming file and fault; UsageError for a protocol that does not fit.
     """
-    layout = _chosen_sensors(folder, layout, protocol)
+    layout = chosen_part(folder, layout, protocol)
     photos = sorted(layout.photos, key=lambda photo: photo.name)
     names = [photo.name for photo in photos]
     twice = sorted({a for a, b in pairwise(names) if a == b})
@@ -90,22 +91,6 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
             "opencv": version("opencv-contrib-python-headless"),
         },
     )
-
-
-def _chosen_sensors(folder: Path, layout: Layout, protocol: Protocol) -> Layout:
-    if not protocol.sensors:
-        return layout
-    known = {photo.sensor for photo in layout.photos}
-    for sensor in protocol.sensors:
-        if sensor not in known:
-            raise DataError(
-                f"{folder}: has no camera {sensor!r}, which protocol {protocol.name} uses; "
-                f"it has {', '.join(map(repr, sorted(known)))}"
-            )
-    reason = f"protocol {protocol.name} uses other cameras"
-    others = [(p.name, reason) for p in layout.photos if p.sensor not in protocol.sensors]
-    photos = [photo for photo in layout.photos if photo.sensor in protocol.sensors]
-    return replace(layout, photos=photos, left_out=(*layout.left_out, *others))
 
 
 def _split(

@@ -12,8 +12,12 @@ from torch import Tensor
 from splatbench.reference.errors import UsageError
 from splatbench.reference.protocol import Protocol
 
-_PIL_FILTERS = {"lanczos": Image.Resampling.LANCZOS, "bicubic": Image.Resampling.BICUBIC}
-FILTER_RADIUS = {"area": 0.5, "bicubic": 2.0, "lanczos": 3.0}
+_PIL_FILTERS = {
+    "bilinear": Image.Resampling.BILINEAR,
+    "bicubic": Image.Resampling.BICUBIC,
+    "lanczos": Image.Resampling.LANCZOS,
+}
+FILTER_RADIUS = {"area": 0.5, "bilinear": 1.0, "bicubic": 2.0, "lanczos": 3.0}
 """Half-width of each filter in pixels of the smaller image."""
 
 
@@ -91,13 +95,13 @@ def resample(
     """Down-scale an image, each filter stretched by the ratio so that nothing aliases.
 
     "area" is the exact mean over each new pixel's rectangle (OpenCV INTER_AREA); "lanczos"
-    (a = 3) and "bicubic" (a = -0.5) are Pillow's, on float channels, in sRGB as stored,
-    without any 8-bit step; their overshoot is clamped to [0, 1].
+    (a = 3), "bicubic" (a = -0.5) and "bilinear" (a triangle) are Pillow's, on float channels, in
+    sRGB as stored, without any 8-bit step; overshoot is clamped to [0, 1].
 
     Args:
         image: Float32 in [0, 1].
         size: (width, height), at most the image's.
-        filter: "area", "lanczos" or "bicubic".
+        filter: "area", "lanczos", "bicubic" or "bilinear".
 
     Returns: The image at the new size; the same tensor if the size is already right.
     """

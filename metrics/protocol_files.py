@@ -100,6 +100,13 @@ def _check(protocol: Protocol, where: str) -> None:
         (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
         (protocol.hold_first < 0, f"hold_first is {protocol.hold_first}, expected 0 or more"),
         (protocol.train_views < 0, f"train_views is {protocol.train_views}, expected 0 or more"),
+        *(
+            (
+                first < 0 or (last != -1 and last < first),
+                f"clips: {scene!r} goes from {first} to {last}, not forward from 0 (-1: to the end)",
+            )
+            for scene, first, last in protocol.clips
+        ),
         (not protocol.metrics, "metrics is empty; name at least one"),
         (
             not all(0 <= value <= 1 for value in protocol.background),
@@ -112,6 +119,7 @@ def _check(protocol: Protocol, where: str) -> None:
             ("metrics", protocol.metrics),
             ("test_names", protocol.test_names),
             ("sensors", protocol.sensors),
+            ("clips", tuple(scene for scene, _, _ in protocol.clips)),
             ("colour_fit", protocol.colour_fit),
         )
     ]

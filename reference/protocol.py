@@ -19,7 +19,7 @@ class Protocol:
     """Divide both sides by this; 1 leaves the size alone."""
     max_width: int | None = None
     """Scale wider images to this width (aspect kept) and leave the others alone."""
-    filter: Literal["area", "lanczos", "bicubic"] = "area"
+    filter: Literal["area", "lanczos", "bicubic", "bilinear"] = "area"
     """Resampling filter of the down-scale."""
     size_rule: Literal["round", "floor"] = "round"
     """How a scaled size becomes whole pixels (round: half up); K is scaled per axis accordingly."""
@@ -35,6 +35,9 @@ class Protocol:
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
     sensors: tuple[str, ...] = ()
     """Names of the cameras that are used, in training and in testing; empty: all."""
+    clips: tuple[tuple[str, int, int], ...] = ()
+    """(scene's folder, first, last) of drives of which a part is used: moments counted from 0, both
+    ends used, last -1: to the end. Other scenes are used whole."""
     test_names: tuple[str, ...] = ()
     """Names of the test views, or patterns such as "test_*"; when given, `hold` is ignored."""
     train_views: int = 0

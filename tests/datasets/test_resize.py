@@ -13,7 +13,7 @@ from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.errors import UsageError
 from splatbench.reference.protocol import Protocol
 
-FILTERS = ("area", "lanczos", "bicubic")
+FILTERS = ("area", "lanczos", "bicubic", "bilinear")
 
 
 def protocol(**rules) -> Protocol:
@@ -141,6 +141,8 @@ def weights(old: int, new: int, filter: str) -> np.ndarray:
         t = (np.arange(old) + 0.5 - ((np.arange(new) + 0.5) * scale)[:, None]) / scale
         if filter == "lanczos":
             table = np.where(abs(t) < 3, np.sinc(t) * np.sinc(t / 3), 0)
+        elif filter == "bilinear":
+            table = np.maximum(1 - abs(t), 0)
         else:
             a, t = -0.5, abs(t)
             near = (a + 2) * t**3 - (a + 3) * t**2 + 1

@@ -188,7 +188,7 @@ def test_keep_has_every_photo_pixel_and_masks_the_rest(model):
 
 
 @pytest.mark.parametrize("order", ["full", "scaled"])
-@pytest.mark.parametrize("filter", ["area", "lanczos", "bicubic"])
+@pytest.mark.parametrize("filter", ["area", "lanczos", "bicubic", "bilinear"])
 def test_no_invalid_pixel_bleeds_into_a_valid_one(tmp_path, filter, order):
     """A white photo stays white under the mask; outside it is black."""
     made = dataclasses.replace(scaled_up("OPENCV"), paint=lambda xy: np.ones((*xy.shape[:-1], 3)))

@@ -10,6 +10,7 @@ from helpers.door_checks import fixtures, tenths
 from helpers.posed_scenes import blob
 from splatbench.datasets.opening import open_scene
 from splatbench.metrics.protocol_files import load_protocol
+from splatbench.reference.errors import DataError
 from splatbench.reference.scene import Scene
 
 
@@ -126,28 +127,68 @@ def test_aerial_sparse_keeps_its_tests(tmp_path, monkeypatch, count, train):
 
 
 @pytest.mark.parametrize(
-    ("name", "fixture", "frames", "moments", "size"),
+    ("name", "fixture", "frames", "clip", "moments", "size"),
     [
-        ("waymo_pvg", "pvg", 9, [3, 7], (96, 72)),
-        ("waymo_omnire", "drivestudio", 21, [10, 20], (48, 36)),
+        ("waymo_pvg", "pvg", 9, None, [3, 7], (96, 72)),
+        ("waymo_omnire", "drivestudio", 25, (3, -1), [10, 20], (48, 36)),
     ],
 )
-def test_waymo(tmp_path, name, fixture, frames, moments, size):
+def test_waymo(tmp_path, name, fixture, frames, clip, moments, size):
     rules = load_protocol(name)
     assert rules.sensors == ("front", "front_left", "front_right")
     getattr(fixtures("waymo"), fixture)(tmp_path, frames=frames)
     # the fixture has two cameras
-    scene = open_scene(tmp_path, replace(rules, sensors=rules.sensors[:2], undistort="keep"))
-    assert sorted({tenths(view) for view in scene.test_views}) == moments
+    rules = replace(rules, sensors=rules.sensors[:2], undistort="keep")
+    if clip:
+        rules = replace(rules, clips=((tmp_path.name, *clip),))
+    scene = open_scene(tmp_path, rules)
+    assert sorted({tenths(view) for view in scene.test_views}) == moments  # from the clip's start
     assert len(scene.test) == 2 * len(moments)
     assert size in sizes(scene)
+    if clip:
+        assert len(scene.views) == 2 * 22
+        assert "images/003_0.jpg" in [view.name for view in scene.views]
+        assert ("images/002_0.jpg", f"protocol {name} uses moments 3 to the end") in scene.left_out
+        assert scene.facts["clip"] == "3 to 24"
+        assert len(scene.points) == 3 * 22  # the sweeps of the clip alone
 
 
 def test_kitti(tmp_path):
-    folder, _ = fixtures("kitti").tracking(tmp_path, frames=8)
-    scene = open_scene(folder, load_protocol("kitti_pvg"))
-    assert sorted({tenths(view) for view in scene.test_views}) == [3, 7]
-    assert len(scene.test) == 4
+    """PVG's loader holds out index i of the clip where (i + 1) % 4 == 0."""
+    folder, _ = fixtures("kitti").tracking(tmp_path, frames=14)
+    rules = load_protocol("kitti_pvg")
+    assert rules.clips == (("0001", 380, 431), ("0002", 140, 224), ("0006", 65, 120))
+    with pytest.raises(DataError, match="14 moments, but protocol kitti_pvg uses 380 to 431"):
+        open_scene(folder, rules)
+    scene = open_scene(folder, replace(rules, clips=(("0001", 2, 11),)))
+    assert held(scene) == [f"image_{c}/0000{i:02d}.png" for c in ("02", "03") for i in (5, 9)]
+    assert len(scene.views) == 20
+    other = open_scene(folder, replace(rules, clips=(("0002", 380, 431),)))
+    assert len(other.views) == 28  # no clip of this sequence: whole
+
+
+@pytest.mark.parametrize(
+    ("name", "fixture", "views"),
+    [
+        ("waymo_pvg_reconstruction", "pvg", 8),
+        ("waymo_omnire_reconstruction", "drivestudio", 8),
+        ("kitti_pvg_reconstruction", "tracking", 4),
+    ],
+)
+def test_reconstruction_scores_what_was_trained_on(tmp_path, name, fixture, views):
+    rules = load_protocol(name)
+    folder = tmp_path
+    if fixture == "tracking":
+        folder, _ = fixtures("kitti").tracking(tmp_path)
+        rules = replace(rules, clips=(("0001", 1, 2),))
+    else:
+        getattr(fixtures("waymo"), fixture)(tmp_path)
+        rules = replace(rules, sensors=rules.sensors[:2], undistort="keep")
+    scene = open_scene(folder, rules)
+    assert scene.train == scene.test == tuple(range(views))
+    views = load_protocol(name.removesuffix("_reconstruction"))
+    same = replace(views, name="", source="", scored="training", hold=0, hold_first=0)
+    assert replace(same, hold_unit="view") == replace(load_protocol(name), name="", source="")
 
 
 def test_nerfstudio(tmp_path):
