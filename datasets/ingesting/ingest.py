@@ -70,7 +70,7 @@ def ingest_photos(
         raise DataError(
             f"{out}: cannot be made here ({error.strerror}); choose another folder"
         ) from None
-    pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
     try:
         survey = survey_photos(photos, lambda done, total: report("reading", done, total))
         settings = {

@@ -8,9 +8,12 @@ imported only when it is chosen, and imports what is heavy (torch, mlflow, pycol
 import importlib
 import inspect
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated, Any, get_type_hints
 
@@ -105,11 +108,33 @@ def main(args: Sequence[str] | None = None) -> int:
     # read when torch is first imported, here or in a worker.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
-        return _told(lambda: _run(arguments))
+        with _sigterm_told():
+            return _told(lambda: _run(arguments))
     except BrokenPipeError:
         # Whoever read our output has left (`bench ... | head`); nobody is there to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: clean up as after ctrl-C."""
+
+
+@contextmanager
+def _sigterm_told() -> Iterator[None]:
+    """SIGTERM raises Terminated inside the block; only the main thread may ask for that."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _told(action: Callable[[], int]) -> int:
@@ -121,9 +146,11 @@ def _told(action: Callable[[], int]) -> int:
             traceback.print_exc()
         print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print("bench: interrupted; the same command continues where it stopped", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as ended:
+        told = isinstance(ended, Terminated)
+        how = "terminated" if told else "interrupted"
+        print(f"bench: {how}; the same command continues where it stopped", file=sys.stderr)
+        return 128 + (signal.SIGTERM if told else signal.SIGINT)
     except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
         return exit_.code if isinstance(exit_.code, int) else 2
 

@@ -1,0 +1,76 @@
+"""Ctrl-C and SIGTERM end a command with one line and the usual exit code; nothing half-made is left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from helpers.aerial_photos import write_flight
+from helpers.colmap_scenes import Flight, write_scene
+from splatbench.methods.processes import how_it_ended
+
+BENCH = str(Path(sys.executable).with_name("bench"))
+SUITE = """
+description = "For tests"
+[[blocks]]
+scenes = ["./town"]
+methods = ["3dgs"]
+protocols = ["default"]
+[blocks.settings.3dgs]
+iterations = 1_000_000
+"""
+
+
+def started(arguments: list[str], folder: Path, sign: str) -> subprocess.Popen[str]:
+    """A command in a session of its own, once a line of its stderr begins as told."""
+    process = subprocess.Popen(
+        [BENCH, *arguments], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith(sign):
+            time.sleep(0.5)
+            return process
+    raise AssertionError(f"never said {sign!r}: {how_it_ended(process.wait())}")
+
+
+def ended(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, str]:
+    """Exit code and what was still said, after the signal that a terminal or a batch system sends."""
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # a terminal tells the workers too
+    else:
+        process.send_signal(number)
+    said, errors = process.communicate(timeout=120)
+    assert said == ""
+    return process.returncode, errors
+
+
+CASES = [
+    pytest.param("ingest", signal.SIGTERM),
+    pytest.param("run", signal.SIGINT),
+    pytest.param("ingest", signal.SIGINT, marks=pytest.mark.slow),
+    pytest.param("run", signal.SIGTERM, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("command", "number"), CASES)
+def test_one_line_and_the_usual_exit_code(tmp_path, command, number):
+    if command == "ingest":
+        write_flight(tmp_path / "photos")
+        process = started(["ingest", "photos", "scene"], tmp_path, "features")
+    else:
+        write_scene(tmp_path / "town", Flight())
+        (tmp_path / "mine.toml").write_text(SUITE)
+        process = started(["run", "mine.toml"], tmp_path, "[1/1]")
+    code, errors = ended(process, number)
+    how = {signal.SIGTERM: "terminated", signal.SIGINT: "interrupted"}[number]
+    assert errors == f"bench: {how}; the same command continues where it stopped\n"
+    assert code == 128 + number
+    left = {path.name for path in (tmp_path / "runs").rglob("*")}
+    assert not left & {"record.json", "model", "model.partial"}
+    assert not (tmp_path / "scene").exists()
