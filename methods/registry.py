@@ -11,6 +11,7 @@ from splatbench.methods.city import settings as city
 from splatbench.methods.city.pipeline import fit as fit_city
 from splatbench.methods.reconstruction import Reconstruction
 from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import UsageError
 from splatbench.reference.scene import Scene
 
@@ -37,7 +38,7 @@ def _city(name: str, settings: type, description: str) -> Method:
 METHODS: dict[str, Method] = {
     "3dgs": Method(
         name="3dgs",
-        settings=training.Settings,
+        settings=Settings,
         fit=training.fit,
         description="3D Gaussian Splatting (Kerbl et al. 2023): SfM points, adaptive density "
         "control, opacity reset, SH warm-up, L1 + 0.2 D-SSIM",

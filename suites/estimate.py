@@ -119,7 +119,7 @@ def _train_seconds(settings: Mapping[str, Any], scene: Scene) -> float:
     start = START_SECONDS * blocks if blocks > 1 else 0.0
     coarse = settings.get("coarse_iterations", 0)
     work = blocks * steps * (pixels + gaussians / blocks) + coarse * (pixels + gaussians)
-    return (work + start) / usable_cores()
+    return (settings.get("views_per_step", 1) * work + start) / usable_cores()
 
 
 def _mean_gaussians(iterations: int, scene: Scene) -> float:

@@ -19,6 +19,7 @@ from splatbench.methods.initialise import from_points
 from splatbench.methods.memory import peak_memory_mb
 from splatbench.methods.reconstruction import FIELDS, ExplicitModel
 from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.scene import Scene
 from splatbench.reference.view_sampling import SamplingSettings, balanced_draws, view_bins
@@ -58,7 +59,7 @@ class BlockJob:
     """The block's views, all for training, and the points it starts from."""
     roles: Int8[Tensor, " n"]
     """What becomes of each starting Gaussian: OWN, CONTEXT or GHOST."""
-    settings: training.Settings
+    settings: Settings
     facts: BlockFacts
     """Who it is; cost and primitives are filled in by training."""
     folder: Path
@@ -243,5 +244,5 @@ class BlockTrainer(training.Trainer):
         """Take the roles over, and skip the views that were drawn before."""
         self.roles = state["roles"].clone()
         if self.draws is not None:
-            for _ in range(self.step):
+            for _ in range(self.step * self.settings.views_per_step):
                 next(self.draws)

@@ -7,12 +7,12 @@ import torch
 from jaxtyping import Bool, Int8
 from torch import Tensor
 
-from splatbench.methods import training
 from splatbench.methods.city.blocks import BlockFacts, BlockJob
 from splatbench.methods.city.ground import Ground, ground
 from splatbench.methods.city.partition import Partition
 from splatbench.methods.city.roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
 from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.reference.ghosts import RIM
 from splatbench.reference.scene import Scene, SparsePoints
 from splatbench.reference.view_sampling import SamplingSettings
@@ -25,7 +25,7 @@ SEEDS_APART = 1_000_003
 def block_jobs(
     scene: Scene,
     found: Partition,
-    settings: training.Settings,
+    settings: Settings,
     run: Run,
     cache: Path,
     *,
@@ -63,7 +63,7 @@ def _job(
     place: Ground,
     found: Partition,
     block: int,
-    settings: training.Settings,
+    settings: Settings,
     run: Run,
     cache: Path,
     *,

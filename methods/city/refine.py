@@ -14,6 +14,7 @@ from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import FIELDS
 from splatbench.methods.run import Run
 from splatbench.methods.schedules import Rates, require
+from splatbench.methods.settings import Settings
 from splatbench.reference.affine_codes import fake_quantise, lattice
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.preclean import CleanSettings, preclean
@@ -76,7 +77,7 @@ def refine(
     model: Gaussians,
     scene: Scene,
     settings: RefineSettings,
-    base: training.Settings,
+    base: Settings,
     run: Run,
     folder: Path | None,
 ) -> tuple[Gaussians, float]:
@@ -120,7 +121,7 @@ class Refiner(training.Trainer):
         model: Gaussians,
         scene: Scene,
         settings: RefineSettings,
-        own: training.Settings,
+        own: Settings,
         run: Run,
     ) -> None:
         """Start from a merged model."""

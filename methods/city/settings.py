@@ -3,12 +3,12 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from splatbench.methods import training
 from splatbench.methods.city.partition import PartitionSettings
 from splatbench.methods.city.refine import RefineSettings
 from splatbench.methods.city.roles import Auxiliary, Surrounding
 from splatbench.methods.packing import FileSettings
 from splatbench.methods.schedules import require
+from splatbench.methods.settings import Settings
 from splatbench.reference.stitching import StitchSettings
 from splatbench.reference.view_sampling import SamplingSettings
 
@@ -22,7 +22,7 @@ LOAD_WIDE = PartitionSettings(method="odbp", margin=0.15)
 
 
 @dataclass(frozen=True, kw_only=True)
-class CitySettings(training.Settings):
+class CitySettings(Settings):
     """Blocks that are trained apart and merged. `iterations` are those of each block."""
 
     blocks: int = 4
@@ -75,10 +75,10 @@ class CitySettings(training.Settings):
         require(self.pack.gate >= 0, "pack.gate", self.pack.gate, ">= 0")
 
     @property
-    def training(self) -> training.Settings:
+    def training(self) -> Settings:
         """Those of each block's training."""
-        names = [part.name for part in fields(training.Settings)]
-        return training.Settings(**{name: getattr(self, name) for name in names})
+        names = [part.name for part in fields(Settings)]
+        return Settings(**{name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,8 @@ from splatbench.datasets.registry import find_scene
 from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings, Trainer
+from splatbench.methods.settings import Settings
+from splatbench.methods.training import Trainer
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference.errors import MissingError, SplatbenchError
 from splatbench.reference.scene import Scene

@@ -8,7 +8,8 @@ import torch
 from helpers.tiny_scene import tiny_scene
 from splatbench.methods.density import Density
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings, fit
+from splatbench.methods.settings import Settings
+from splatbench.methods.training import fit
 
 SETTINGS = Settings(
     iterations=60, sh_degree=1, random_background=True,

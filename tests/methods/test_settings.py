@@ -10,7 +10,7 @@ from splatbench.methods.backends import CONTRACT, describe_backends, get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.registry import METHODS, get_method
 from splatbench.methods.schedules import Rates, active_degree, means_rate, settling, shrink
-from splatbench.methods.training import Settings
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import MissingError, UsageError
 
 

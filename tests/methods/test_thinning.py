@@ -11,8 +11,9 @@ from helpers.tiny_scene import tiny_scene
 from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.methods.thinning import HIDDEN, OPAQUEST, draw_shown, opacity_pull, thinned
-from splatbench.methods.training import Settings, Trainer, fit
+from splatbench.methods.training import Trainer, fit
 from splatbench.reference.errors import UsageError
 
 SETTINGS = Settings(
@@ -72,8 +73,8 @@ def test_both_routes_give_the_same_step():
         steps.append((loss, gradients))
     assert steps[0][0] == pytest.approx(steps[1][0], rel=1e-5)
     for name, gradient in steps[0][1].items():
-        # Sums of float32 in another order: MEASURED of the norm was seen.
-        assert (gradient - steps[1][1][name]).norm() <= 1e-5 * gradient.norm()
+        # Sums of float32 in another order: 1.5e-7 of the norm was seen.
+        assert (gradient - steps[1][1][name]).norm() <= 1e-6 * gradient.norm()
 
 
 class Killed(Exception):

@@ -15,7 +15,8 @@ from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import FIELDS, load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings, Trainer, fit
+from splatbench.methods.settings import Settings
+from splatbench.methods.training import Trainer, fit
 from splatbench.reference.errors import DataError, SplatbenchError, UsageError
 from splatbench.reference.scene import Scene
 

@@ -11,7 +11,7 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
 from splatbench.methods.city.settings import CitySettings
 from splatbench.methods.registry import METHODS
-from splatbench.methods.training import Settings
+from splatbench.methods.settings import Settings
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.suites import cases, estimate
 from splatbench.suites.environment import usable_cores

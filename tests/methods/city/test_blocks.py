@@ -14,7 +14,7 @@ from splatbench.methods.city.roles import CONTEXT, GHOST, OWN, Auxiliary
 from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import FIELDS, ExplicitModel, load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings
+from splatbench.methods.settings import Settings
 from splatbench.reference.scene import Scene
 from splatbench.reference.view_sampling import SamplingSettings
 

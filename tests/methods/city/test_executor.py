@@ -17,7 +17,7 @@ from splatbench.methods.city.partition import PartitionSettings, partition
 from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import DataError, SplatbenchError, UsageError
 
 SETTINGS = Settings(iterations=20, sh_degree=0, density=Density(stop=0))

@@ -18,7 +18,7 @@ from splatbench.methods.city.partition import PartitionSettings, partition
 from splatbench.methods.density import Density
 from splatbench.methods.reconstruction import load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.training import Settings
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import DataError, MissingError
 
 STEPS = 300

@@ -7,14 +7,14 @@ import pytest
 import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
-from splatbench.methods import training
 from splatbench.methods.city.refine import Refiner, RefineSettings, clean, refine
 from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import UsageError
 from splatbench.reference.preclean import CleanSettings
 
 SCENE = tiny_scene(views=5)
-BASE = training.Settings(iterations=200, sh_degree=1)
+BASE = Settings(iterations=200, sh_degree=1)
 RUN = Run(backend="cpu", threads=1)
 
 
