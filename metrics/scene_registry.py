@@ -45,7 +45,7 @@ _ALL = (
         for ratio in ("std", "max")
     ),
     _metric("packed_bytes", "bytes of the compressed file, without facts about blocks", unit="B"),
-    _metric("geometry_accuracy", f"{TRUTH}: mean distance, scene units"),
+    _metric("geometry_accuracy", f"{TRUTH}: mean distance", unit="scene units"),
     _metric("geometry_completeness", f"{TRUTH}: share found", True, most=1.0),
     _metric("geometry_f_score", TRUTH, True, most=1.0),
     _metric("geometry_blind_completeness", "share found of the facades that only test views see",

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from splatbench.metrics.parts import PARTS, is_part_key
 from splatbench.metrics.registry import METRICS
 from splatbench.metrics.scene_registry import SCENE_METRICS
 from splatbench.reference.errors import DataError
@@ -11,6 +12,11 @@ from splatbench.reference.result import Result
 from splatbench.reports.statistics import Summary
 
 MB = 2**20
+FITS = {
+    "cc_affine": "an affine fit of the render's colours to the truth's",
+    "cc_quadratic": "a quadratic fit of the render's colours to the truth's",
+}
+"""Colour fits of a protocol, in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +26,8 @@ class Column:
     key: str
     """Name in machine-readable output."""
     title: str
+    about: str
+    """What it is, for the legend: a phrase without a full stop."""
     unit: str = ""
     higher_is_better: bool | None = None
     """None: neither, so it ranks nothing and nothing in it is marked best."""
@@ -80,19 +88,28 @@ def columns(rules: dict[str, object], results: list[Result]) -> tuple[Column, ..
 
 def score_column(name: str, per_image: bool) -> Column:
     """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse."""
-    plain = name.removesuffix("_of_mean_mse")
-    for fit in ("cc_affine_", "cc_quadratic_"):
-        plain = plain.removeprefix(fit)
+    plain, said = name.removesuffix("_of_mean_mse"), ""
+    if plain != name:
+        said = "of the mean squared error over all images, not the mean of each image's: "
+    over_part = is_part_key(name)
+    for part in PARTS if over_part else ():
+        if plain.startswith(f"{part}_"):
+            plain, said = plain.removeprefix(f"{part}_"), f"{said}over the part {part!r}: "
+    for fit, words in FITS.items():
+        if plain.startswith(f"{fit}_"):
+            plain, said = plain.removeprefix(f"{fit}_"), f"{said}after {words}: "
     metric = METRICS.get(plain) or SCENE_METRICS.get(plain)
     unit = metric.unit if metric else ""
     return Column(
         key=name,
         title=name,
+        about=said + (metric.source if metric else "not known to this release"),
         unit=unit,
         higher_is_better=metric.higher_is_better if metric else None,
         digits=2 if unit == "dB" else 4,
         value=lambda result: result.metrics.get(name, math.nan),
-        per_image=per_image and name not in SCENE_METRICS,
+        # images without the part have no value
+        per_image=per_image and not over_part and name not in SCENE_METRICS,
     )
 
 
@@ -100,6 +117,7 @@ COSTS = (
     Column(
         key="train_seconds",
         title="train",
+        about="wall seconds of training, all stages of the method; loading and scoring apart",
         unit="s",
         higher_is_better=False,
         digits=1,
@@ -109,6 +127,7 @@ COSTS = (
     Column(
         key="render_ms",
         title="render",
+        about="median milliseconds of a test frame after warm-up, without reading or writing",
         unit="ms",
         higher_is_better=False,
         digits=1,
@@ -119,12 +138,14 @@ COSTS = (
     Column(
         key="primitives",
         title="primitives",
+        about="Gaussians of the saved model",
         digits=0,
         value=lambda result: float(result.primitives),
     ),
     Column(
         key="disk_mb",
         title="disk",
+        about="bytes of the saved model",
         unit="MB",
         higher_is_better=False,
         digits=1,
@@ -133,6 +154,7 @@ COSTS = (
     Column(
         key="peak_memory_mb",
         title="peak memory",
+        about="most resident memory of the process that trained and scored",
         unit="MB",
         higher_is_better=False,
         digits=0,

@@ -59,6 +59,7 @@ def render_page(
     return environment.get_template("page.html.j2").render(
         views=views,
         legend=text.LEGEND,
+        columns=text.explained(list(tables)),
         counts=_counts(results),
         when=when.strftime("%Y-%m-%d %H:%M"),
         uri=shown_uri(uri),
@@ -78,10 +79,11 @@ def _view(
     """What the template shows of a table; its pictures are added to `pictures`, each once."""
     series = {row.label: i for i, row in enumerate(sorted(table.rows, key=lambda r: r.label))}
     finished = [row for row in table.rows if row.results]
+    known = text.explained([table])
     return {
         "id": f"t{number}",
         "table": table,
-        "headings": [_heading(heading) for heading in text.headings(table)],
+        "headings": [(_heading(h), known.get(h, "")) for h in text.headings(table)],
         "cells": [(row, series[row.label], text.texts(table, row)) for row in table.rows],
         "swatches": {label: charts.swatch(i) for label, i in series.items()},
         "notes": [f"{row.label}: {row.note}" for row in table.rows if row.note],

@@ -1,5 +1,7 @@
 """Tables for the terminal, for Markdown, and cases for machines."""
 
+import re
+
 import rich.table
 from rich.console import Group
 from rich.text import Text
@@ -18,6 +20,12 @@ LEGEND = (
 def headings(table: Table) -> list[str]:
     """Headings of the columns that `texts` gives."""
     return ["rank", "method", *(column.heading for column in table.columns), "seeds"]
+
+
+def explained(tables: list[Table]) -> dict[str, str]:
+    """What each column of the tables is, by its heading, in the order of the tables."""
+    columns = {column.heading: column.about for table in tables for column in table.columns}
+    return columns | {"seeds": "finished runs that differ by their random draws alone"}
 
 
 def texts(table: Table, row: Row) -> list[tuple[str, bool]]:
@@ -56,20 +64,83 @@ def difference_lines(table: Table) -> list[str]:
     return lines
 
 
-def terminal(tables: list[Table]) -> Group:
-    """Everything for a terminal, to be printed by rich."""
+def terminal(tables: list[Table], width: int) -> Group:
+    """Everything for a terminal, to be printed by rich.
+
+    A table that is too wide goes on below, each part with rank and method: numbers never break.
+
+    Args:
+        tables: Of `leaderboard.build_tables`.
+        width: Characters a line.
+    """
     parts: list[rich.table.Table | Text] = []
     for table in tables:
-        shown = rich.table.Table(
-            title=Text(table.title), title_justify="left", title_style="bold", box=None, pad_edge=False
-        )  # fmt: skip
-        for i, heading in enumerate(headings(table)):
-            shown.add_column(Text(heading), justify="left" if i == 1 else "right")
-        for row in table.rows:
-            shown.add_row(*(Text(t, style="bold" if b else "") for t, b in texts(table, row)))
-        lines = [*notes(table), *difference_lines(table)]
-        parts += [shown, *(Text(f"  {line}", style="dim") for line in lines), Text()]
+        title = Text(table.title, style="bold")
+        for chosen in _parts(table, width):
+            parts += [title, _part(table, chosen), Text()]
+            title = Text(f"{table.title}, continued", style="bold")
+        said = [
+            Text(f"  {line}", style="dim") for line in (*notes(table), *difference_lines(table))
+        ]
+        parts += [*said, Text()] if said else []
     return Group(*parts, Text(LEGEND, style="dim"))
+
+
+GAP = 2
+"""Characters between columns."""
+
+
+def _part(table: Table, chosen: list[int]) -> rich.table.Table:
+    """The columns of these numbers."""
+    shown = rich.table.Table(box=None, pad_edge=False, padding=(0, GAP, 0, 0))
+    heads = _broken_headings(table)
+    for i in chosen:
+        shown.add_column(
+            Text("\n".join(heads[i])), justify="left" if i == 1 else "right", no_wrap=True,
+            vertical="bottom",
+        )  # fmt: skip
+    for row in table.rows:
+        cells = texts(table, row)
+        shown.add_row(*(Text(cells[i][0], style="bold" if cells[i][1] else "") for i in chosen))
+    return shown
+
+
+def _parts(table: Table, width: int) -> list[list[int]]:
+    """Numbers of the columns of each part that fits into the width; all have rank and method."""
+    rows = [[text for text, _ in texts(table, row)] for row in table.rows]
+    sizes = [
+        GAP + max(len(line) for line in (*head, *(row[i] for row in rows)))
+        for i, head in enumerate(_broken_headings(table))
+    ]
+    parts, used = [[0, 1]], sum(sizes[:2])
+    for i in range(2, len(sizes)):
+        if used + sizes[i] - GAP > width and len(parts[-1]) > 2:
+            parts.append([0, 1])
+            used = sum(sizes[:2])
+        parts[-1].append(i)
+        used += sizes[i]
+    return parts
+
+
+def _broken_headings(table: Table) -> list[list[str]]:
+    """Lines of every heading, broken at spaces and behind underscores to about the cells' width."""
+    rows = [[text for text, _ in texts(table, row)] for row in table.rows]
+    broken = []
+    for i, heading in enumerate(headings(table)):
+        # an arrow stays with what is before it
+        pieces = re.findall(r"[^_ ]*_|[^_ ]+(?: [↑↓])? ?| ", heading)
+        most = max([MIN_HEADING, *(len(row[i]) for row in rows)])
+        lines = [""]
+        for piece in pieces:
+            if lines[-1] and len((lines[-1] + piece).rstrip()) > most:
+                lines.append("")
+            lines[-1] += piece
+        broken.append([line.rstrip() for line in lines])
+    return broken
+
+
+MIN_HEADING = 8
+"""Characters that a line of a heading may have however narrow its column's numbers are."""
 
 
 def markdown(tables: list[Table]) -> str:
@@ -84,7 +155,8 @@ def markdown(tables: list[Table]) -> str:
             lines.append(_line([f"**{_escaped(t)}**" if b else _escaped(t) for t, b in cells]))
         said = [f"- {_escaped(line)}" for line in (*notes(table), *difference_lines(table))]
         blocks.append("\n".join([*lines, "", *said]).rstrip())
-    return "\n\n".join([*blocks, LEGEND]) + "\n"
+    known = [f"- {_escaped(name)}: {_escaped(about)}" for name, about in explained(tables).items()]
+    return "\n\n".join([*blocks, LEGEND, "\n".join(known)]) + "\n"
 
 
 def _line(cells: list[str]) -> str:
@@ -112,7 +184,7 @@ def record(result: Result) -> dict[str, object]:
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,
-        "train_seconds": result.stages.get("train"),
+        "train_seconds": result.training_seconds,
         "render_ms": result.render_ms,
         "primitives": result.primitives,
         "bytes_on_disk": result.bytes_on_disk,

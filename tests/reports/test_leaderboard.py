@@ -3,12 +3,15 @@
 import dataclasses
 import io
 import math
+import re
 from collections.abc import Sequence
 
 import pytest
 from rich.console import Console
 
 from helpers.case_folders import NAMES, result
+from splatbench.metrics.registry import METRICS
+from splatbench.metrics.scene_registry import SCENE_METRICS
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.result import ImageScore, Result
@@ -257,12 +260,52 @@ def test_markdown_marks_the_best_and_says_the_rest():
 def test_the_terminal_shows_every_number_that_markdown_shows():
     tables = [only_table([*CLEAR, *seeds(1, method="[red]x", psnr=30.0)])]
     console = Console(file=io.StringIO(), width=200)
-    console.print(text.terminal(tables))
+    console.print(text.terminal(tables, console.width))
     shown = console.file.getvalue()  # type: ignore[attr-defined]
     for row in tables[0].rows:
         for cell, _ in text.texts(tables[0], row):
             assert cell in shown
     assert "[red]x: unranked: 1 seed" in shown
+
+
+@pytest.mark.parametrize("width", [50, 60, 80, 100, 160])
+def test_a_narrow_terminal_breaks_tables_between_columns_and_no_number(width: int):
+    table = only_table([*CLEAR, *seeds(1, method="with_a_long_name", psnr=30.0)])
+    console = Console(file=io.StringIO(), width=width)
+    console.print(text.terminal([table], width))
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert max(map(len, lines)) <= width
+    for row in table.rows:
+        own = " ".join(line for line in lines if re.search(rf" {row.label} ", line))
+        cells = [cell for cell, _ in text.texts(table, row)]
+        for cell in cells[1:]:
+            assert cell in own
+    words = re.sub(r"\s", "", "".join(lines))
+    assert "render[ms]" in words or width < 160
+    for column in table.columns:
+        pieces = [piece for piece in re.split(r"[_ ]", column.heading) if len(piece) > 1]
+        assert all(piece in words for piece in pieces)
+
+
+def test_every_column_is_explained_once_with_unit_and_arrow():
+    rules = Protocol(name="all", source="ours", metrics=tuple(METRICS), colour_fit=("cc_affine",))
+    scored = [*METRICS, *SCENE_METRICS, "cc_affine_psnr", "psnr_of_mean_mse", "moving_psnr"]
+    results = [
+        dataclasses.replace(
+            one, metrics=dict.fromkeys(scored, 1.0), protocol_rules=dataclasses.asdict(rules)
+        )
+        for one in seeds()
+    ]
+    table = only_table(results)
+    known = text.explained([table, table])
+    assert list(known) == [*(column.heading for column in table.columns), "seeds"]
+    assert all(len(about) > 10 and not about.endswith(".") for about in known.values())
+    assert "not known" not in " ".join(known.values())
+    assert known["psnr_of_mean_mse [dB] ↑"] != known["psnr [dB] ↑"]
+    assert "affine" in known["cc_affine_psnr [dB] ↑"]
+    assert "'moving'" in known["moving_psnr [dB] ↑"]
+    shown = text.markdown([table])
+    assert all(about.split("_")[0] in shown for about in known.values())
 
 
 def test_the_record_for_machines_has_the_documented_keys():

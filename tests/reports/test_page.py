@@ -22,6 +22,7 @@ from splatbench.reports import charts, pictures
 from splatbench.reports.leaderboard import build_tables
 from splatbench.reports.page import render_page
 from splatbench.reports.store import StoredResult
+from splatbench.reports.text import explained
 
 WHEN = datetime.datetime(2026, 1, 2, 3, 4, tzinfo=datetime.UTC)
 
@@ -102,9 +103,12 @@ def test_it_shows_every_row_and_every_image(stored: list[StoredResult]):
         for row in table.rows:
             assert row.label in words
             assert table.columns[0].with_interval(row.cells["psnr"]) in words
+        for heading, about in explained([table]).items():
+            assert about in words, heading
     assert all(name in words for name in case_folders.NAMES)
     assert "dji_0003.jpg" in words
     assert "not registered: 4 matches" in words
+    assert "Error map: FLIP" in words
     # two scenes of four images: a truth that three methods share, and their renders and errors
     assert len(embedded(text)) == 2 * 4 * (1 + 3 * 2)
 

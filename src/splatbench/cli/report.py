@@ -76,7 +76,8 @@ def print_tables(tables: "list[Table]") -> None:
     from splatbench.reports.text import terminal
 
     width = None if sys.stdout.isatty() else PIPED_WIDTH
-    Console(width=width, highlight=False).print(terminal(tables))
+    console = Console(width=width, highlight=False)
+    console.print(terminal(tables, console.width))
 
 
 def sync_cases(out: Path, uri: str) -> bool:
