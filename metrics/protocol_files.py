@@ -121,6 +121,7 @@ def _check(protocol: Protocol, where: str) -> None:
             ("sensors", protocol.sensors),
             ("clips", tuple(scene for scene, _, _ in protocol.clips)),
             ("colour_fit", protocol.colour_fit),
+            ("parts", protocol.parts),
         )
     ]
     for wrong, message in problems:

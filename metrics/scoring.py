@@ -2,7 +2,7 @@
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,14 @@ from torch import Tensor
 
 from splatbench.metrics.colour_fit import fit_colours
 from splatbench.metrics.pairs import check_values
+from splatbench.metrics.parts import (
+    OVER,
+    is_part_key,
+    mean_over_images,
+    part_key,
+    parts_of,
+    score_part,
+)
 from splatbench.metrics.pixel import psnr_of_mse
 from splatbench.metrics.registry import find_metric
 from splatbench.reference.errors import DataError
@@ -100,6 +108,7 @@ def score_image(
     truth: Float[Tensor, "_h _w 3"],
     protocol: Protocol,
     mask: Bool[Tensor, "_h _w"] | None = None,
+    moving: Mapping[str, Bool[Tensor, "_h _w"]] | None = None,
 ) -> ImageScore:
     """The protocol's metrics of one test image.
 
@@ -112,6 +121,8 @@ def score_image(
         truth: What the camera saw, in [0, 1].
         protocol: The rules.
         mask: True where a pixel counts.
+        moving: What moves, by kind; with it the protocol's `parts` are scored too, nan for a part
+            that has no pixel here. Empty: not known of this image.
     Returns: valid_share is the share of the region's pixels that were scored; truth_sha256
         hashes the region's truth, masked pixels included.
     Raises: DataError where the images cannot be scored, UsageError on an unknown metric,
@@ -129,10 +140,32 @@ def score_image(
             except DataError as error:
                 raise DataError(f"{name}: {error}") from error
             values[prefix + metric.name] = value
+    if moving is not None:
+        part = region_columns(render.shape[1], protocol.region)
+        values |= _part_values(
+            ready, {kind: own[:, part] for kind, own in moving.items()}, protocol
+        )
     share = 1.0 if ready.mask is None else float(ready.mask.double().mean())
     return ImageScore(
         name=name, truth_sha256=truth_sha256(ready.truth), valid_share=share, metrics=values
     )
+
+
+def _part_values(
+    ready: Prepared, moving: Mapping[str, Bool[Tensor, "h w"]], protocol: Protocol
+) -> dict[str, float]:
+    """The protocol's metrics over its parts, those that have a value at each pixel."""
+    parts = parts_of(moving) if moving else {}
+    return {
+        part_key(part, metric): score_part(
+            metric, ready.render, ready.truth, ready.mask, parts[part]
+        )
+        if parts
+        else math.nan
+        for part in protocol.parts
+        for metric in protocol.metrics
+        if metric in OVER
+    }
 
 
 def truth_sha256(truth: Float[Tensor, "h w 3"]) -> str:
@@ -144,7 +177,8 @@ def scene_metrics(images: Iterable[ImageScore]) -> dict[str, float]:
     """Mean over images of each metric; never the metric of pooled pixels.
 
     Every image weighs the same whatever its size or mask. A nan in one image makes the mean nan,
-    since a mean over fewer images is another number. Beside each psnr stands what pooling would
+    since a mean over fewer images is another number; over a part of an image (`Protocol.parts`) the
+    mean is over the images that have any of it, the same ones for every method. Beside each psnr stands what pooling would
     give: psnr_of_mean_mse = -10 log10(mean over images of 10^(-psnr / 10)).
 
     Args:
@@ -168,9 +202,12 @@ def scene_metrics(images: Iterable[ImageScore]) -> dict[str, float]:
     if not count:
         raise DataError("no image was scored, so there is no mean")
     # fsum: the mean does not depend on the order of the images
-    means = {key: math.fsum(own) / count for key, own in values.items()}
+    means = {
+        key: mean_over_images(own) if is_part_key(key) else math.fsum(own) / count
+        for key, own in values.items()
+    }
     for key, own in values.items():
-        if key == "psnr" or key.endswith("_psnr"):
+        if (key == "psnr" or key.endswith("_psnr")) and not is_part_key(key):
             mse = math.fsum(10 ** (-value / 10) for value in own) / count
             means[f"{key}_of_mean_mse"] = psnr_of_mse(mse)
     return means

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics.pairs import check_pair, mean_over
+from splatbench.metrics.pairs import Pair, check_pair, mean_over
 
 WINDOW = 11
 """Side of the Gaussian window in pixels (Wang et al. 2004)."""
@@ -83,14 +83,19 @@ def ssim_skimage(
     Raises: DataError, see metrics.pairs.check_pair.
     Source: scikit-image, skimage.metrics.structural_similarity.
     """
+    pair = check_pair(image, target, mask, window=UNIFORM_WINDOW, metric="ssim_skimage")
+    counted = windows_valid(pair.valid, UNIFORM_WINDOW, beyond_border=False)
+    return mean_over(skimage_map(pair), counted)
+
+
+def skimage_map(pair: Pair) -> Float[np.ndarray, "h w 3"]:
+    """scikit-image's SSIM at each pixel and channel, with reflected borders."""
     from skimage.metrics import structural_similarity  # slow to import, needed here alone
 
-    pair = check_pair(image, target, mask, window=UNIFORM_WINDOW, metric="ssim_skimage")
     full = structural_similarity(
         pair.image, pair.target, data_range=1.0, channel_axis=-1, full=True
     )[1]
-    counted = windows_valid(pair.valid, UNIFORM_WINDOW, beyond_border=False)
-    return mean_over(np.asarray(full), counted)
+    return np.asarray(full)
 
 
 def ms_ssim_kornia(

@@ -65,5 +65,8 @@ class Protocol:
     """What a method may use of a test image to fit its appearance; "oracle" rows are not ranked."""
     metrics: tuple[str, ...] = ("psnr", "ssim_3dgs", "ssim_valid", "flip")
     """Per-image metrics by their names in splatbench.metrics.registry; the first one ranks."""
+    parts: tuple[Literal["moving", "vehicles", "people", "still"], ...] = ()
+    """Extra columns over these parts of an image alone, where it is known what moves; never the main
+    column."""
     colour_fit: tuple[Literal["cc_affine", "cc_quadratic"], ...] = ()
     """Extra columns after a colour fit to the truth; never the main column."""

@@ -9,7 +9,7 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Bool, Float, UInt8, UInt16
 from torch import Tensor
 
 from splatbench.methods.reconstruction import Reconstruction
@@ -64,7 +64,9 @@ def score_views(
             render, shown = kept(model.render(view.camera, background).colour, protocol.rounding)
             truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
-            scores.append(score_image(view.name, render, truth, protocol, mask))
+            scores.append(
+                score_image(view.name, render, truth, protocol, mask, _moving(view, protocol))
+            )
             write_png(renders / name, shown)
             write_png(truths / name, true)
             write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))
@@ -72,6 +74,13 @@ def score_views(
                 valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
                 write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
     return tuple(scores), render_milliseconds(views, model, background)
+
+
+def _moving(view: View, protocol: Protocol) -> dict[str, Bool[Tensor, "h w"]] | None:
+    """What moves in a view, {} where it is not known; None where the protocol scores no parts."""
+    if not protocol.parts:
+        return None
+    return {} if view.load_moving is None else view.load_moving()
 
 
 def kept(

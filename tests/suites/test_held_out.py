@@ -90,3 +90,21 @@ def test_views_of_several_folders_have_pictures_of_their_own(tmp_path):
     found = {path.name for path in (tmp_path / "renders").iterdir()}
     assert found == {picture_name(score.name) for score in scores}
     assert found == {f"camera_{i}-000.png" for i in scene.test}
+
+
+def test_what_moves_is_scored_apart_where_it_is_known(tmp_path):
+    rules = replace(PROTOCOL, parts=("moving", "still"))
+    scene = fake_scene("town", rules)
+    moved = torch.zeros(18, 24, dtype=torch.bool)
+    moved[3:9, 4:10] = True
+    first = scene.test[0]
+    masks = {"vehicles": moved, "people": torch.zeros_like(moved)}
+    views = list(scene.views)
+    views[first] = replace(views[first], load_moving=lambda: masks)
+    known, unknown = score_views(replace(scene, views=tuple(views)), MODEL, rules, tmp_path)[0]
+    shares = {"moving": moved.double().mean(), "still": (~moved).double().mean()}
+    mse = sum(share * 10 ** (-known.metrics[f"{p}_psnr"] / 10) for p, share in shares.items())
+    assert float(mse) == pytest.approx(10 ** (-known.metrics["psnr"] / 10))
+    assert np.isnan(unknown.metrics["moving_psnr"])
+    plain = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path / "plain")[0]
+    assert "moving_psnr" not in plain[0].metrics

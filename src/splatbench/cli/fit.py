@@ -66,8 +66,8 @@ def fit(
     opened = open_scene(scene, rules)
     stages = {"load": time.perf_counter() - started}
     output.log(
-        f"{opened.name}: {len(opened.train)} training and {len(opened.test)} held-out views, "
-        f"{len(opened.points)} points"
+        f"{opened.name}: {len(opened.train)} views train, {len(opened.test)} {rules.scored} views are "
+        f"scored, {len(opened.points)} points"
     )
     with output.progress() as bar:
         task = bar.add_task(method, total=settings.iterations, values="")
