@@ -11,20 +11,20 @@ from threading import Lock
 import numpy as np
 
 from splatbench.datasets.procedural import aerial_grounds as grounds
+from splatbench.datasets.procedural import aerial_lands as lands
 from splatbench.datasets.procedural import city, things
-from splatbench.datasets.procedural.blocks import parked_car, scatter_trees, tree
+from splatbench.datasets.procedural.blocks import parked_car, tree
 from splatbench.datasets.procedural.daylight import Daylight, Sky
 from splatbench.datasets.procedural.facades import Facade, Tiles
 from splatbench.datasets.procedural.flights import looking
 from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
-from splatbench.datasets.procedural.shapes import cylinder, heightfield, placed
-from splatbench.datasets.procedural.surface import Material
+from splatbench.datasets.procedural.shapes import cylinder, joined, placed
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.units import Number
 from splatbench.datasets.procedural.world import Builder, World
 
-GROUND = 110.0
-"""Half-side of the ground of a scene in metres."""
+MARGIN = 215.0
+"""Metres of open land around blocks: no view sees its end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,30 +46,18 @@ PRESETS = {
 }
 
 
-def _ground(
-    world: Builder, material: Material, heights: Callable | None = None, step: Number = 4.0
-) -> None:
-    xs = np.arange(-GROUND, GROUND + step, step)
-    x, y = np.meshgrid(xs, xs)
-    bumps = 0.5 * np.sin(0.05 * x) * np.cos(0.06 * y) * np.clip(np.hypot(x, y) / 60 - 0.6, 0, 1)
-    world.add(
-        "ground", [(heightfield(xs, xs, bumps if heights is None else heights(x, y)), material)]
-    )
-
-
 def church(seed: int) -> World:
     """A village church with tower and apse among graves and trees."""
     rng = np.random.Generator(np.random.PCG64((seed, 11)))
     world = Builder()
-    _ground(world, grounds.churchyard)
+    lands.ground(world, grounds.churchyard)
     stone = Facade(
         tones=("b9ad97", "c7bba3"), storey=8.0, bay=4.2, window=(1.3, 4.5), shutters=False
     )
     slate = Tiles(tones=("565c63",))
-    nave = things.house(30.0, 13.0, 9.5, 6.5, stone, slate)
-    transept = things.moved(
-        things.house(21.0, 9.0, 8.5, 5.5, stone, slate), (6.0, 0.0, 0.0), np.pi / 2
-    )
+    nave = things.house(30.0, 13.0, 9.5, 6.5, stone, slate)[:2]  # without a chimney
+    arms = things.house(21.0, 9.0, 8.5, 5.5, stone, slate)[:2]
+    transept = things.moved(arms, (6.0, 0.0, 0.0), np.pi / 2)
     tower = things.moved(things.flat_house((8.0, 8.0, 24.0), stone, rng), (-18.0, 0.0, 0.0))[:1]
     spire = placed(cylinder(6.2, 15.0, 4, 0.02), (-18.0, 0.0, 24.0), np.pi / 4)
     apse = placed(cylinder(5.0, 8.0, 16), (15.5, 0.0, 0.0))
@@ -85,12 +73,18 @@ def church(seed: int) -> World:
                 world.add(
                     "grave", [(placed(grave, (x, y, 0.0), rng.normal(0, 0.1)), grounds.ashlar)]
                 )
-    _around(world, rng, 34, 26.0)
-    for index in range(5):
+    angles = 0.5 + 1.2 * np.arange(5)
+    homes = 52 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def taken(x: Number, y: Number) -> bool:
+        at_home = np.hypot(*(homes - [x, y]).T).min() < 10
+        return bool(at_home) or grounds.near([grounds.LANE, grounds.CHURCH_PATH], x, y, 5.5)
+
+    lands.around(world, rng, 34, 30.0, taken)
+    for place, angle in zip(homes, angles, strict=True):
         parts = things.house(11.0, 8.0, 5.6, 3.2, Facade())
-        angle = 0.5 + index * 1.2
-        place = (52 * np.cos(angle), 52 * np.sin(angle), 0.0)
-        world.add("building", things.moved(parts, place, angle))
+        world.add("building", things.moved(parts, (*place, -0.15), angle))
+    lands.woods(world, seed, taken=taken)
     return world.build()
 
 
@@ -99,18 +93,18 @@ def mountain(seed: int) -> World:
     rng = np.random.Generator(np.random.PCG64((seed, 12)))
     world = Builder()
     shape = grounds.Mountain(seed)
-    _ground(world, shape, shape.height, 1.5)
+    lands.ground(world, shape, shape.height, 1.5)
     at = shape.height(np.array([26.0]), np.array([-20.0]))[0]
     world.add("building", things.moved(things.house(8.0, 6.0, 3.0, 2.4, Facade(tones=("8f6f4f",))),
                                        (26.0, -20.0, float(at) - 0.5), 0.6))  # fmt: skip
-    for _ in range(260):
-        x, y = rng.uniform(-80, 80, 2)
-        z = float(shape.height(np.array([x]), np.array([y]))[0])
+    places = rng.uniform(-80, 80, (260, 2))
+    for (x, y), z in zip(places, shape.height(*places.T), strict=True):
         if z < 15 and rng.random() < 0.85:
             parts = things.conifer(
                 rng.uniform(4, 8), rng.uniform(2.4, 3.8), int(rng.integers(1 << 30)), 2
             )
             world.add("tree", things.moved(parts, (x, y, z - 0.3), rng.uniform(0, 6)))
+    lands.woods(world, seed, shape.height)
     return world.build()
 
 
@@ -118,19 +112,21 @@ def stadium(seed: int) -> World:
     """A bowl of stands around a pitch, with light masts and a car park."""
     rng = np.random.Generator(np.random.PCG64((seed, 13)))
     world = Builder()
-    _ground(world, grounds.stadium, grounds.bowl, 1.0)
+    lands.ground(world, grounds.stadium, grounds.bowl, 1.0)
     for x in (-44.0, 44.0):
         for y in (-36.0, 36.0):
             mast = [(cylinder(0.5, 26.0, 8, 0.3), things.METAL),
                     (placed(things.box((4.0, 0.6, 2.4)), (0, 0, 26.0)), things.CONCRETE)]  # fmt: skip
             world.add("mast", things.moved(mast, (x, y, 0.0), np.arctan2(y, x) + np.pi / 2))
-    roof = things.flat_house((52.0, 8.0, 1.2), things.CONCRETE, rng)
-    world.add("building", things.moved(roof, (0.0, 37.0, 15.5)))
+    roof = [things.box((52.0, 10.0, 0.7), 15.5)]  # on posts behind the highest row
+    roof += [placed(cylinder(0.35, 15.5, 10), (x, 3.6, 0.0)) for x in np.linspace(-24, 24, 7)]
+    world.add("stand", things.moved([(joined(*roof), things.CONCRETE)], (0.0, 37.0, 0.0)))
     for x in np.arange(-36, 37, 2.6):
         for y in (-56.0, -66.0):
             if rng.random() < 0.6:
                 parked_car(world, x, y, np.pi / 2, rng)
-    _around(world, rng, 40, 62.0)
+    lands.around(world, rng, 40, 62.0, lambda x, y: -76 < y < -46 and abs(x) < 50, grounds.bowl)
+    lands.woods(world, seed, grounds.bowl)
     return world.build()
 
 
@@ -138,7 +134,7 @@ def factory(seed: int) -> World:
     """Halls with saw-tooth roofs, chimneys, tanks and stacked goods."""
     rng = np.random.Generator(np.random.PCG64((seed, 14)))
     world = Builder()
-    _ground(world, grounds.yard)
+    lands.ground(world, grounds.yard)
     brick = Facade(tones=("955947", "84523f"), brick=True, storey=4.5, bay=4.0, window=(2.6, 2.2),
                    shutters=False)  # fmt: skip
     for index in range(5):
@@ -154,48 +150,39 @@ def factory(seed: int) -> World:
         tank = cylinder(4.2, 9.0, 28)
         world.add("tank", [(placed(tank, (42.0, -14.0 + 10.0 * index, 0.0)), things.METAL)])
     tones = ("8e4a35", "3e5c73", "7a7d4a", "a8813d", "5a5f66")
-    for _ in range(26):
-        place = (
-            rng.uniform(-34, 12),
-            rng.choice([-38.0, -35.0, -32.0]),
-            rng.choice([0.0, 0.0, 2.6]),
-        )
-        crate = things.box((6.0, 2.4, 2.6))
-        world.add("container", [(placed(crate, place), grounds.container(str(rng.choice(tones))))])
-    _around(world, rng, 26, 48.0)
+    for x in np.arange(-31.0, 16.0, 6.6):
+        for y in (-38.0, -35.0, -32.0):
+            for level in range(int(rng.choice(3, p=(0.25, 0.45, 0.3)))):
+                place = (x + rng.uniform(-0.2, 0.2), y, 2.6 * level)
+                paint = grounds.container(str(rng.choice(tones)))
+                world.add("container", [(placed(things.box((6.0, 2.4, 2.6)), place), paint)])
+    lands.around(world, rng, 40, 60.0, lambda x, y: max(abs(x), abs(y)) < 62)
+    lands.woods(world, seed)
     return world.build()
 
 
-def _around(world: Builder, rng: np.random.Generator, count: int, beyond: Number) -> None:
-    """Trees at least `beyond` metres from the middle."""
-    for _ in range(count):
-        angle, radius = rng.uniform(0, 2 * np.pi), beyond + rng.exponential(16.0)
-        if radius < GROUND - 5:
-            tree(world, radius * np.cos(angle), radius * np.sin(angle), rng)
-
-
 def _blocks(kinds: city.Kinds) -> Callable[[int], World]:
-    return lambda seed: city.build(seed, kinds, 70.0, river=False)
+    return lambda seed: city.build(seed, kinds, MARGIN, river=False)
 
 
 def park(seed: int) -> World:
     """Lawns, paths, trees, a pond and a pavilion."""
     rng = np.random.Generator(np.random.PCG64((seed, 15)))
     world = Builder()
-    _ground(world, grounds.park, grounds.pond_bed, 2.0)
+    lands.ground(world, grounds.park, grounds.pond_bed, 2.0)
     sheet = placed(cylinder(13.5, 0.01, 40), (12.0, 6.0, -0.5))
     world.add("water", [(sheet, grounds.water)])
     world.add("building", things.moved(things.house(9.0, 7.0, 3.6, 2.6, Facade(tones=("e3ddd0",))),
                                        (-14.0, -4.0, 0.0), 0.5))  # fmt: skip
-    for _ in range(90):
+
+    def on_walk(x: Number, y: Number) -> bool:
+        return grounds.near(grounds.WALKS, x, y, 4.0)
+
+    for _ in range(100):
         x, y = rng.uniform(-70, 70, 2)
-        if (
-            np.hypot(x - 12, y - 6) > 18
-            and np.hypot(x + 14, y + 4) > 9
-            and not grounds.on_path(x, y)
-        ):
-            tree(world, x, y, rng)
-    scatter_trees(world, np.array([-30.0, 25.0]), rng, 12, 12.0)
+        if np.hypot(x - 12, y - 6) > 18 and np.hypot(x + 14, y + 4) > 9 and not on_walk(x, y):
+            tree(world, x, y, rng, float(grounds.pond_bed(np.array([x]), np.array([y]))[0]))
+    lands.woods(world, seed, grounds.pond_bed, on_walk)
     return world.build()
 
 

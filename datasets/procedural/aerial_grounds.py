@@ -23,13 +23,25 @@ from splatbench.datasets.procedural.rock import rock_colour
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, mix, rgb, step
 from splatbench.datasets.procedural.units import Number
 
-__all__ = ["Mountain", "ashlar", "banded", "bowl", "churchyard", "container", "on_path", "park",
+__all__ = ["CHURCH_PATH", "LANE", "WALKS", "Mountain", "ashlar", "banded", "bowl", "churchyard", "container", "near", "park",
            "pond_bed", "stadium", "water", "yard"]  # fmt: skip
 
 Array = Float[np.ndarray, "..."]
-LANE = [(-110.0, 34.0), (-30.0, 31.0), (30.0, 36.0), (110.0, 30.0)]
-WALKS = [[(-90.0, -30.0), (-25.0, -12.0), (-6.0, -14.0), (14.0, -16.0), (34.0, 2.0), (80.0, 30.0)],
-         [(-40.0, 80.0), (-22.0, 20.0), (-6.0, -14.0), (-10.0, -80.0)]]  # fmt: skip
+Line = list[tuple[float, float]]
+LANE: Line = [
+    (-320.0, 80.0),
+    (-110.0, 34.0),
+    (-30.0, 31.0),
+    (30.0, 36.0),
+    (110.0, 30.0),
+    (320.0, 60.0),
+]
+CHURCH_PATH: Line = [(-22.0, 0.0), (-34.0, 6.0), (-36.0, 31.0)]
+WALKS: list[Line] = [
+    [(-320.0, -60.0), (-90.0, -30.0), (-25.0, -12.0), (-6.0, -14.0), (14.0, -16.0), (34.0, 2.0),
+     (80.0, 30.0), (320.0, 90.0)],
+    [(-90.0, 320.0), (-40.0, 80.0), (-22.0, 20.0), (-6.0, -14.0), (-10.0, -80.0), (40.0, -320.0)],
+]  # fmt: skip
 
 
 def ashlar(surface: Surface) -> Paint:
@@ -63,7 +75,7 @@ def churchyard(surface: Surface) -> Paint:
     p = surface.points[:, :2]
     edge = 1.5 * (fbm(p, 3.0, 3, 402) - 0.5)
     around = ((p - p.new_tensor([-1.0, 0.0])).abs() / p.new_tensor([26.0, 14.5])).amax(dim=1)
-    path, _ = segment_distance(p, [(-22.0, 0.0), (-34.0, 6.0), (-36.0, 33.0)])
+    path, _ = segment_distance(p, CHURCH_PATH)
     return Paint(albedo=layered(surface, [
         (None, grass_colour),
         (step(1.0, 0.96, around + 0.05 * edge), gravel_colour),
@@ -194,10 +206,10 @@ def pond_bed(x: Array, y: Array) -> Array:
     )
 
 
-def on_path(x: Number, y: Number) -> bool:
-    """Whether a place lies on a walk of the park."""
+def near(lines: list[Line], x: Number, y: Number, reach: Number) -> bool:
+    """Whether a place lies within `reach` metres of any of the lines."""
     p = torch.tensor([[x, y]], dtype=torch.float32)
-    return min(float(segment_distance(p, walk)[0][0]) for walk in WALKS) < 4
+    return min(float(segment_distance(p, line)[0][0]) for line in lines) < reach
 
 
 def park(surface: Surface) -> Paint:

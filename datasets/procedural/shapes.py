@@ -1,6 +1,7 @@
 """Meshes of simple solids, in metres, with texture coordinates and shading normals."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import trimesh
@@ -136,15 +137,21 @@ def blob(radii: Triple, roughness: Number, seed: int, detail: int = 3) -> Shape:
         seed: Of the lumps.
         detail: Subdivisions of an icosahedron; faces = 20 * 4^detail.
     """
-    sphere = trimesh.creation.icosphere(subdivisions=detail)
+    unit, faces = _sphere(detail)
     rng = np.random.Generator(np.random.PCG64(seed))
-    unit = np.asarray(sphere.vertices)
     lumps = np.zeros(len(unit))
     for frequency in (2.0, 4.5, 9.0):
         axes = rng.standard_normal((6, 3)) * frequency
         lumps += np.sin(unit @ axes.T + rng.uniform(0, 6.28, 6)).sum(axis=1) / (6 * frequency**0.5)
     vertices = unit * (1 + roughness * lumps[:, None] * 2) * np.array(radii)
-    return smooth(vertices, np.asarray(sphere.faces))
+    return smooth(vertices, faces)
+
+
+@cache
+def _sphere(detail: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
+    """Unit vertices and faces of an icosahedron subdivided `detail` times."""
+    sphere = trimesh.creation.icosphere(subdivisions=detail)
+    return np.asarray(sphere.vertices), np.asarray(sphere.faces)
 
 
 def smooth(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Shape:

@@ -45,18 +45,18 @@ def straight(x: Number, y: Number, speed: Number) -> Callable[[float], tuple[flo
 
 
 def turning(
-    x: Number, y: Number, speed: Number, radius: Number
+    x: Number, y: Number, speed: Number, radius: Number, lane: Number
 ) -> Callable[[float], tuple[float, float, float]]:
-    """From the side street at x, coming along +y, through a left-hand bend into -x."""
+    """From the side street at x, coming along +y, through a left-hand bend into -x at y = lane."""
 
     def place(t: Number) -> tuple[float, float, float]:
         done = speed * t
-        ahead = -y - radius  # metres of straight street before the bend
+        ahead = lane - y - radius  # metres of straight street before the bend
         if done < ahead:
             return x, y + done, np.pi / 2
         angle = min((done - ahead) / radius, np.pi / 2)
         past = max(done - ahead - radius * np.pi / 2, 0.0)
-        return (x - radius + radius * np.cos(angle) - past, -radius + radius * np.sin(angle),
+        return (x - radius + radius * np.cos(angle) - past, lane - radius + radius * np.sin(angle),
                 np.pi / 2 + angle)  # fmt: skip
 
     return place
@@ -68,8 +68,19 @@ def car(paint: str, length: Number, place: Callable[[float], tuple[float, float,
     return Mover(kind="moving car", parts=lambda t: parts, place=place)
 
 
-def walker(seed: int, x: Number, y: Number, speed: Number, across: bool = False) -> Mover:
-    """A person who walks along x (or across it, along y) with swinging arms and legs."""
+def walker(
+    seed: int, x: Number, y: Number, speed: Number, across: bool = False, until: Number = np.inf
+) -> Mover:
+    """A person who walks along x (or across it, along y) with swinging arms and legs.
+
+    Args:
+        seed: Of looks and gait.
+        x: Where the walk begins, metres.
+        y: Likewise.
+        speed: Metres a second; negative: backwards along the axis.
+        across: Along y instead of x.
+        until: Seconds after which the person stands still.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 31)))
     tones = ("7a2f35", "2f4a6b", "3d5a45", "8a7a5c", "54486b", "b5a58c")
     coat, trousers = (Solid(tone=str(rng.choice(tones)), dirt=0.5) for _ in range(2))
@@ -77,7 +88,7 @@ def walker(seed: int, x: Number, y: Number, speed: Number, across: bool = False)
     tall, start = rng.uniform(0.93, 1.06), rng.uniform(0, 2 * np.pi)
 
     def parts(time: Number) -> Parts:
-        swing = 0.55 * np.sin(start + 2 * np.pi * abs(speed) * time / STEP)
+        swing = 0.55 * np.sin(start + 2 * np.pi * abs(speed) * min(time, until) / STEP)
         legs = [_limb((0.0, side * 0.1, 0.88), swing * side, 0.86, 0.085) for side in (-1, 1)]
         arms = [_limb((0.0, side * 0.27, 1.38), -swing * side, 0.6, 0.055) for side in (-1, 1)]
         torso = placed(blob((0.16, 0.23, 0.36), 0.06, seed, 2), (0, 0, 1.16))
@@ -88,7 +99,7 @@ def walker(seed: int, x: Number, y: Number, speed: Number, across: bool = False)
     heading = (np.pi / 2 if across else 0.0) + (np.pi if speed < 0 else 0.0)
 
     def place(time: Number) -> tuple[float, float, float]:
-        done = speed * time
+        done = speed * min(time, until)
         return (x, y + done, heading) if across else (x + done, y, heading)
 
     return Mover(kind="walker", parts=parts, place=place)

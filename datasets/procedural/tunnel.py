@@ -43,10 +43,10 @@ RELIT = "relit"
 class Settings:
     """Length of the drive and size of the pictures."""
 
-    length: float = 10.0
+    length: float = 4.0
     """Metres that are driven."""
-    stop: float = 1.25
-    """Metres between stops; walls are 2.4 metres away, so half of a view is in the next one."""
+    stop: float = 0.5
+    """Metres between stops (Source: the rig of DLG-GS, Sec. 3.1)."""
     width: int = 224
     height: int = 128
     relit: int = 6
@@ -58,12 +58,8 @@ class Settings:
 
 PRESETS = {
     "small": Settings(),
-    "medium": Settings(
-        length=100.0, stop=1.0, width=480, height=272, relit=40, grid=0.12, samples=3
-    ),
-    "large": Settings(
-        length=200.0, stop=0.5, width=1920, height=1080, relit=200, grid=0.08, samples=3
-    ),
+    "medium": Settings(length=40.0, width=480, height=272, relit=40, grid=0.12),
+    "large": Settings(length=200.0, width=1920, height=1080, relit=200, grid=0.08, samples=3),
 }
 
 
@@ -121,12 +117,16 @@ def build(seed: int, settings: Settings) -> World:
         world.add("rock", [(polygon(np.array(corners)), tunnel_rock)])
     floor = np.stack([centre(s)[0] + np.linspace(-3.2, 3.2, 40)[:, None] * frame(float(s))[1]
                       for s in stations])  # fmt: skip
-    flat = torch.from_numpy(floor.reshape(-1, 3)[:, :2]).float()
-    bumps = fbm(flat, 1.6, 5, 521 + seed).numpy().reshape(floor.shape[:2])
-    floor[..., 2] += 0.35 * (bumps - 0.5)
+    floor[..., 2] += _bumps(floor.reshape(-1, 3)[:, :2], seed).reshape(floor.shape[:2])
     world.add("floor", [(_grid(floor), floor_paint)])
     _fittings(world, settings, rng)
+    _debris(world, settings, seed, rng)
     return world.build()
+
+
+def _bumps(places: Float[np.ndarray, "n 2"], seed: int) -> Float[np.ndarray, " n"]:
+    """How high the floor stands over the tunnel's middle line, metres."""
+    return 0.35 * (fbm(torch.from_numpy(places).float(), 1.6, 5, 521 + seed).numpy() - 0.5)
 
 
 def _bulge(points: Float[np.ndarray, "a b 3"], seed: int) -> Float[np.ndarray, "a b"]:
@@ -161,7 +161,7 @@ def floor_paint(surface: Surface) -> Paint:
 
 
 def _fittings(world: Builder, settings: Settings, rng: np.random.Generator) -> None:
-    """A pipe, cable trays, steel ribs, boxes, debris."""
+    """A pipe, cable trays, steel ribs."""
     steel, pipe = Solid(tone="6b5a4e", dirt=0.9), Solid(tone="b08a2e", dirt=0.5)
     pieces, trays = [], []
     for s in np.arange(-2.0, settings.length + 10.0, 1.0):
@@ -188,16 +188,22 @@ def _fittings(world: Builder, settings: Settings, rng: np.random.Generator) -> N
                 centre(float(s))[0] + u[:, None] * left + z[:, None] * [0, 0, 1.0] + shift * ahead
             )
         world.add("rib", [(_grid(np.stack(corners, axis=1)), steel)])
-    for _ in range(int(settings.length / 3)):
+
+
+def _debris(world: Builder, settings: Settings, seed: int, rng: np.random.Generator) -> None:
+    """Boxes, drums and boulders that stand on the floor."""
+    for _ in range(int((settings.length + 6) / 4)):
         s, side = rng.uniform(0, settings.length + 6), rng.choice([-1.0, 1.0])
         at = centre(float(s))[0] + frame(float(s))[1] * side * rng.uniform(1.3, 1.9)
+        # as deep as the floor lies anywhere around
+        around = at[:2] + 0.35 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        at[2] += _bumps(around, seed).min()
         if rng.random() < 0.45:
             size = (rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6), rng.uniform(0.3, 0.7))
             world.add("box", [(placed(box(size), at, rng.uniform(0, 3)), Planks(tone="8a6a3e"))])
         elif rng.random() < 0.4:
-            world.add(
-                "drum", [(placed(cylinder(0.3, 0.88, 18), at), Solid(tone="2f5f86", dirt=0.6))]
-            )
+            drum = placed(cylinder(0.3, 0.88, 18), at)
+            world.add("drum", [(drum, Solid(tone="2f5f86", dirt=0.6))])
         else:
             boulder = things.blob((0.45, 0.35, 0.3), 0.3, int(rng.integers(1 << 30)), 2)
             world.add("boulder", [(placed(boulder, at + [0, 0, 0.1]), tunnel_rock)])

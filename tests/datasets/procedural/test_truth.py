@@ -89,7 +89,7 @@ def test_returns_are_lost_at_random_at_range_and_at_grazing_angles():
 
 @pytest.mark.parametrize("time", [0.0, 0.3, 1.7])
 def test_a_car_moves_as_its_pose_says(time):
-    mover = traffic.car("808080", 4.2, traffic.turning(36.0, -12.0, 6.0, 6.5))
+    mover = traffic.car("808080", 4.2, traffic.turning(36.0, -12.0, 6.0, 6.5, 1.7))
     own, world = mover.parts(time)[0][0], mover.at(time)[0][0]
     pose = mover.pose(time)
     np.testing.assert_allclose(
@@ -98,7 +98,7 @@ def test_a_car_moves_as_its_pose_says(time):
 
 
 def test_a_turning_car_keeps_its_speed_and_heads_where_it_goes():
-    place = traffic.turning(36.0, -12.0, 6.0, 6.5)
+    place = traffic.turning(36.0, -12.0, 6.0, 6.5, 1.7)
     times = np.linspace(0, 5, 501)
     path = np.array([place(float(t)) for t in times])
     step = np.diff(path[:, :2], axis=0)

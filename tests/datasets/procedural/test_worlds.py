@@ -25,7 +25,7 @@ PROTOCOL = Protocol(name="test", source="ours", hold=8)
 SMALL = {"width": 64, "height": 48, "samples": 1}
 TINY = {
     "city": replace(city.PRESETS["small"], blocks=(2, 1), oblique=1, facade=2, cell=8.0, **SMALL),
-    "tunnel": replace(tunnel.PRESETS["small"], length=4.0, relit=1, **SMALL),
+    "tunnel": replace(tunnel.PRESETS["small"], length=2.0, relit=1, **SMALL),
     "street": replace(street.PRESETS["small"], frames=4, shifted=1, columns=60, cell=8.0, **SMALL),
 }
 

@@ -1,0 +1,66 @@
+"""Open land around the small aerial scenes, farther than any view looks, with its trees and woods."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from splatbench.datasets.procedural.blocks import tree
+from splatbench.datasets.procedural.city import wooded
+from splatbench.datasets.procedural.shapes import heightfield
+from splatbench.datasets.procedural.surface import Material
+from splatbench.datasets.procedural.units import Number
+from splatbench.datasets.procedural.world import Builder
+
+NEAR, FAR = 110.0, 320.0
+"""Half-sides of the land in metres: where its grid is fine, and where it ends."""
+COARSE = 10.0
+"""Metres between grid lines beyond NEAR."""
+
+Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Metres over x and y."""
+Taken = Callable[[Number, Number], bool]
+"""Whether no tree may stand at x, y."""
+
+
+def meadow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Flat in the middle, low waves outside. Metres."""
+    return 0.5 * np.sin(0.05 * x) * np.cos(0.06 * y) * np.clip(np.hypot(x, y) / 60 - 0.6, 0, 1)
+
+
+def ground(
+    world: Builder, material: Material, heights: Heights = meadow, step: Number = 4.0
+) -> None:
+    """The land of a scene; `step` metres between its grid lines in the middle."""
+    outer = np.arange(NEAR + COARSE, FAR + COARSE / 2, COARSE)
+    axis = np.concatenate([-outer[::-1], np.arange(-NEAR, NEAR + step / 2, step), outer])
+    world.add("ground", [(heightfield(axis, axis, heights(*np.meshgrid(axis, axis))), material)])
+
+
+def around(
+    world: Builder,
+    rng: np.random.Generator,
+    count: int,
+    beyond: Number,
+    taken: Taken,
+    heights: Heights = meadow,
+) -> None:
+    """Trees at least `beyond` metres from the middle, fewer and fewer outwards."""
+    for _ in range(count):
+        angle, radius = rng.uniform(0, 2 * np.pi), beyond + rng.exponential(16.0)
+        x, y = radius * np.cos(angle), radius * np.sin(angle)
+        if radius < NEAR and not taken(x, y):
+            tree(world, x, y, rng, float(heights(np.array([x]), np.array([y]))[0]))
+
+
+def woods(
+    world: Builder,
+    seed: int,
+    heights: Heights = meadow,
+    taken: Taken = lambda x, y: False,
+) -> None:
+    """Woods beyond NEAR."""
+    rng = np.random.Generator(np.random.PCG64((seed, 16)))
+    places = rng.uniform(-250, 250, (420, 2))
+    for (x, y), z in zip(places, heights(*places.T), strict=True):
+        if np.hypot(x, y) > NEAR and wooded(x, y) and not taken(x, y):
+            tree(world, x, y, rng, float(z), detail=1)
