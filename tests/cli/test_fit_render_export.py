@@ -68,14 +68,15 @@ def test_render_from_a_camera_file(fitted, tmp_path):
 
 def test_render_the_held_out_view_as_fit_did(fitted, tmp_path, monkeypatch):
     monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-    arguments = [str(fitted / "model"), "tiny", str(tmp_path), "--protocol", "3dgs"]
+    arguments = [str(fitted), "tiny", str(tmp_path), "--protocol", "3dgs"]
     assert main(["render", *arguments, "--backend", "reference"]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["0.png"]
     assert (tmp_path / "0.png").read_bytes() == (fitted / "renders" / "0.png").read_bytes()
 
 
-def test_export(fitted, tmp_path, capsys):
-    assert main(["export", str(fitted / "model"), "--ply", str(tmp_path / "a.ply"), "--json"]) == 0
+@pytest.mark.parametrize("inside", ["", "model"])
+def test_export(fitted, tmp_path, capsys, inside):
+    assert main(["export", str(fitted / inside), "--ply", str(tmp_path / "a.ply"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["gaussians"] == PlyData.read(tmp_path / "a.ply")["vertex"].count
     assert said["frame"] == "as trained"

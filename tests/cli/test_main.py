@@ -10,6 +10,7 @@ import pytest
 
 from splatbench import cli
 from splatbench.cli import COMMANDS, main, output
+from splatbench.methods.registry import METHODS
 from splatbench.reference.errors import DataError, MissingError
 
 BENCH = str(Path(sys.executable).with_name("bench"))
@@ -26,6 +27,24 @@ def test_help_names_every_command_with_its_line(capsys):
 def test_every_command_is_joined_and_explains_itself(name, capsys):
     assert main([name, "--help"]) == 0
     assert f"usage: bench {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["run", "score", "report", "doctor", "fit 3dgs", "scenes list"])
+def test_help_tells_the_keys_of_json(name, capsys):
+    assert main([*name.split(), "--help"]) == 0
+    assert "With --json" in capsys.readouterr().out
+
+
+def test_help_of_a_group_has_a_line_for_each_and_help_of_one_tells_all(capsys):
+    assert main(["fit", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for method in METHODS.values():
+        assert f"{method.name} {method.description}." in text
+    assert "continues a run that was interrupted" not in text
+    assert main(["fit", "stitchgs", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert METHODS["stitchgs"].description in text
+    assert "continues a run that was interrupted" in text
 
 
 def test_help_starts_fast_and_imports_nothing_heavy():

@@ -157,11 +157,11 @@ def _told(action: Callable[[], int]) -> int:
 
 def _run(arguments: list[str]) -> int:
     """Parse with the chosen command loaded and the others as one-line stubs, and run it."""
-    chosen = next((a for a in arguments if not a.startswith("-")), "")
+    chosen, below = ([a for a in arguments if not a.startswith("-")] + ["", ""])[:2]
     app = SubcommandApp()
     for name, command in COMMANDS.items():
         if name == chosen:
-            _join(app, name, command)
+            _join(app, name, command, below)
         else:
             app.command(name=name, help=command.help)(_unchosen)
     code = app.cli(prog="bench", description=DESCRIPTION, args=arguments)
@@ -172,17 +172,22 @@ def _unchosen() -> int:
     raise AssertionError("only the chosen command runs")
 
 
-def _join(app: SubcommandApp, name: str, command: Command) -> None:
-    """Import the command's module and add its function, or a group of them, to the app."""
+def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
+    """Import the command's module and add its function, or a group of them, to the app.
+
+    Help shows the whole docstring of the command that is chosen (`below`, in a group) and the first
+    line of its neighbours.
+    """
     module = importlib.import_module(f"splatbench.cli.{command.module}")
     named = {key: getattr(module, f) for key, f in command.functions.items()}
     functions = {key: _with_style(f) for key, f in (named or module.subcommands()).items()}
     if "" in functions:
-        app.command(name=name, help=command.help)(functions[""])
+        app.command(name=name)(functions[""])
         return
     group = SubcommandApp()
     for key, function in functions.items():
-        group.command(name=key)(function)
+        first = inspect.cleandoc(function.__doc__ or "").splitlines()[0]
+        group.command(name=key, help=None if key == below else first)(function)
     app.command(group, name=name, help=command.help)
 
 

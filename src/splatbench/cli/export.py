@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from splatbench.cli import output
+from splatbench.cli.models import model_path
 
 if TYPE_CHECKING:
     from splatbench.methods.reconstruction import Reconstruction
@@ -26,7 +27,7 @@ def export(
     the shift; `bench render` and `bench export` take it wherever they take a model folder.
 
     Args:
-        model: Model folder, as `bench fit` writes it, or a packed file.
+        model: What `bench fit` calls OUT, a model folder in it, or a packed file.
         ply: File to write.
         packed: Packed file to write.
         gate: Of a packed file: mean size of the view-dependent colour below which a Gaussian's is
@@ -39,7 +40,7 @@ def export(
 
     if ply is None and packed is None:
         raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
-    loaded = load_reconstruction(model)
+    loaded = load_reconstruction(model_path(model))
     if packed is not None:
         _pack(loaded, packed, gate)
     if ply is None:

@@ -10,7 +10,7 @@ from splatbench.cli import output
 
 
 def gallery(
-    out: Annotated[Path, tyro.conf.Positional],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     *,
     scene: str = "courtyard",
     page: Path | None = None,

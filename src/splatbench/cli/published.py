@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -31,7 +31,7 @@ PIPED_WIDTH = 160
 
 
 def published(
-    suite: tyro.conf.Positional[str | None] = None,
+    suite: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SUITE]")] = None,
     *,
     scene: str | None = None,
     out: Path = Path("runs"),

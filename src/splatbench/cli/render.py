@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from splatbench.cli import output
+from splatbench.cli.models import model_path
 
 if TYPE_CHECKING:
     from splatbench.reference.camera import Camera
@@ -23,7 +24,7 @@ def render(
     """Render a model's views to OUT as 8-bit PNGs (clamped, rounded half up) named after the views.
 
     Args:
-        model: Model folder, as `bench fit` writes it, or a packed file.
+        model: What `bench fit` calls OUT, a model folder in it, or a packed file.
         cameras: Name of a registered scene, a scene folder, or a .json file: a list of objects
             with name, width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
         out: Folder for the images.
@@ -41,7 +42,7 @@ def render(
     from splatbench.suites.held_out import to_8_bit, write_png
 
     rules = load_protocol(protocol)
-    loaded = load_reconstruction(model, backend=backend)
+    loaded = load_reconstruction(model_path(model), backend=backend)
     found = (
         read_cameras(Path(cameras))
         if cameras.endswith(".json")

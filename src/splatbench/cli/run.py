@@ -38,8 +38,8 @@ def run(
     The studies stability, partition, memory and speed print rows instead: with --json a row a line,
     kept in OUT/<study>.jsonl too; exit code 1 if a row is over its budget.
 
-    A finished case is never repeated unless its settings, protocol or backend have changed; an
-    unfinished one continues from its last checkpoint, however it was stopped. With --json each case is
+    A finished case is never repeated unless its settings, protocol, backend or the scene's files have
+    changed; an unfinished one continues from its last checkpoint, however it was stopped. With --json each case is
     a line: suite, scene, method, protocol, seed, status (kept, finished, failed), error, folder, every
     metric by its name, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
 

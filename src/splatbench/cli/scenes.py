@@ -13,7 +13,7 @@ from splatbench.cli import output
 if TYPE_CHECKING:
     from splatbench.datasets.registry import SceneEntry
 
-Positional = tyro.conf.Positional
+Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 
 def list_scenes() -> None:
@@ -39,7 +39,7 @@ def list_scenes() -> None:
     Console(highlight=False, markup=False, width=width).print(table)
 
 
-def show(name: Positional[str]) -> None:
+def show(name: Name) -> None:
     """Show everything that is known of one scene.
 
     Args:
@@ -66,7 +66,7 @@ def show(name: Positional[str]) -> None:
     output.emit(record, "\n".join(lines))
 
 
-def get(name: Positional[str]) -> None:
+def get(name: Name) -> None:
     """Get a scene onto this machine: make it, or download, check and unpack it.
 
     A scene that has to be downloaded by hand is said to be so, with the place (exit code 3). What
@@ -92,8 +92,8 @@ def get(name: Positional[str]) -> None:
 
 
 def make(
-    world: Positional[str],
-    out: Positional[Path],
+    world: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WORLD")],
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     *,
     preset: Annotated[str, tyro.conf.arg(metavar="small|medium|large")] = "small",
     seed: int = 0,
