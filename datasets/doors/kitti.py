@@ -6,15 +6,19 @@ The world is east, north, up from the first frame's position, in metres, as in p
 import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from splatbench.datasets.assemble import open_layout
+from splatbench.datasets.boxes import Box, covered, in_motion
 from splatbench.datasets.doors import driving
+from splatbench.datasets.doors.kitti_boxes import read_labels, read_tracklets
 from splatbench.datasets.doors.posed import checked_pose, pinhole_camera, positive
 from splatbench.datasets.layout import Layout, PosedPhoto
+from splatbench.datasets.moving import KINDS
 from splatbench.datasets.photos import list_photos, photo_size
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
@@ -32,7 +36,7 @@ class Rig:
 
     K: dict[str, Float64[np.ndarray, "3 3"]]
     to_imu: dict[str, Float64[np.ndarray, "4 4"]]
-    """Of each camera, OpenCV axes, and of "lidar"."""
+    """Of each camera, OpenCV axes, of "lidar", and of "rectified", where labels lie."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +53,8 @@ class Drive:
     times: Sequence[float]
     imu: Sequence[Float64[np.ndarray, "4 4"]]
     rig: Rig
+    labels: Path
+    """Boxes; the file may be missing."""
     description: Sequence[Path]
 
 
@@ -66,6 +72,8 @@ def recognises_tracking(folder: Path) -> bool:
 
 def open_raw(folder: Path, protocol: Protocol) -> Scene:
     """Read a drive (<date>_drive_<n>_sync); the calibration files stand in the date's folder.
+
+    Where it has tracklet_labels.xml, masks of what moves are outlines of its boxes.
 
     Source: Geiger et al. 2013, "Vision meets Robotics", and its devkit; pykitti 0.3.
     """
@@ -92,13 +100,16 @@ def open_raw(folder: Path, protocol: Protocol) -> Scene:
         times=_times(stamps, len(frames)),
         imu=imu_poses(np.stack([driving.read_numbers(path, 30) for path in oxts])[:, :6]),
         rig=_rig(projections, rectify, to_camera, to_lidar, paths[0]),
+        labels=folder / "tracklet_labels.xml",
         description=[*paths, stamps, *oxts],
     )
     return _open(drive, "kitti-raw", protocol)
 
 
 def open_tracking(folder: Path, protocol: Protocol) -> Scene:
-    """Read training/image_02/<sequence>; its calib, oxts, velodyne and sky_02 stand beside.
+    """Read training/image_02/<sequence>; its calib, oxts, velodyne, sky_02 and label_02 stand beside.
+
+    Where it has label_02/<sequence>.txt, masks of what moves are outlines of its boxes.
 
     Poses are the set's own: PVG and MARS turn the cameras by a further hand-tuned degree.
 
@@ -131,6 +142,7 @@ def open_tracking(folder: Path, protocol: Protocol) -> Scene:
             driving.entry(calib, table, ["Tr_imu_velo", "Tr_imu_to_velo"], 3, 4),
             calib,
         ),
+        labels=root / "label_02" / f"{sequence}.txt",
         description=[calib, oxts],
     )
     return _open(drive, "kitti-tracking", protocol)
@@ -174,7 +186,7 @@ def _rig(
     lidar = driving.homogeneous(checked_pose(to_lidar, f"{path}: IMU to LiDAR"))
     camera = driving.homogeneous(checked_pose(to_camera, f"{path}: LiDAR to camera"))
     rectified = driving.homogeneous(rotation) @ camera @ lidar
-    rig = Rig(K={}, to_imu={"lidar": np.linalg.inv(lidar)})
+    rig = Rig(K={}, to_imu={"lidar": np.linalg.inv(lidar), "rectified": np.linalg.inv(rectified)})
     for name, projection in projections.items():
         for i in (0, 1):
             positive(float(projection[i, i]), str(path), f"focal length of camera {name}")
@@ -198,24 +210,45 @@ def _times(path: Path, count: int) -> list[float]:
     return [(stamp - stamps[0]).total_seconds() for stamp in stamps]
 
 
+def _moving(drive: Drive) -> dict[str, list[list[Box]]] | None:
+    """Boxes in motion, by kind and frame; None where the drive has no labels."""
+    if not drive.labels.is_file():
+        return None
+    read, frame = (
+        (read_tracklets, "lidar") if drive.labels.suffix == ".xml" else (read_labels, "rectified")
+    )
+    boxes = read(drive.labels, [imu @ drive.rig.to_imu[frame] for imu in drive.imu])
+    moving: dict[str, list[list[Box]]] = {kind: [[] for _ in drive.frames] for kind in KINDS}
+    for box in in_motion(boxes, drive.times):
+        moving[box.kind][box.frame].append(box)
+    return moving
+
+
 def _open(drive: Drive, adapter: str, protocol: Protocol) -> Scene:
     photos, left_out = [], []
+    moving = _moving(drive)
     for name in CAMERAS:
         K, folder = drive.rig.K[name], drive.images[name]
-        for frame, time, imu in zip(drive.frames, drive.times, drive.imu, strict=True):
+        for index, frame in enumerate(drive.frames):
             path = folder / f"{frame}.png"
+            pose, size = drive.imu[index] @ drive.rig.to_imu[name], photo_size(path)
+            masks = {
+                kind: partial(covered, boxes[index], K, np.linalg.inv(pose), size)
+                for kind, boxes in (moving or {}).items()
+            }
             sky = drive.sky[name] / f"{frame}.png"
             photos.append(
                 PosedPhoto(
                     name=f"image_{name}/{frame}.png",
                     path=path,
                     camera=pinhole_camera(
-                        *photo_size(path),
+                        *size,
                         *(float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))),
                     ),
-                    camera_to_world=(imu @ drive.rig.to_imu[name])[:3],
+                    camera_to_world=pose[:3],
                     sky=sky if sky.is_file() else None,
-                    time=time,
+                    moving=masks,
+                    time=drive.times[index],
                     sensor=f"image_{name}",
                 )
             )
@@ -227,7 +260,7 @@ def _open(drive: Drive, adapter: str, protocol: Protocol) -> Scene:
     layout = Layout(
         adapter=adapter,
         photos=photos,
-        description=drive.description,
+        description=[*drive.description, *([] if moving is None else [drive.labels])],
         sweeps=[
             driving.sweep(
                 path, drive.times[i], drive.imu[i] @ drive.rig.to_imu["lidar"], columns=4, first=0
