@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = Non
         path: Its folder is made.
         tensors: By name.
         facts: Stored in the file's header.
+    Raises: OSError where the disk does not take it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
@@ -31,6 +33,12 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = Non
             metadata={"facts": json.dumps(facts)},
         )
         os.replace(partial, path)
+    except SafetensorError as error:
+        number = re.search(r"os error (\d+)", str(error))
+        if number is None:
+            raise
+        code = int(number[1])
+        raise OSError(code, os.strerror(code), str(path)) from error
     finally:
         partial.unlink(missing_ok=True)
 

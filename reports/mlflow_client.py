@@ -71,8 +71,9 @@ def store_errors() -> tuple[type[Exception], ...]:
     """What a store's calls raise when the store or its artifacts cannot be read or written."""
     _prepare()
     from mlflow.exceptions import MlflowException
+    from sqlalchemy.exc import SQLAlchemyError
 
-    return (MlflowException, OSError)
+    return (MlflowException, SQLAlchemyError, OSError)
 
 
 def open_client(uri: str) -> "MlflowClient":
@@ -85,6 +86,7 @@ def open_client(uri: str) -> "MlflowClient":
     check_uri(uri)
     errors = (*store_errors(), ImportError)
     file = sqlite_file(uri)
+    new = file is not None and not file.exists()
     with warnings.catch_warnings():
         # sqlalchemy 2.1 on MLflow's own models, raised while its module is imported
         warnings.filterwarnings("ignore", "The ``noload`` loader strategy")
@@ -96,6 +98,8 @@ def open_client(uri: str) -> "MlflowClient":
             client = MlflowClient(uri)
             client.search_experiments(max_results=1)
         except errors as error:
+            if file is not None and new and "disk is full" in str(error):
+                file.unlink(missing_ok=True)  # half of its tables: nobody could use it later
             raise MissingError(
                 f"tracking store {shown_uri(uri)} does not answer: {one_line(error)}; "
                 "start it or set MLFLOW_TRACKING_URI, the records on disk are kept"

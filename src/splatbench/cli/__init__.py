@@ -5,6 +5,7 @@ it returns (an int, or None for 0) is the exit code, and it prints through splat
 imported only when it is chosen, and imports what is heavy (torch, mlflow, pycolmap) when it is called.
 """
 
+import errno
 import importlib
 import inspect
 import os
@@ -21,7 +22,7 @@ import tyro
 from tyro.extras import SubcommandApp
 
 from splatbench.cli import output
-from splatbench.reference.errors import SplatbenchError
+from splatbench.reference.errors import MissingError, SplatbenchError
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
@@ -116,6 +117,15 @@ def main(args: Sequence[str] | None = None) -> int:
         return 1
 
 
+_ROOM = "make room or choose another folder; the same command continues where it stopped"
+_RIGHTS = "choose another folder, or change who may use it"
+OF_THE_MACHINE = {
+    errno.ENOSPC: _ROOM, errno.EDQUOT: _ROOM, errno.EFBIG: _ROOM,
+    errno.EACCES: _RIGHTS, errno.EPERM: _RIGHTS, errno.EROFS: _RIGHTS,
+}  # fmt: skip
+"""What a disk can have against a command, and what to do about it."""
+
+
 class Terminated(KeyboardInterrupt):
     """SIGTERM came: clean up as after ctrl-C."""
 
@@ -146,6 +156,15 @@ def _told(action: Callable[[], int]) -> int:
             traceback.print_exc()
         print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
+    except OSError as error:
+        if error.errno not in OF_THE_MACHINE:
+            raise
+        if os.environ.get("SPLATBENCH_DEBUG"):
+            traceback.print_exc()
+        where = f"{error.filename2 or error.filename}: " if error.filename else ""
+        said, advice = os.strerror(error.errno), OF_THE_MACHINE[error.errno]
+        print(f"bench: {where}{said}; {advice}", file=sys.stderr)
+        return MissingError.exit_code
     except KeyboardInterrupt as ended:
         told = isinstance(ended, Terminated)
         how = "terminated" if told else "interrupted"

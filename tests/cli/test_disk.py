@@ -1,0 +1,69 @@
+"""A full disk and a folder that may not be written are told in one line, exit code 3."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import SafetensorError
+from sqlalchemy.exc import OperationalError
+
+from splatbench.cli import doctor, main
+from splatbench.methods import files
+from splatbench.reference.errors import MissingError
+from splatbench.reports import mlflow_client
+
+
+@pytest.mark.parametrize(
+    ("number", "advice"),
+    [(errno.ENOSPC, "make room"), (errno.EACCES, "choose another"), (errno.EROFS, "choose")],
+)
+@pytest.mark.parametrize("path", [None, "there/a.png"])
+def test_what_the_disk_has_against_it(monkeypatch, capsys, number, advice, path):
+    def command() -> int:
+        raise OSError(number, os.strerror(number), path)
+
+    monkeypatch.setattr(doctor, "doctor", command)
+    assert main(["doctor"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"bench: {'' if path is None else path + ': '}{os.strerror(number)}; ")
+    assert advice in line
+
+
+def test_a_missing_file_is_our_own_fault_and_not_hidden(monkeypatch):
+    def command() -> int:
+        raise FileNotFoundError(errno.ENOENT, "No such file", "a")
+
+    monkeypatch.setattr(doctor, "doctor", command)
+    with pytest.raises(FileNotFoundError):
+        main(["doctor"])
+
+
+def test_tensors_that_find_no_room_name_their_file(tmp_path, monkeypatch):
+    def save(tensors: object, path: Path, **_: object) -> None:
+        path.write_bytes(b"half")
+        raise SafetensorError("I/O error: No space left on device (os error 28)")  # on a full tmpfs
+
+    monkeypatch.setattr(files, "save_file", save)
+    with pytest.raises(OSError, match=r"model\.safetensors") as caught:
+        files.write_tensors(tmp_path / "model.safetensors", {"a": torch.zeros(10)})
+    assert caught.value.errno == errno.ENOSPC
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_store_without_room_is_told_and_leaves_no_half_made_tables(tmp_path, monkeypatch):
+    file = tmp_path / "mlflow.db"
+
+    def client(uri: str) -> None:
+        file.write_bytes(b"half")
+        raise OperationalError("DROP TABLE x", {}, Exception("database or disk is full"))
+
+    monkeypatch.setattr("mlflow.tracking.MlflowClient", client)
+    with pytest.raises(MissingError, match="database or disk is full"):
+        mlflow_client.open_client(f"sqlite:///{file}")
+    assert not file.exists()
+    file.write_bytes(b"old")
+    with pytest.raises(MissingError, match="full"):
+        mlflow_client.open_client(f"sqlite:///{file}")
+    assert file.exists()
