@@ -83,7 +83,7 @@ ADAPTERS = (
     ),
     Adapter(
         name="kitti-tracking",
-        looks_for="a folder image_02/<sequence> with ../../calib/<sequence>.txt",
+        looks_for="a folder image_02/<sequence> with calib/<sequence>.txt two folders up",
         recognises=kitti.recognises_tracking,
         open=kitti.open_tracking,
     ),

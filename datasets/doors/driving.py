@@ -98,9 +98,9 @@ def _points(
     path: Path, to_world: Float64[np.ndarray, "4 4"], columns: int, first: int
 ) -> Float64[np.ndarray, "n 3"]:
     size = path.stat().st_size
-    if size % (4 * columns):
+    if not size or size % (4 * columns):
         raise DataError(
-            f"{path}: has {size} bytes, expected a multiple of {4 * columns} "
+            f"{path}: has {size} bytes, expected a multiple of {4 * columns} above 0 "
             f"({columns} float32 a point); the file is cut short or of another kind"
         )
     rows = np.fromfile(path, dtype=np.float32).reshape(-1, columns)
@@ -121,7 +121,8 @@ def frame_names(folder: Path) -> list[str]:
         if not name.isdecimal():
             raise DataError(f"{folder / name}.txt: expected a frame's number for a name")
         if after.isdecimal() and int(after) != int(name) + 1:
-            raise DataError(f"{folder}: has no frame between {name} and {after}; export it again")
+            missing = folder / f"{int(name) + 1:0{len(name)}d}.txt"
+            raise DataError(f"{missing}: missing, but {after} comes after it; export it again")
     return names
 
 

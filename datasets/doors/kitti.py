@@ -66,8 +66,8 @@ def recognises_raw(folder: Path) -> bool:
 def recognises_tracking(folder: Path) -> bool:
     """Whether a folder is image_02/<sequence> of KITTI tracking."""
     folder = folder.resolve()
-    calib = folder.parent.parent / "calib" / f"{folder.name}.txt"
-    return folder.parent.name == "image_02" and calib.is_file()
+    beside = [folder.parent.parent / name / f"{folder.name}.txt" for name in ("calib", "oxts")]
+    return folder.parent.name == "image_02" and any(path.is_file() for path in beside)
 
 
 def open_raw(folder: Path, protocol: Protocol) -> Scene:
@@ -97,7 +97,7 @@ def open_raw(folder: Path, protocol: Protocol) -> Scene:
         images=images,
         sky={name: folder / f"sky_{name}" / "data" for name in CAMERAS},
         sweeps=folder / "velodyne_points" / "data",
-        times=_times(stamps, len(frames)),
+        times=_times(stamps, len(frames), images["02"]),
         imu=imu_poses(np.stack([driving.read_numbers(path, 30) for path in oxts])[:, :6]),
         rig=_rig(projections, rectify, to_camera, to_lidar, paths[0]),
         labels=folder / "tracklet_labels.xml",
@@ -196,7 +196,7 @@ def _rig(
     return rig
 
 
-def _times(path: Path, count: int) -> list[float]:
+def _times(path: Path, count: int, photos: Path) -> list[float]:
     """Seconds since the first of a file of dates with nanoseconds."""
     lines = driving.read_text(path).split("\n")
     lines = [line for line in lines if line.strip()]
@@ -206,7 +206,9 @@ def _times(path: Path, count: int) -> list[float]:
     except ValueError as error:
         raise DataError(f"{path}: not a file of dates ({error})") from None
     if len(stamps) != count:
-        raise DataError(f"{path}: has {len(stamps)} dates, but there are {count} photos")
+        raise DataError(
+            f"{path}: has {len(stamps)} dates, but there are {count} photos in {photos}"
+        )
     return [(stamp - stamps[0]).total_seconds() for stamp in stamps]
 
 

@@ -121,7 +121,10 @@ def _check_mappings(path: Path, known: set[str]) -> None:
     """Every camera that mappings.txt lists must be there; the file itself may be missing."""
     if not path.is_file():
         return
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), 1):
+    lines = path.read_text(errors="replace").splitlines()
+    if not any(line.strip() for line in lines):
+        raise DataError(f"{path}: lists no camera; unpack it again, or remove it")
+    for number, line in enumerate(lines, 1):
         name = line.rpartition(",")[2].strip()
         if line.strip() and name not in known:
             raise DataError(f"{path}: line {number} lists {name!r}, found in no metadata folder")

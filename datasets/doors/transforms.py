@@ -5,6 +5,8 @@ Both give camera-to-world matrices with OpenGL camera axes (right, up, back).
 
 import json
 import math
+import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,7 @@ from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.doors.ply_points import read_ply_points
 from splatbench.datasets.doors.posed import OPENGL_TO_OPENCV, checked_pose, pinhole_camera, positive
 from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
-from splatbench.datasets.photos import list_photos, photo_size
+from splatbench.datasets.photos import PHOTO_SUFFIXES, list_photos, photo_size
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
 from splatbench.reference.scene import Scene
@@ -80,17 +82,18 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     path = folder / "transforms.json"
     data, frames = read_frames(path)
     lists = _lists(path, data, {str(Path(str(frame["file_path"]))) for frame in frames})
-    photos, left_out = [], []
+    photos, left_out, unused = [], [], []
     for frame in frames:
         name = Path(str(frame["file_path"])).as_posix()
         where = f"{path}: frame {name}"
         split = None if lists is None else lists.get(name)
-        if lists is not None and split is None:
-            left_out.append((name, "in neither the training nor the test list of transforms.json"))
-            continue
         file = folder / name
         if protocol.images not in FULL_SIZE_FOLDERS:
             file = file.parent.with_name(protocol.images) / file.name
+        if lists is not None and split is None:
+            left_out.append((name, "in neither the training nor the test list of transforms.json"))
+            unused.append(file)
+            continue
         photos.append(
             PosedPhoto(
                 name=name,
@@ -102,6 +105,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 valid=_mask(folder, frame, copy_factor(protocol.images), where),
             )
         )
+    left_out += _unlisted(folder, [*(photo.path for photo in photos), *unused])
     layout = Layout(
         adapter="nerfstudio", photos=photos, description=[path], left_out=tuple(left_out)
     )
@@ -112,6 +116,25 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
         file = folder / cloud
         layout = replace(layout, points=read_ply_points(file), description=[path, file])
     return open_layout(folder, layout, protocol)
+
+
+def _unlisted(folder: Path, known: Sequence[Path]) -> list[tuple[str, str]]:
+    """Photos beside those that frames name, which no frame names."""
+    names = {path.resolve() for path in known}
+    beside = sorted(
+        path
+        for place in sorted({path.parent for path in known})
+        if place.is_dir()
+        for path in place.iterdir()
+        if path.suffix.lower() in PHOTO_SUFFIXES and path.resolve() not in names
+    )
+    return [
+        (
+            os.path.relpath(path, folder).replace(os.sep, "/"),
+            "no frame of a transforms file names it",
+        )
+        for path in beside
+    ]
 
 
 def _mask(folder: Path, frame: dict[str, object], factor: int, where: str) -> Path | None:
@@ -213,9 +236,12 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
         description=[folder / file for file in BLENDER_FILES],
         up=(0.0, 0.0, 1.0),
         flatten=True,
-        left_out=tuple(
-            (f"val/{name}", VALIDATION)
-            for name in (list_photos(folder / "val") if (folder / "val").is_dir() else [])
+        left_out=(
+            *_unlisted(folder, [photo.path for photo in photos]),
+            *(
+                (f"val/{name}", VALIDATION)
+                for name in (list_photos(folder / "val") if (folder / "val").is_dir() else [])
+            ),
         ),
     )
     return open_layout(folder, layout, protocol)

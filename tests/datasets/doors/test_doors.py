@@ -203,7 +203,7 @@ def test_five_thousand_frames_open_lazily(tmp_path):
     opens_in_bounds(tmp_path, 5000)
 
 
-def test_blender(tmp_path):
+def blender(folder):
     points = {}
     focal = SIZE[0] / (2 * np.tan(0.55))
     for split in ("train", "test", "val"):
@@ -211,12 +211,17 @@ def test_blender(tmp_path):
         for i in range(2):
             pose, point = opengl_to_world(i + 2 * (split == "test")), POINTS[i]
             pixel = opengl_rays(pose, point[None])[0] * focal + np.array(SIZE) / 2
-            blob(tmp_path / f"{split}/r_{i}.png", pixel, alpha=True)
+            blob(folder / f"{split}/r_{i}.png", pixel, alpha=True)
             frames.append({"file_path": f"./{split}/r_{i}", "transform_matrix": pose.tolist()})
             if split != "val":
                 points[f"{split}/r_{i}.png"] = point
         data = {"camera_angle_x": 1.1, "frames": frames}
-        (tmp_path / f"transforms_{split}.json").write_text(json.dumps(data))
+        (folder / f"transforms_{split}.json").write_text(json.dumps(data))
+    return points
+
+
+def test_blender(tmp_path):
+    points = blender(tmp_path)
     scene = open_scene(tmp_path, protocol())
     assert worst_error(scene, points) < 0.1
     assert [view.name for view in scene.test_views] == ["test/r_0.png", "test/r_1.png"]

@@ -211,7 +211,9 @@ def test_drivestudio_faults(tmp_path):
     mask = tmp_path / "dynamic_masks/human/000_1.png"
     kept = mask.read_bytes()
     mask.unlink()
-    refused(tmp_path, r"human/000_1\.png: mask of what moves is missing; export it again, or remove")
+    refused(
+        tmp_path, r"human/000_1\.png: mask of what moves is missing; export it again, or remove"
+    )
     mask.write_bytes(b"rubbish")
     with pytest.raises(DataError, match=r"human/000_1\.png: not a readable image"):
         moving(open_scene(tmp_path, protocol()).views[1])
@@ -260,9 +262,9 @@ def test_pvg_faults(tmp_path):
 def test_a_gap_between_frames_is_refused(tmp_path, write, part, name):
     write(tmp_path)
     (tmp_path / part / f"{name}1.txt").unlink()
-    refused(tmp_path, f"{part}: has no frame between {name}0 and {name}2; export it again")
+    refused(tmp_path, rf"{part}/{name}1\.txt: missing, but {name}2 comes after it; export it again")
     (tmp_path / part / "odd.txt").write_text("")
-    refused(tmp_path, r"odd\.txt: expected a frame's number for a name|has no frame between")
+    refused(tmp_path, r"odd\.txt: expected a frame's number for a name|1\.txt: missing, but")
     for path in (tmp_path / part).glob("*.txt"):
         path.unlink()
     refused(tmp_path, "has no frame with a camera")
