@@ -130,6 +130,8 @@ def get_entry(name: str) -> SceneEntry:
     entries = {entry.name: entry for entry in list_scenes()}
     if name in entries:
         return entries[name]
+    if name.startswith((".", "/", "~")):
+        raise UsageError(f"{name}: no such folder; `bench scenes list` has the registered scenes")
     near = difflib.get_close_matches(name, entries, n=1, cutoff=0.0)[0]
     raise UsageError(
         f"{name}: no such folder and no registered scene of this name; "

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8, UInt16
 from torch import Tensor
 
+from splatbench.methods.files import write_bytes
 from splatbench.methods.reconstruction import Reconstruction
 from splatbench.metrics.flip import flip_map
 from splatbench.metrics.pairs import check_pair
@@ -129,7 +130,7 @@ def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray,
     """Write RGB of 8 or 16 bits as a PNG."""
     done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
     assert done
-    path.write_bytes(data.tobytes())
+    write_bytes(path, data.tobytes())
 
 
 def render_milliseconds(

@@ -125,6 +125,11 @@ def load_suite(name_or_path: str | Path) -> Suite:
     )
 
 
+def suite_names() -> list[str]:
+    """Names of the suites that ship with the package, sorted."""
+    return sorted(path.stem for path in FOLDER.glob("*.toml"))
+
+
 def quick_form(suite: str) -> str:
     """Name of the reduced form of a suite: SUITE-quick, a file beside it.
 
@@ -166,8 +171,7 @@ def _find(name_or_path: str | Path) -> Path:
         raise UsageError(f"{text}: no such suite file")
     path = FOLDER / f"{text}.toml"
     if "/" in text or not path.is_file():
-        known = [file.stem for file in FOLDER.glob("*.toml")]
-        raise unknown("suite", text, known)
+        raise unknown("suite", text, suite_names())
     return path
 
 

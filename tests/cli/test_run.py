@@ -146,6 +146,7 @@ BAD_FILES = {
 }
 BAD_ARGUMENTS = {
     "unknown suite": (["qiuck"], "did you mean 'quick'"),
+    "unknown study": (["stabilty"], "did you mean 'stability'"),
     "no such file": (["nothing.toml"], "no such suite file"),
     "nothing chosen": (["mine.toml", "--only", "x/*"], "matches none"),
     "no seeds": (["mine.toml", "--seeds", "0"], "expected 1 or more"),

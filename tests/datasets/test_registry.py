@@ -150,3 +150,9 @@ def test_scenes_of_one_world_share_its_folder(roots):
     assert registry.made_folder(church) == registry.made_folder(town)
     registry.made_folder(church).mkdir(parents=True)
     assert registry.find_scene("aerial-sparse/town") == registry.made_folder(town) / "town"
+
+
+@pytest.mark.parametrize("path", ["/nowhere", "./nowhere", "../nowhere"])
+def test_a_folder_that_is_not_there_is_likened_to_no_scene(path):
+    with pytest.raises(UsageError, match=rf"^{path}: no such folder; `bench scenes list`"):
+        registry.get_entry(path)

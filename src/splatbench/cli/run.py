@@ -78,9 +78,12 @@ def run(
     from splatbench.suites.environment import usable_cores
     from splatbench.suites.runner import run_suite, select
     from splatbench.suites.scenes import absences, make_scenes, without_absent
-    from splatbench.suites.suite_files import load_suite, quick_form
+    from splatbench.suites.suite_files import load_suite, quick_form, suite_names
+    from splatbench.suites.typed_toml import unknown
 
     uri = default_uri(out)
+    if suite not in suite_names() and not suite.endswith(".toml"):
+        raise unknown("suite or study", suite, [*suite_names(), *STUDIES])
     whole = load_suite(quick_form(suite) if quick else suite)
     get_backend(backend)
     chosen = select(whole, only=only, seeds=seeds)
