@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers import tiny_worlds
 from splatbench.cli import main
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.procedural import (
@@ -22,12 +23,6 @@ from splatbench.datasets.procedural import (
 from splatbench.reference.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
-SMALL = {"width": 64, "height": 48, "samples": 1}
-TINY = {
-    "city": replace(city.PRESETS["small"], blocks=(2, 1), oblique=1, facade=2, cell=8.0, **SMALL),
-    "tunnel": replace(tunnel.PRESETS["small"], length=2.0, relit=1, **SMALL),
-    "street": replace(street.PRESETS["small"], frames=4, shifted=1, columns=60, cell=8.0, **SMALL),
-}
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +32,14 @@ def made(tmp_path_factory):
 
     def get(world):
         if world not in folders:
-            plan = worlds._module(world).plan(1, TINY[world])
+            plan = tiny_worlds.plan(world)
             folders[world] = exporting.make_scene(plan, root / world), plan
         return folders[world]
 
     return get
 
 
-@pytest.mark.parametrize("world", TINY)
+@pytest.mark.parametrize("world", ["city", "tunnel", "street"])
 def test_the_adapter_opens_it_with_depth_everywhere(made, world):
     folder, plan = made(world)
     scene = open_scene(folder, PROTOCOL)
@@ -191,7 +186,7 @@ def test_street_views_know_their_moment_their_camera_and_the_sky(made):
 def test_masks_of_movers_cover_what_was_not_there_before(made):
     """A pixel is in a mask where the world without movers lies at another depth, and nowhere else."""
     folder, plan = made("street")
-    still = tracing.Caster(street.Drive(1, TINY["street"]).still.build())
+    still = tracing.Caster(street.Drive(1, tiny_worlds.TINY["street"]).still.build())
     scene = open_scene(folder, PROTOCOL)
     shares = {"vehicles": 0.0, "people": 0.0}
     for view in scene.views:
@@ -219,7 +214,7 @@ def test_moving_things_are_where_their_pose_says(made):
     kinds = plan.kinds_of("")
     rows = np.isin(objects, [i for i, kind in enumerate(kinds) if kind == "moving car"])
     assert rows.sum() > 20
-    drive = street.Drive(1, TINY["street"])
+    drive = street.Drive(1, tiny_worlds.TINY["street"])
     height, width = objects.shape
     v, u = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
     origins, ways = frames.pixel_rays(
