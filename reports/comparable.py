@@ -4,6 +4,8 @@ from collections.abc import Sequence, Sized
 
 from splatbench.reference.result import Result
 
+DATA = ("model_sha256", "cameras_sha256", "photos_sha256", "files_sha256")
+"""Facts of a scene that name its files, and nothing of code or machine."""
 MIN_SEEDS = 3
 """A row with fewer seeds is shown but not ranked."""
 
@@ -14,7 +16,7 @@ def truth_faults(results: Sequence[Result]) -> list[str]:
     Args:
         results: Finished ones of one scene under one protocol.
     Returns: One line a kind of fault, naming an example: other test images, other pixels of the
-        same image, another split.
+        same image, another split, other files under the scene's name.
     """
     if not results:
         return []
@@ -37,7 +39,11 @@ def _faults(one: Result, other: Result) -> list[str]:
         return [f"truth pixels differ in {len(changed)} images, e.g. {changed[0]}"]
     if one.split_sha256 != other.split_sha256:
         return ["the training images differ"]
-    return []
+    facts = one.scene_facts, other.scene_facts
+    files = [
+        name for name in DATA if all(name in f for f in facts) and facts[0][name] != facts[1][name]
+    ]
+    return [f"the scene's files differ ({', '.join(files)})"] if files else []
 
 
 def _name(result: Result) -> str:

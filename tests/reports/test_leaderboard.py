@@ -125,16 +125,27 @@ def with_image(one: Result, **changes: object) -> Result:
     return dataclasses.replace(one, images=(changed, *one.images[1:]))
 
 
+def with_facts(one: Result, photos: str) -> Result:
+    """Of other photos, and of another release of a library, which is no fault."""
+    facts = {"photos_sha256": photos, "torch": photos}
+    return dataclasses.replace(one, scene_facts=one.scene_facts | facts)
+
+
+def test_facts_that_only_some_results_have_are_no_fault():
+    assert only_table([with_facts(CLEAR[0], "0"), *CLEAR[1:]]).comparable
+
+
 @pytest.mark.parametrize(
     ("break_it", "said"),
     [
         (lambda one: with_image(one, truth_sha256="0"), "truth pixels differ in 1 images, e.g. dji_0001"),
         (lambda one: with_image(one, name="x.jpg"), "test images differ"),
         (lambda one: dataclasses.replace(one, split_sha256="0"), "the training images differ"),
+        (lambda one: with_facts(one, "1"), "the scene's files differ (photos_sha256)"),
     ],
 )  # fmt: skip
 def test_other_truth_is_said_and_nothing_is_ranked(break_it, said: str):
-    broken = [*CLEAR[:-1], break_it(CLEAR[-1])]
+    broken = [with_facts(CLEAR[0], "0"), *CLEAR[1:-1], break_it(CLEAR[-1])]
     table = only_table(broken)
     assert not table.comparable
     assert any(said in warning for warning in table.warnings)
