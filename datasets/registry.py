@@ -19,7 +19,7 @@ from splatbench.reference.errors import DataError, MissingError, UsageError
 FILE = "registry.toml"
 """Beside this module; a data root may hold one of its own with further scenes."""
 SCENE = "<scene>"
-"""Stands for the scene's name in a set's `folders`."""
+"""Stands for the scene's name in a set's `folders` and `get`."""
 DEFAULT_ROOTS = ("data", "../shared/data")
 Kind = Literal["real", "made", "public"]
 Report = Callable[[int, int], None]
@@ -41,6 +41,8 @@ class SceneEntry:
     """Web page of the data."""
     get: str = ""
     """What to do by hand to have it; "" where the package can do it."""
+    protocols: tuple[str, ...] = ()
+    """Names of the protocols that are meant for it."""
     folders: tuple[str, ...] = ()
     """Where it is looked for below each data root, best first."""
     files: dict[str, str] = field(default_factory=dict)
@@ -83,6 +85,8 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
             continue
         for part in scenes:
             inside: dict[str, object] = {"part": part} if table.get("kind") == "made" else {}
+            if isinstance(table.get("get"), str):
+                inside["get"] = table["get"].replace(SCENE, part)
             if isinstance(table.get("folders"), list):
                 inside["folders"] = [str(f).replace(SCENE, part) for f in table["folders"]]
             entries.append(_entry(path, f"{name}/{part}", {**table, **inside}))
@@ -93,7 +97,7 @@ def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
     known = {f.name: f.type for f in fields(SceneEntry)}
     values = {"folders": [name], **table}
     for key, value in values.items():
-        wanted = {"folders": list, "files": dict, "seed": int}.get(key, str)
+        wanted = {"folders": list, "protocols": list, "files": dict, "seed": int}.get(key, str)
         if key not in known or key == "name":
             raise DataError(
                 f"{path}: [{name}] has the unknown field {key!r}; known: {sorted(known)}"
@@ -107,7 +111,8 @@ def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
         raise DataError(f"{path}: [{name}] kind is {values['kind']!r}, expected {get_args(Kind)}")
     if bool(values.get("url")) != bool(values.get("sha256")):
         raise DataError(f"{path}: [{name}] needs both url and sha256, or neither")
-    values["folders"] = tuple(values["folders"])  # type: ignore[arg-type]
+    for key in ("folders", "protocols"):
+        values[key] = tuple(values.get(key, ()))  # type: ignore[arg-type]
     return SceneEntry(name=name, **values)  # type: ignore[arg-type]
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from helpers.file_server import served
 from splatbench.datasets import registry
+from splatbench.metrics.protocol_files import protocol_names
 from splatbench.reference.errors import DataError, MissingError, UsageError
 
 
@@ -138,6 +139,14 @@ def test_get_downloads_checks_and_unpacks(roots, tmp_path):
     assert path == registry.find_scene("mine") == roots[0] / "mine"
     assert (path / "photos/x.png").read_bytes() == b"pixels"
     assert not list(roots[0].glob(".*archive*"))
+
+
+def test_protocols_of_a_scene_exist_and_its_own_name_stands_in_what_to_do():
+    for entry in registry.list_scenes():
+        assert set(entry.protocols) <= set(protocol_names())
+        assert entry.protocols or entry.kind != "public"
+        assert registry.SCENE not in entry.get
+    assert "mill19/rubble below" in registry.get_entry("mill19/rubble").get
 
 
 def test_get_by_hand(roots):

@@ -57,11 +57,14 @@ def show(name: Name) -> None:
         "home": entry.home,
         "looked_for": [] if entry.kind == "made" else looked,
         "get": entry.get or f"bench scenes get {entry.name}",
+        "protocols": list(entry.protocols),
         "files": entry.files,
         "changed_files": changed,
     }
     lines = [
-        f"{key}: {_words(value)}" for key, value in record.items() if value not in ("", [], {})
+        f"{key}: {_words(value)}"
+        for key, value in record.items()
+        if value not in ("", [], {}, None)
     ]
     output.emit(record, "\n".join(lines))
 

@@ -18,12 +18,15 @@ def test_every_layout_protocol_scene_and_suite_on_the_page_exists():
     names = {scene.name for scene in list_scenes() if scene.kind == "public"}
     layouts = {adapter.name for adapter in ADAPTERS}
     seen: set[str] = set()
+    meant = {scene.name: set(scene.protocols) for scene in list_scenes()}
     for _, scenes, layout, protocols, _ in ROWS[2:]:
         sets = re.findall(r"`([^`]+)/\*`", scenes)
         for one in sets:
             found = {name for name in names if name.startswith(f"{one}/")}
             assert found, one
             seen |= found
+            for name in found:
+                assert meant[name] == set(re.findall(r"`([^`]+)`", protocols))
         assert any(name in layout for name in layouts)
         assert set(re.findall(r"`([^`]+)`", protocols)) <= set(protocol_names())
     assert seen == names
