@@ -98,6 +98,14 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
+def written(tmp_path: Path, name: str) -> tuple[Door, Path]:
+    """A door, and the folder below which its fixture was written."""
+    root = tmp_path / "written"
+    root.mkdir()
+    DOORS[name].write(root)
+    return DOORS[name], root
+
+
 def use(folder: Path) -> None:
     """Open the scene and read all that its views have."""
     scene = open_scene(folder, protocol(hold=2))
@@ -131,10 +139,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("name", DOORS)
 def test_a_damaged_file_is_named_in_one_line(tmp_path, name):
-    door = DOORS[name]
-    root = tmp_path / "whole"
-    root.mkdir()
-    door.write(root)
+    door, root = written(tmp_path, name)
     scene = open_scene(root / door.inside, protocol(hold=2))
     assert scene.facts["adapter"] == name
     assert fault(root / door.inside) == ""
@@ -163,10 +168,7 @@ def test_a_damaged_file_is_named_in_one_line(tmp_path, name):
 
 @pytest.mark.parametrize("name", DOORS)
 def test_the_command_ends_with_2_and_one_line(tmp_path, capsys, name):
-    door = DOORS[name]
-    root = tmp_path / "scene"
-    root.mkdir()
-    door.write(root)
+    door, root = written(tmp_path, name)
     victim = photo_of(root, door)
     victim.write_bytes(b"rubbish")
     out = tmp_path / "out"
@@ -179,10 +181,7 @@ def test_the_command_ends_with_2_and_one_line(tmp_path, capsys, name):
 
 @pytest.mark.parametrize("name", DOORS)
 def test_a_photo_too_many_is_left_out_and_said(tmp_path, name):
-    door = DOORS[name]
-    root = tmp_path / "scene"
-    root.mkdir()
-    door.write(root)
+    door, root = written(tmp_path, name)
     scene = open_scene(root / door.inside, protocol(hold=2))
     photo = photo_of(root, door)
     extra = photo.with_name(f"9{photo.name}")
