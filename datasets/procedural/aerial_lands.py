@@ -3,9 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
+import torch
 
 from splatbench.datasets.procedural.blocks import tree
-from splatbench.datasets.procedural.city import wooded
+from splatbench.datasets.procedural.noise import fbm
 from splatbench.datasets.procedural.shapes import heightfield
 from splatbench.datasets.procedural.surface import Material
 from splatbench.datasets.procedural.units import Number
@@ -61,6 +62,8 @@ def woods(
     """Woods beyond NEAR."""
     rng = np.random.Generator(np.random.PCG64((seed, 16)))
     places = rng.uniform(-250, 250, (420, 2))
+    wooded = fbm(torch.from_numpy(places).float(), 40.0, 2, 303).numpy() > 0.5
+    places = places[wooded & (np.hypot(*places.T) > NEAR)]
     for (x, y), z in zip(places, heights(*places.T), strict=True):
-        if np.hypot(x, y) > NEAR and wooded(x, y) and not taken(x, y):
+        if not taken(x, y):
             tree(world, x, y, rng, float(z), detail=1)

@@ -68,19 +68,23 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
     tests = [s.camera for s in plan.shots if s.group]
     blind = truth.blind_facades(stage.caster, cloud, train, tests)
     assert len(blind) > 50
-    # depth maps agree: they show what was seen; what is blind only under eaves, which are nearer
-    # to the roof's edge than a pixel tells
+    # depth maps agree. A wall's uppermost centimetres have the depth of the eave that hides them, so
+    # of walls at least a storey of 2.5 metres high, a map "shows" as much as it is asked to tolerate
     known = truth.visible_surface(stage.caster, cloud, train, least=2)
+    fine, coarse = (
+        0.02,
+        0.5,
+    )  # metres; a pixel of these maps is 0.4 metres wide, and more if slanted
     shown = {"blind": np.zeros(len(blind), dtype=bool), "known": np.zeros(len(known), dtype=bool)}
     for camera in map(replace_size, train):
         depth = frames.truth(stage.caster, camera)[0]
-        shown["blind"] |= on_surface(blind, camera, depth)
-        shown["known"] |= on_surface(known, camera, depth)
-    assert shown["blind"].mean() < 0.1
-    assert shown["known"].mean() > 0.9
+        shown["blind"] |= on_surface(blind, camera, depth, fine)
+        shown["known"] |= on_surface(known, camera, depth, coarse)
+    assert shown["blind"].mean() < fine / 2.5
+    assert shown["known"].mean() > 0.95
 
 
-def on_surface(cloud, camera, depth):
+def on_surface(cloud, camera, depth, tolerance):
     """Which points a depth map shows, at angles at which a view tells something of them."""
     from splatbench.datasets.procedural.truth import STEEP
 
@@ -91,7 +95,7 @@ def on_surface(cloud, camera, depth):
     ways = camera.centre.numpy() - cloud.points
     cosine = np.abs((ways * cloud.normals).sum(axis=1)) / np.linalg.norm(ways, axis=1)
     x, y = np.where(inside[:, None], pixel, 0).T
-    near = np.abs(local[:, 2] - depth[y, x]) < 0.5
+    near = np.abs(local[:, 2] - depth[y, x]) < tolerance
     return inside & (local[:, 2] > 0) & (cosine > STEEP) & near
 
 
@@ -242,7 +246,6 @@ def test_3dgs_learns_it_from_the_command_line(made, tmp_path, capsys, world, rul
         options += ["--iterations", str(steps), "--sh-degree", "0", "--threads", "1", "--quiet"]
         assert main(["fit", "3dgs", str(folder), *options]) == 0
         found[steps] = json.loads(capsys.readouterr().out.splitlines()[-1])["psnr"]
-    # in decibels; the tunnel gains least (1.1), since its lamps travel with the cameras
     assert found[150] > found[1] + 0.7
 
 
