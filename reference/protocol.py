@@ -52,7 +52,7 @@ class Protocol:
     """scene: the sparse points that it has; triangulated: from the training views under their given
     poses, so that nothing of a held-out view is in them."""
     drop_test_points: bool = False
-    """Leave out sparse points that only test views see."""
+    """Leave out sparse points that only views see which do not train."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """sRGB behind everything, in training and in testing."""
     rounding: Literal["round", "truncate", "float"] = "round"
