@@ -29,6 +29,8 @@ class Metric:
     higher_is_better: bool
     range: tuple[float, float]
     source: str
+    masked: bool = True
+    """Whether it can be taken over valid pixels only."""
     load_weights: Callable[[], str] | None = None
     """Loads its network and returns the weights' sha256; MissingError without. None: needs none."""
 
@@ -121,6 +123,7 @@ _ALL = (
             higher_is_better=False,
             range=(0.0, math.inf),
             source=f"Zhang et al. 2018, LPIPS v0.1, {network}, inputs in {inputs}, by torchmetrics",
+            masked=False,
             load_weights=functools.partial(lpips.load, network),
         )
         for function, network, inputs in (

@@ -25,7 +25,7 @@ from splatbench.suites.atomic import SUFFIX, new_folder
 from splatbench.suites.city_scores import city_scores
 from splatbench.suites.curve import Curve
 from splatbench.suites.environment import environment
-from splatbench.suites.held_out import score_views
+from splatbench.suites.held_out import score_views, scored_views
 from splatbench.suites.records import RECORD_NAME, write_record
 from splatbench.suites.suite_files import Case, case_key
 from splatbench.suites.true_geometry import geometry_metrics
@@ -139,6 +139,7 @@ def _run(job: Job, tell: Tell) -> None:
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
+        scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
     done = job.folder / "trained.json"
     if not done.exists():
         _train(job, scene, curve, spent, tell)

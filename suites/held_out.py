@@ -16,6 +16,7 @@ from splatbench.methods.files import write_bytes
 from splatbench.methods.reconstruction import Reconstruction
 from splatbench.metrics.flip import flip_map
 from splatbench.metrics.pairs import check_pair
+from splatbench.metrics.registry import find_metric
 from splatbench.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
 from splatbench.reference.errors import DataError
 from splatbench.reference.protocol import Protocol
@@ -27,6 +28,26 @@ TIMED_FRAMES = 15
 """Frames whose render time is measured, spread over the test views."""
 TIMED_SECONDS = 5.0
 """No further frame is measured after this long, but at least three are."""
+
+
+def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
+    """The views that are scored, sorted by name; what can be said against them before training.
+
+    Raises: DataError for a scene without test views, with two that differ by their suffix alone,
+        or with masks under a metric that has no masked form.
+    """
+    views = sorted(scene.test_views, key=lambda view: view.name)
+    if not views:
+        raise DataError(f"scene {scene.name}: no test view under protocol {protocol.name!r}")
+    if len({picture_name(view.name) for view in views}) < len(views):
+        raise DataError(f"scene {scene.name}: two test views have the same name but for the suffix")
+    whole = [name for name in protocol.metrics if not find_metric(name).masked]
+    if whole and protocol.masked and any(view.load_mask is not None for view in views):
+        raise DataError(
+            f"scene {scene.name}: has masks, and {whole[0]} has no masked form; take a protocol "
+            "with masked = false or without that metric"
+        )
+    return views
 
 
 def score_views(
@@ -44,14 +65,10 @@ def score_views(
         protocol: The rules.
         folder: Of the case.
     Returns: Scores sorted by name, and the median milliseconds a frame after warm-up.
-    Raises: DataError for a scene without test views or with two that differ by their suffix alone.
+    Raises: DataError where `scored_views` refuses the scene, or a view cannot be scored.
     """
-    views = sorted(scene.test_views, key=lambda view: view.name)
+    views = scored_views(scene, protocol)
     names = [picture_name(view.name) for view in views]
-    if not views:
-        raise DataError(f"scene {scene.name}: no test view under protocol {protocol.name!r}")
-    if len(set(names)) < len(names):
-        raise DataError(f"scene {scene.name}: two test views have the same name but for the suffix")
     background = torch.tensor(protocol.background)
     scores = []
     masked = any(view.load_mask is not None for view in views)

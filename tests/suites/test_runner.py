@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
@@ -173,6 +174,24 @@ def test_a_failing_case_is_recorded_and_the_others_go_on(tmp_path):
     assert read_record(outcomes[1].folder).images == ()
     again = run(suite(bad), tmp_path)
     assert again[0].status == "failed"
+
+
+@pytest.mark.parametrize("fault", ["no test view", "has no masked form"])
+def test_what_cannot_be_scored_is_not_trained(tmp_path, monkeypatch, fault):
+    def opened(spec, protocol):
+        scene = fake_scene(spec, protocol)
+        if fault == "no test view":
+            return replace(scene, test=())
+        mask = torch.ones(18, 24, dtype=torch.bool)
+        views = tuple(replace(view, load_mask=mask.clone) for view in scene.views)
+        return replace(scene, views=views)
+
+    monkeypatch.setattr(cases, "open_scene", opened)
+    monkeypatch.setattr(cases, "load_weights", lambda names: {})
+    learned = replace(PROTOCOL, metrics=("psnr", "lpips_alex_m11"))
+    (outcome,) = run(suite(replace(case(), protocol=learned)), tmp_path)
+    assert fault in outcome.result.error
+    assert not (outcome.folder / "curve.jsonl").exists()
 
 
 def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypatch):

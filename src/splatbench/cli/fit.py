@@ -59,7 +59,7 @@ def fit(
     from splatbench.metrics.protocol_files import load_protocol
     from splatbench.metrics.registry import load_weights
     from splatbench.metrics.scoring import scene_metrics
-    from splatbench.suites.held_out import score_views
+    from splatbench.suites.held_out import score_views, scored_views
 
     row, rules = get_method(method), load_protocol(protocol)
     get_backend(backend)
@@ -67,6 +67,8 @@ def fit(
     started = time.perf_counter()
     opened = open_scene(scene, rules)
     stages = {"load": time.perf_counter() - started}
+    if opened.test:
+        scored_views(opened, rules)  # what cannot be scored is told before the training
     output.log(
         f"{opened.name}: {len(opened.train)} views train, {len(opened.test)} {rules.scored} views are "
         f"scored, {len(opened.points)} points"

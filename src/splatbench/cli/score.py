@@ -41,7 +41,7 @@ def score(
 
     Files are matched by their path in the folder without the suffix (PNG, JPEG, TIFF; 8 bit, or 16
     bit RGB as PNG). The folders renders/ and truth/ (with masks/, where there are any) of a finished
-    case, under its protocol, give the numbers of its record again. Every
+    case, under its protocol, give the image scores of its record again to the last digit. Every
     file is looked at before anything is scored, and each that is missing, left over, unreadable or
     of another size is named. Of a protocol only the scoring rules apply (rounding, masks, region,
     metrics, colour fits): which images there are and how large is what is in the folders.
