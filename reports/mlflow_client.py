@@ -1,5 +1,6 @@
 """Opening an MLflow store: quiet, off the network but for the store itself, with bounded waits."""
 
+import fcntl
 import os
 import urllib.parse
 import warnings
@@ -86,25 +87,45 @@ def open_client(uri: str) -> "MlflowClient":
     check_uri(uri)
     errors = (*store_errors(), ImportError)
     file = sqlite_file(uri)
-    new = file is not None and not file.exists()
     with warnings.catch_warnings():
         # sqlalchemy 2.1 on MLflow's own models, raised while its module is imported
         warnings.filterwarnings("ignore", "The ``noload`` loader strategy")
         from mlflow.tracking import MlflowClient
 
         try:
-            if file is not None:
-                file.parent.mkdir(parents=True, exist_ok=True)
+            if file is not None and not file.exists():
+                _make_tables(file)
             client = MlflowClient(uri)
             client.search_experiments(max_results=1)
         except errors as error:
-            if file is not None and new and "disk is full" in str(error):
-                file.unlink(missing_ok=True)  # half of its tables: nobody could use it later
             raise MissingError(
                 f"tracking store {shown_uri(uri)} does not answer: {one_line(error)}; "
                 "start it or set MLFLOW_TRACKING_URI, the records on disk are kept"
             ) from error
     return client
+
+
+def _make_tables(file: Path) -> None:
+    """Make an SQLite store that is there whole or not at all.
+
+    MLflow makes its tables in dozens of steps and can neither go on after a kill between two of them
+    nor begin again, so they are made under another name.
+    """
+    from mlflow.tracking import MlflowClient
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    making = file.with_name(f"{file.name}.making")
+    with file.with_name(f"{file.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # freed by the kernel when the process dies
+        if file.exists():
+            return  # another process has made it meanwhile
+        for left in (making, making.with_name(f"{making.name}-journal")):
+            left.unlink(missing_ok=True)
+        try:
+            MlflowClient(f"sqlite:///{making.resolve()}").search_experiments(max_results=1)
+            making.replace(file)
+        finally:
+            making.unlink(missing_ok=True)
 
 
 def _prepare() -> None:

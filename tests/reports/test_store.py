@@ -377,3 +377,23 @@ def test_a_damaged_record_in_the_store_is_named(tmp_path: Path, uri: str):
     copy.write_text("{")
     with pytest.raises(DataError, match=r"mlflow\.db run \w+: not a result record"):
         read_results(uri)
+
+
+def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
+    """Killed between two of its tables, MLflow's own file could never be opened again."""
+    uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
+    program = (
+        "import sys; from splatbench.reports.mlflow_client import open_client as o; o(sys.argv[1])"
+    )
+    making = tmp_path / "mlflow.db.making"
+    process = subprocess.Popen([sys.executable, "-c", program, uri])
+    while not (making.exists() and making.stat().st_size > 50_000):
+        assert process.poll() is None
+        time.sleep(0.002)
+    process.kill()
+    process.wait()
+    assert not (tmp_path / "mlflow.db").exists()
+    assert making.exists()
+    open_client(uri)
+    assert not list(tmp_path.glob("*.making*"))
+    assert read_results(uri) == []
