@@ -9,6 +9,9 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from splatbench.methods.dense_points import with_dense_points
+from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
 from splatbench.reference.errors import DataError
 from splatbench.reference.gaussians import Gaussians
 from splatbench.reference.scene import Scene, SparsePoints
@@ -56,6 +59,14 @@ def extent(scene: Scene) -> float:
     if radius == 0 and len(scene.points):
         radius = float((scene.points.positions.double() - middle).norm(dim=1).median())
     return 1.1 * radius
+
+
+def with_points(scene: Scene, settings: Settings, run: Run) -> Scene:
+    """The scene with the points that training starts from, as the settings say."""
+    scene = with_random_points(scene, settings.random_points, run.seed)
+    if settings.dense_cell:
+        scene = with_dense_points(scene, settings.dense_cell, run.image_bytes)
+    return scene
 
 
 def with_random_points(scene: Scene, count: int, seed: int) -> Scene:

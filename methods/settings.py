@@ -25,6 +25,9 @@ class Settings:
     random_points: int = 0
     """Points that a scene without any starts from, drawn in sight of its cameras (100,000 in
     gsplat); 0: such a scene is refused. Scenes with points keep theirs."""
+    dense_cell: float = 0.0
+    """Before training, match the training photos by optical flow and add a point where none is, about
+    one every so many pixels (DPGS's initialisation). 0: none."""
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
     antialiased: bool = False
@@ -57,6 +60,7 @@ class Settings:
         opacity = self.initial_opacity
         require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
         require(self.random_points >= 0, "random_points", self.random_points, ">= 0")
+        require(0 <= self.dense_cell < math.inf, "dense_cell", self.dense_cell, ">= 0")
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")

@@ -54,7 +54,7 @@ def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
     backend = get_backend(run.backend)
     with threads(run.threads):
         started = time.perf_counter()
-        scene = initialise.with_random_points(scene, settings.random_points, run.seed)
+        scene = initialise.with_points(scene, settings, run)
         trainer = Trainer(scene, settings, run, backend)
         trainer.resume()
         run.on_stage("init", time.perf_counter() - started)

@@ -10,6 +10,9 @@ from torch import Tensor
 
 TEXTURE = 2.0
 """Local standard deviation (of 255) at which a pixel's certainty is halved for lack of texture."""
+PATCH_STRIDE = 2
+"""Pixels between patches. 2 instead of the preset's 4 takes the share of matches on the courtyard whose
+depth is off by more than 5 % from 14 to 8 %; 1 takes it to 6 % in twice the time."""
 AGREEMENT = 1.0
 """Forward-backward distance in pixels at which certainty falls to exp(-1/2)."""
 
@@ -57,6 +60,8 @@ def match_by_flow(
         shared = ((at >= 0) & (at < [image_b.shape[1], image_b.shape[0]])).all(axis=-1)
         gray_b = _read(gray_b, at)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    search.setFinestScale(0)  # the preset stops at half the resolution: depth errors are 3 times as large
+    search.setPatchStride(PATCH_STRIDE)
     forward = search.calc(gray_a, gray_b, None)  # type: ignore[call-overload]
     backward = search.calc(gray_b, gray_a, None)  # type: ignore[call-overload]
     landed = centres + forward

@@ -68,7 +68,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
         to another run; MissingError if the blocks cannot fit into memory.
     """
-    scene = initialise.with_random_points(scene, settings.random_points, run.seed)
+    scene = initialise.with_points(scene, settings, run)
     with training.threads(run.threads), _work_folder(run) as folder:
         key = json.dumps([method, scene.name, training.scene_digest(scene), asdict(settings),
                           run.seed, run.background, run.backend])  # fmt: skip
