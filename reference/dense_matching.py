@@ -60,7 +60,8 @@ def match_by_flow(
         shared = ((at >= 0) & (at < [image_b.shape[1], image_b.shape[0]])).all(axis=-1)
         gray_b = _read(gray_b, at)
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    search.setFinestScale(0)  # the preset stops at half the resolution: depth errors are 3 times as large
+    # the preset stops at half the resolution, where depth errors are three times as large
+    search.setFinestScale(0)
     search.setPatchStride(PATCH_STRIDE)
     forward = search.calc(gray_a, gray_b, None)  # type: ignore[call-overload]
     backward = search.calc(gray_b, gray_a, None)  # type: ignore[call-overload]

@@ -12,12 +12,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatbench.datasets.images import ImageCache
 from splatbench.datasets.opening import open_scene
+from splatbench.methods.dense_points import match, observed
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.reference import dense_initialisation as dense
 from splatbench.reference import layered_depth
 from splatbench.reference.camera import project_points
-from splatbench.reference.dense_matching import match_by_flow, plane_between
 from splatbench.reference.errors import MissingError
 from splatbench.reference.layered_depth import LayeredDepth
 from splatbench.reference.scene import Scene
@@ -33,7 +34,7 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
         scene = open_scene("courtyard" if quick else "brighton_beach", protocol)
     except MissingError:
         scene = open_scene("courtyard", protocol)
-    seen = _seen(scene)
+    seen = observed(scene)
     batches = dense_batches(scene, seen, 4 if quick else 12)
     reference = int(seen[list(scene.train)].sum(dim=1).argmax())
     camera = scene.views[scene.train[reference]].camera
@@ -52,16 +53,6 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-def _seen(scene: Scene) -> Bool[Tensor, "v n"]:
-    """Which view's track holds which point."""
-    seen = torch.zeros(len(scene.views), len(scene.points), dtype=torch.bool)
-    point = torch.repeat_interleave(
-        torch.arange(len(scene.points)), scene.points.track_starts.diff()
-    )
-    seen[scene.points.track_views, point] = True
-    return seen
-
-
 def dense_batches(scene: Scene, seen: Bool[Tensor, "v n"], most: int) -> list[dense.DensePoints]:
     """Dense points of up to `most` pairs of training views, the most co-visible first."""
     settings = dense.DenseSettings()
@@ -70,20 +61,12 @@ def dense_batches(scene: Scene, seen: Bool[Tensor, "v n"], most: int) -> list[de
     pairs = dense.select_pairs(centres, scene.points.positions, seen[train], settings)
     shared = [int((seen[train[a]] & seen[train[b]]).sum()) for a, b in pairs]
     order = sorted(range(len(pairs)), key=lambda i: (-shared[i], pairs[i]))[:most]
+    images = ImageCache(0)
     batches = []
     for a, b in (pairs[i] for i in order):
-        first, second = scene.views[scene.train[a]], scene.views[scene.train[b]]
-        image = first.load()
         both = scene.points.positions[seen[scene.train[a]] & seen[scene.train[b]]]
-        plane = plane_between(
-            project_points(first.camera, both)[0], project_points(second.camera, both)[0]
-        )
-        warp, certainty = match_by_flow(image, second.load(), plane)
-        batches.append(
-            dense.points_of_pair(
-                first.camera, second.camera, image, warp.double(), certainty, settings
-            )
-        )
+        first, second = scene.views[scene.train[a]], scene.views[scene.train[b]]
+        batches.append(match(first, second, both, images, settings))
     return batches
 
 

@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
@@ -77,20 +78,8 @@ def test_both_routes_give_the_same_step():
         assert (gradient - steps[1][1][name]).norm() <= 1e-6 * gradient.norm()
 
 
-class Killed(Exception):
-    """Stands for a kill between two steps."""
-
-
 def test_a_killed_run_continues_bit_for_bit(tmp_path):
-    def kill(now: int, total: int, values: dict[str, float]) -> None:
-        if now == 30:
-            raise Killed
-
-    whole = fit(tiny_scene(), SETTINGS, replace(RUN, folder=tmp_path / "whole")).gaussians()
-    run = replace(RUN, folder=tmp_path / "cut", checkpoint_seconds=0.0)
-    with pytest.raises(Killed):
-        fit(tiny_scene(), SETTINGS, replace(run, report=kill))
-    assert torch.equal(fit(tiny_scene(), SETTINGS, run).gaussians().means, whole.means)
+    assert_continues(SETTINGS, RUN, 30, tmp_path)
 
 
 def test_the_pull_makes_the_model_fainter():

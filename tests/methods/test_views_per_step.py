@@ -5,13 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
+from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatbench.methods.backends import get_backend
 from splatbench.methods.density import Density
 from splatbench.methods.optimizer import Adam
 from splatbench.methods.run import Run
 from splatbench.methods.settings import Settings
-from splatbench.methods.training import Trainer, fit
+from splatbench.methods.training import Trainer
 from splatbench.reference.errors import UsageError
 
 SETTINGS = Settings(
@@ -51,20 +52,8 @@ def test_density_control_counts_every_view():
     assert float(trainer.control.seen.max()) == 3
 
 
-class Killed(Exception):
-    """Stands for a kill between two steps."""
-
-
 def test_a_killed_run_continues_bit_for_bit(tmp_path):
-    def kill(now: int, total: int, values: dict[str, float]) -> None:
-        if now == 20:
-            raise Killed
-
-    whole = fit(tiny_scene(), SETTINGS, replace(RUN, folder=tmp_path / "whole")).gaussians()
-    run = replace(RUN, folder=tmp_path / "cut", checkpoint_seconds=0.0)
-    with pytest.raises(Killed):
-        fit(tiny_scene(), SETTINGS, replace(run, report=kill))
-    assert torch.equal(fit(tiny_scene(), SETTINGS, run).gaussians().means, whole.means)
+    assert_continues(SETTINGS, RUN, 20, tmp_path)
 
 
 def test_no_view_a_step_is_refused():

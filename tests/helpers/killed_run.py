@@ -1,0 +1,30 @@
+"""A run that is broken off and continued, against one that is not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from helpers.tiny_scene import tiny_scene
+from splatbench.methods.run import Run
+from splatbench.methods.settings import Settings
+from splatbench.methods.training import fit
+
+
+class Killed(Exception):
+    """Stands for a kill between two steps."""
+
+
+def assert_continues(settings: Settings, run: Run, step: int, folder: Path) -> None:
+    """Broken off at a step and continued, training on the tiny scene gives the same bits."""
+
+    def kill(now: int, total: int, values: dict[str, float]) -> None:
+        if now == step:
+            raise Killed
+
+    whole = fit(tiny_scene(), settings, replace(run, folder=folder / "whole")).gaussians()
+    cut = replace(run, folder=folder / "cut", checkpoint_seconds=0.0)
+    with pytest.raises(Killed):
+        fit(tiny_scene(), settings, replace(cut, report=kill))
+    assert torch.equal(fit(tiny_scene(), settings, cut).gaussians().means, whole.means)
