@@ -1,7 +1,9 @@
 """Opening an MLflow store: quiet, off the network but for the store itself, with bounded waits."""
 
 import fcntl
+import logging
 import os
+import sys
 import urllib.parse
 import warnings
 from pathlib import Path
@@ -129,9 +131,11 @@ def _make_tables(file: Path) -> None:
 
 
 def _prepare() -> None:
-    """Settle what MLflow reads when it is first imported."""
+    """Settle what MLflow reads when it is first imported, and its loudness if it was before."""
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    if "mlflow" in sys.modules:
+        logging.getLogger("mlflow").setLevel(os.environ["MLFLOW_LOGGING_LEVEL"])
 
 
 def one_line(error: BaseException) -> str:

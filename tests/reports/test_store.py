@@ -397,3 +397,17 @@ def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
     open_client(uri)
     assert not list(tmp_path.glob("*.making*"))
     assert read_results(uri) == []
+
+
+def test_a_store_is_made_quietly_where_mlflow_was_imported_before(tmp_path: Path):
+    code = (
+        "import mlflow, sys\n"
+        "from splatbench.reports.mlflow_client import open_client\n"
+        "open_client(sys.argv[1])\n"
+    )
+    quiet = {k: v for k, v in os.environ.items() if not k.startswith("MLFLOW_")}
+    done = subprocess.run(
+        [sys.executable, "-c", code, f"sqlite:///{tmp_path}/mlflow.db"],
+        env=quiet, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stderr == ""
