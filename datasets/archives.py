@@ -19,7 +19,7 @@ LIMIT = 512 * 2**30
 """Default bound on the unpacked bytes of one archive."""
 DAMAGED = (
     tarfile.TarError, zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, lzma.LZMAError, EOFError,
-    NotImplementedError,
+    NotImplementedError,  # zipfile's word for a compression that it does not know
 )  # fmt: skip
 """What the readers say of archives that are cut short, garbled or of an unknown compression."""
 MEMBERS = 2_000_000

@@ -234,6 +234,7 @@ def _sources(folder: Path, layout: Layout) -> tuple[Path, ...]:
         depth = depth_path(folder, photo.name)
         files |= {photo.path, *filter(None, (photo.valid, photo.sky))}
         files |= {depth} if depth.is_file() else set()
+        files |= {mask for mask in photo.moving.values() if isinstance(mask, Path)}
     return tuple(sorted(files))
 
 

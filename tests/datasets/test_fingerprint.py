@@ -28,6 +28,8 @@ def folder(tmp_path):
         path.parent.mkdir()
     np.savez(depth, depth=np.ones((72, 96), np.float32))
     shutil.copy(scene / "photos" / PHOTOS[2], sky)
+    for kind in ("vehicles", "people"):
+        shutil.copytree(scene / "photos", scene / "moving" / kind)
     return scene
 
 
@@ -37,8 +39,9 @@ def hashed(folder: Path, known: Known | None = None) -> str:
 
 @pytest.mark.parametrize(
     "name",
-    [f"photos/{PHOTOS[0]}", f"photos/{PHOTOS[5]}", "depth/photo_001.npz", "sky/photo_002.png"],
-)
+    [f"photos/{PHOTOS[0]}", f"photos/{PHOTOS[5]}", "depth/photo_001.npz", "sky/photo_002.png",
+     "moving/people/photo_003.png"],
+)  # fmt: skip
 def test_one_byte_of_any_file_changes_it(folder, name):
     """Of the same size, and with the old time."""
     before = hashed(folder)
@@ -87,7 +90,8 @@ def test_progress_is_told_and_a_lost_file_is_named(folder):
     seen = []
     scene = open_scene(folder, RULES)
     files_sha256(scene, {}, lambda done, total: seen.append((done, total)))
-    assert seen == [(i + 1, 8) for i in range(8)]
+    files = 6 + 1 + 1 + 2 * 6  # photos, a depth map, a sky mask, two masks of what moves a photo
+    assert seen == [(i + 1, files) for i in range(files)]
     (folder / "photos" / PHOTOS[2]).unlink()
     with pytest.raises(DataError, match=r"photo_002\.png: cannot be read: No such file"):
         files_sha256(scene, {})
