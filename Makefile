@@ -31,7 +31,7 @@ types: setup-dev
 setup: $(VENV)/.installed
 setup-dev: $(VENV)/.installed-dev
 
-SOURCES := pyproject.toml constraints.txt CMakeLists.txt $(wildcard methods/kernels/*.cpp methods/kernels/*.hpp methods/kernels/*.inl methods/kernels/CMakeLists.txt)
+SOURCES := pyproject.toml constraints.txt CMakeLists.txt $(wildcard methods/kernels/csrc/* methods/kernels/CMakeLists.txt)
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)

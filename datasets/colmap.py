@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
+from splatbench.base.errors import DataError
 from splatbench.datasets.assemble import open_layout
 from splatbench.datasets.colmap_model import Model, find_model, pose_matrix, read_model
 from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
-from splatbench.datasets.moments import read_moments, sky_path
-from splatbench.datasets.moving import FOLDER, moving_masks
+from splatbench.datasets.moving_masks import FOLDER, moving_masks
 from splatbench.datasets.photos import list_photos
 from splatbench.datasets.scene_file import SceneFile, read_scene_file
 from splatbench.datasets.sparse_points import read_points
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.datasets.view_times import read_moments, sky_path
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 NOT_REGISTERED = "structure from motion did not register it"
 

@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
+from splatbench.base.errors import DataError
 from splatbench.datasets import colmap_binary, colmap_text
 from splatbench.datasets.colmap_index import (
     MODEL_FILES,
@@ -15,7 +16,6 @@ from splatbench.datasets.colmap_index import (
     ModelIndex,
     check_references,
 )
-from splatbench.reference.errors import DataError
 
 MODEL_FOLDERS = ("sparse/0", "sparse")
 _READERS = (

@@ -11,8 +11,8 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
+from splatbench.base.errors import DataError, MissingError, UsageError
 from splatbench.datasets.files import CHUNK, sha256_of
-from splatbench.reference.errors import DataError, MissingError, UsageError
 
 TIMEOUT = 30.0
 """Seconds without an answer after which a connection counts as broken."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from splatbench.datasets.layout import Sweep, plain_points
-from splatbench.reference.scene import SparsePoints
+from splatbench.reference.types.scene import SparsePoints
 
 MOST_POINTS = 600_000
 """Points that a scene takes from its sweeps (Chen et al. 2023, PVG, release: num_pts)."""

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatbench.datasets.added_views import with_tests
-from splatbench.datasets.colmap import open_colmap
-from splatbench.datasets.doors import (
+from splatbench.base.errors import DataError
+from splatbench.datasets.adapters import (
     kitti,
     levir_nvs,
     llff,
@@ -16,9 +15,10 @@ from splatbench.datasets.doors import (
     transforms,
     waymo,
 )
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.datasets.added_views import with_tests
+from splatbench.datasets.colmap import open_colmap
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args
 
+from splatbench.base.errors import DataError, MissingError, UsageError
 from splatbench.datasets.archives import extract
-from splatbench.datasets.cache import cache_folder, locked
+from splatbench.datasets.cache_folder import cache_folder, locked
 from splatbench.datasets.download import download
 from splatbench.datasets.files import sha256_of
 from splatbench.datasets.progress import bar
-from splatbench.reference.errors import DataError, MissingError, UsageError
 
 FILE = "registry.toml"
 """Beside this module; a data root may hold one of its own with further scenes."""

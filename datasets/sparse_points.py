@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from splatbench.datasets.colmap_model import Model
-from splatbench.reference.scene import SparsePoints
+from splatbench.reference.types.scene import SparsePoints
 
 
 def read_points(model: Model) -> SparsePoints:

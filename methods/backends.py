@@ -8,9 +8,9 @@ from difflib import get_close_matches
 
 import torch
 
-from splatbench.reference import rasterizer as reference_rasterizer
-from splatbench.reference.errors import MissingError, UsageError
-from splatbench.reference.render import RenderOutput
+from splatbench.base.errors import MissingError, UsageError
+from splatbench.reference.rasterizer import rasterize as reference_rasterizer
+from splatbench.reference.types.render import RenderOutput
 
 CONTRACT = frozenset({"float32", "float64", "distance", "median", "contributors", "probe"})
 """What the reference rasterizer offers."""

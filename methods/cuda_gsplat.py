@@ -11,12 +11,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference import rotation
-from splatbench.reference.camera import Camera
-from splatbench.reference.errors import UsageError
-from splatbench.reference.rasterizer import Mode
-from splatbench.reference.render import RenderOutput
-from splatbench.reference.screen_gradient import ScreenProbe
+from splatbench.base.errors import UsageError
+from splatbench.reference.rasterizer import rotation
+from splatbench.reference.rasterizer.rasterize import Mode
+from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.render import RenderOutput
 
 CAPABILITIES = frozenset({"float32", "probe"})
 """What of the contract this backend offers."""

@@ -6,14 +6,14 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-from splatbench.methods import training
+from splatbench.base.errors import UsageError
 from splatbench.methods.city import settings as city
 from splatbench.methods.city.pipeline import fit as fit_city
-from splatbench.methods.reconstruction import Reconstruction
+from splatbench.methods.models.explicit import Reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.settings import Settings
-from splatbench.reference.errors import UsageError
-from splatbench.reference.scene import Scene
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training import loop as training
+from splatbench.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
+from splatbench.base.errors import DataError, MissingError
 from splatbench.metrics.pairs import check_pair
 from splatbench.metrics.weights import find_weights, weights_sha256
-from splatbench.reference.errors import DataError, MissingError
 
 SMALLEST = {"vgg": 16, "alex": 31}
 """Shortest side in pixels that still reaches the network's last layer."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatbench.base.errors import UsageError
 from splatbench.metrics import flip, lpips, pixel, ssim
-from splatbench.reference.errors import UsageError
 
 MetricFunction = Callable[
     [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float

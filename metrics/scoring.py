@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatbench.base.errors import DataError
 from splatbench.metrics.colour_fit import fit_colours
 from splatbench.metrics.pairs import check_values
 from splatbench.metrics.parts import (
@@ -23,9 +24,8 @@ from splatbench.metrics.parts import (
 )
 from splatbench.metrics.pixel import psnr_of_mse
 from splatbench.metrics.registry import find_metric
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import ImageScore
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import ImageScore
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

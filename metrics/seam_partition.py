@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatbench.metrics.seam import INNER, OUTER
-from splatbench.reference.boxes import Region
-from splatbench.reference.camera import Camera
+from splatbench.reference.partition.boxes import Region
+from splatbench.reference.types.camera import Camera
 
 
 def partition_seam_mask(

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatbench.metrics.seam import TOP, SeamView, overlap_band, seam_mask
-from splatbench.reference.camera import Camera
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.render import RenderOutput
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.render import RenderOutput
 
 
 class BlockPictures(Protocol):

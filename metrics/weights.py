@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from splatbench.reference.errors import DataError, MissingError
+from splatbench.base.errors import DataError, MissingError
 
 WEIGHTS = {
     "vgg": "https://download.pytorch.org/models/vgg16-397923af.pth",

@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from splatbench.base.errors import DataError
 from splatbench.metrics.parts import PARTS, is_part_key
 from splatbench.metrics.registry import METRICS
 from splatbench.metrics.scene_registry import SCENE_METRICS
-from splatbench.reference.errors import DataError
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports.statistics import Summary
 
 MB = 2**20

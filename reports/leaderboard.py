@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports import comparable, run_data
 from splatbench.reports.columns import Column, columns
 from splatbench.reports.ranking import ranked

@@ -9,7 +9,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports import charts, run_data, text
 from splatbench.reports.mlflow_client import shown_uri
 from splatbench.reports.pictures import QUALITY, WIDEST, Shown, choose

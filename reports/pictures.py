@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splatbench.reference.errors import DataError
+from splatbench.base.errors import DataError
 from splatbench.reports import run_data
 from splatbench.reports.store import Picture, StoredResult
 from splatbench.reports.table import Row, Table

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splatbench.reference.errors import DataError, MissingError
-from splatbench.reference.result import Result, picture_name
-from splatbench.reference.result_json import result_from_json
+from splatbench.base.errors import DataError, MissingError
+from splatbench.reference.types.result import Result, picture_name
+from splatbench.reference.types.result_json import result_from_json
 from splatbench.reports import run_data
 from splatbench.reports.mlflow_client import (
     artifact_root,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatbench.reference.errors import MissingError
+from splatbench.base.errors import MissingError
 from splatbench.reports.mlflow_client import artifact_root, one_line, open_client, store_errors
 from splatbench.reports.store import EXPERIMENTS, METRICS_A_BATCH
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports.columns import Column
 from splatbench.reports.statistics import Difference, Summary
 

@@ -6,7 +6,7 @@ import rich.table
 from rich.console import Group
 from rich.text import Text
 
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports.columns import Column
 from splatbench.reports.table import Row, Table
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from splatbench.base.errors import UsageError
 from splatbench.methods.city.memory_plan import IMAGE_BYTES, training_memory_mb
-from splatbench.reference.errors import UsageError
 from splatbench.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP, START_SECONDS
 
 STITCH_SECONDS = 0.6e-6

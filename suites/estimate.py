@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from splatbench.datasets.opening import open_scene
-from splatbench.methods.initialise import with_random_points
 from splatbench.methods.run import Run
-from splatbench.reference.result import Result
-from splatbench.reference.scene import Scene
+from splatbench.methods.training.initialise import with_random_points
+from splatbench.reference.types.result import Result
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.environment import usable_cores
 from splatbench.suites.records import read_finished
 from splatbench.suites.suite_files import Case, Suite

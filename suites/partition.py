@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from splatbench.base.errors import UsageError
 from splatbench.methods.city.ground import Ground, ground
 from splatbench.methods.city.partition import (
     Partition,
@@ -15,10 +16,9 @@ from splatbench.methods.city.partition import (
     odbp_blocks,
     vastgaussian_blocks,
 )
-from splatbench.reference.errors import UsageError
-from splatbench.reference.metis import cut_size
-from splatbench.reference.scene import Scene
-from splatbench.reference.voxel_graph import grid_coordinates, voxel_graph
+from splatbench.reference.partition.metis import cut_size
+from splatbench.reference.partition.voxel_graph import grid_coordinates, voxel_graph
+from splatbench.reference.types.scene import Scene
 
 PAPER = PartitionSettings(imbalance=0.05, seeds=1)
 """DPGS' own bound, with one METIS seed."""

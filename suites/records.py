@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from splatbench.methods.files import write_text
-from splatbench.reference.errors import DataError
-from splatbench.reference.result import Result
-from splatbench.reference.result_json import result_from_json, result_to_json
+from splatbench.base.errors import DataError
+from splatbench.base.files import write_text
+from splatbench.reference.types.result import Result
+from splatbench.reference.types.result_json import result_from_json, result_to_json
 
 RECORD_NAME = "record.json"
 

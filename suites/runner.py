@@ -7,10 +7,10 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal
 
-from splatbench.reference.errors import DataError, UsageError
-from splatbench.reference.result import Result
-from splatbench.suites.cases import Job, reason_of
+from splatbench.base.errors import DataError, UsageError
+from splatbench.reference.types.result import Result
 from splatbench.suites.records import RECORD_NAME, read_record
+from splatbench.suites.run_case import Job, reason_of
 from splatbench.suites.scene_data import SceneData, changed, digest
 from splatbench.suites.suite_files import Case, Suite, key_of
 from splatbench.suites.workers import Launch, Lock, in_worker

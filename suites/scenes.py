@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from splatbench.base.errors import MissingError, UsageError
 from splatbench.datasets.registry import absence, find_scene, get_entry, locate
-from splatbench.reference.errors import MissingError, UsageError
 from splatbench.suites.suite_files import PATH, Suite
 
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from splatbench.base.errors import UsageError
+from splatbench.base.typed_toml import build, read_toml, unknown
 from splatbench.methods.registry import METHODS
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import UsageError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import row_name
-from splatbench.suites.typed_toml import build, read_toml, unknown
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import row_name
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""
 PATH = ("/", "./", "../")
 """What starts so is a path; everything else is a name, which may hold slashes."""

@@ -27,7 +27,7 @@ from splatbench.datasets.procedural.shapes import box, cylinder, heightfield, jo
 from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.world import Builder, World
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 
 ROAD = [(-60.0, -21.0), (-20.0, -19.0), (0.0, -19.5), (25.0, -23.0), (60.0, -22.0)]
 PATH = [(0.0, -19.5), (0.5, -12.0), (-1.0, -4.0), (-3.0, 3.0)]

@@ -14,16 +14,16 @@ import pycolmap
 import torch
 from jaxtyping import Float
 
-from splatbench.datasets import moving
+from splatbench.base.errors import DataError, UsageError
+from splatbench.datasets import moving_masks as moving
 from splatbench.datasets.depth_maps import depth_path
 from splatbench.datasets.files import write_bytes
-from splatbench.datasets.moments import Moment, sky_path, write_moments
 from splatbench.datasets.procedural import sfm
-from splatbench.datasets.procedural.frames import Frame, take
 from splatbench.datasets.procedural.plan import Plan, Shot, content_hash
+from splatbench.datasets.procedural.ray_images import Frame, take
 from splatbench.datasets.scene_file import SceneFile, read_scene_file, write_scene_file
-from splatbench.reference.camera import Camera
-from splatbench.reference.errors import DataError, UsageError
+from splatbench.datasets.view_times import Moment, sky_path, write_moments
+from splatbench.reference.types.camera import Camera
 
 WORKERS = 2
 """Views made at a time; each is single-threaded, so that nothing waits for busy cores."""

@@ -5,7 +5,7 @@ import torch
 from jaxtyping import Float
 
 from splatbench.datasets.procedural.units import Number
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 
 
 def looking(

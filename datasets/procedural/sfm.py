@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from splatbench.datasets.procedural.frames import Frame, pixel_rays
+from splatbench.datasets.procedural.ray_images import Frame, pixel_rays
 from splatbench.datasets.procedural.units import Number
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 
 PIXEL_NOISE = 0.4
 """Standard deviation of an observation in pixels."""

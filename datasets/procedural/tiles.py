@@ -16,7 +16,7 @@ from splatbench.datasets.procedural.shapes import Shape
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.units import Number, Pair
 from splatbench.datasets.procedural.world import Builder, Parts, World
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 
 Tile = tuple[int, int]
 

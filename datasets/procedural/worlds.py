@@ -5,8 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from splatbench.base.errors import UsageError
 from splatbench.datasets.procedural.plan import Plan, content_hash
-from splatbench.reference.errors import UsageError
 
 WORLDS = {
     "courtyard": "courtyard",

@@ -7,10 +7,10 @@ from pathlib import Path
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from splatbench.methods.reconstruction import ARRAYS, FIELDS, describe
-from splatbench.reference.boxes import Region
-from splatbench.reference.errors import DataError
-from splatbench.reference.gaussians import Gaussians
+from splatbench.base.errors import DataError
+from splatbench.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatbench.reference.partition.boxes import Region
+from splatbench.reference.types.gaussians import Gaussians
 
 CHUNK = 2**19
 """Primitives in memory at once where a model streams: 120 MB of degree 3."""

@@ -11,10 +11,10 @@ from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
-from splatbench.methods.city.blocks import BlockFacts, BlockJob, train_block, trained
-from splatbench.methods.processes import how_it_ended, serve_parent
-from splatbench.methods.training import threads as torch_threads
-from splatbench.reference.errors import SplatbenchError, UsageError
+from splatbench.base.errors import SplatbenchError, UsageError
+from splatbench.base.processes import how_it_ended, serve_parent
+from splatbench.methods.city.train_block import BlockFacts, BlockJob, train_block, trained
+from splatbench.methods.training.loop import threads as torch_threads
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""

@@ -8,18 +8,18 @@ from typing import Any, ClassVar
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from splatbench.methods.city.blocks import BlockFacts
+from splatbench.base.errors import DataError
+from splatbench.base.files import sha256, write_bytes
 from splatbench.methods.city.regions import AnyRegion, load_regions, save_regions
-from splatbench.methods.files import sha256, write_bytes
-from splatbench.methods.packing_reader import read_packed
-from splatbench.methods.reconstruction import (
+from splatbench.methods.city.train_block import BlockFacts
+from splatbench.methods.models.explicit import (
     ARRAYS,
     DESCRIPTION,
     ExplicitModel,
     described,
     gaussians_in,
 )
-from splatbench.reference.errors import DataError
+from splatbench.methods.storage.packed.reader import read_packed
 
 CONTAINER = "model.sbgs"
 """The compressed Gaussians, where a model is compressed."""
@@ -45,7 +45,7 @@ class CityModel(ExplicitModel):
     packed: bytes | None = None
     """The compressed file that `model` was read from; None: not compressed."""
     packed_parts: Mapping[str, int] = field(default_factory=dict)
-    """Bytes of each part of that file, see methods.packing; they sum to it."""
+    """Bytes of each part of that file, see methods.storage.packed.writer; they sum to it."""
 
     def arrays(self) -> dict[str, Tensor]:
         """Blocks and distances; and the Gaussians, unless they are in a file of their own."""

@@ -14,11 +14,10 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.methods import initialise, training
+from splatbench.base.files import read_tensors, write_tensors
 from splatbench.methods.backends import get_backend
 from splatbench.methods.city import refine as refinement
 from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.city.blocks import BlockFacts, BlockJob, read_gaussians, select
 from splatbench.methods.city.executor import run_blocks
 from splatbench.methods.city.jobs import block_jobs
 from splatbench.methods.city.memory_plan import plan_memory
@@ -28,15 +27,17 @@ from splatbench.methods.city.partition import Partition, partition
 from splatbench.methods.city.settings import CitySettings
 from splatbench.methods.city.stages import Stages
 from splatbench.methods.city.stitch import cut_hard, stitch
-from splatbench.methods.files import read_tensors, write_tensors
-from splatbench.methods.morton import morton_order
-from splatbench.methods.packing import PackedFacts, write_packed
-from splatbench.methods.packing_reader import read_packed
-from splatbench.methods.reconstruction import ARRAYS, FIELDS
+from splatbench.methods.city.train_block import BlockFacts, BlockJob, read_gaussians, select
+from splatbench.methods.models.explicit import ARRAYS, FIELDS
 from splatbench.methods.run import Run
-from splatbench.methods.training import Trainer
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.scene import Scene
+from splatbench.methods.storage.packed.morton import morton_order
+from splatbench.methods.storage.packed.reader import read_packed
+from splatbench.methods.storage.packed.writer import PackedFacts, write_packed
+from splatbench.methods.training import initialise
+from splatbench.methods.training import loop as training
+from splatbench.methods.training.loop import Trainer
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,10 +4,10 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from splatbench.methods.city.blocks import BlockFacts, BlockJob, train_block
+from splatbench.base.errors import MissingError, SplatbenchError
 from splatbench.methods.city.executor import BlocksReport, alone
-from splatbench.methods.training import threads as torch_threads
-from splatbench.reference.errors import MissingError, SplatbenchError
+from splatbench.methods.city.train_block import BlockFacts, BlockJob, train_block
+from splatbench.methods.training.loop import threads as torch_threads
 
 RETRIES = 3
 """How often a block whose worker died is given to another one."""

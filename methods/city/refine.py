@@ -8,17 +8,17 @@ from typing import Literal
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench.methods import training
 from splatbench.methods.backends import get_backend
-from splatbench.methods.density import Density
-from splatbench.methods.reconstruction import FIELDS
+from splatbench.methods.models.explicit import FIELDS
 from splatbench.methods.run import Run
-from splatbench.methods.schedules import Rates, require
-from splatbench.methods.settings import Settings
-from splatbench.reference.affine_codes import fake_quantise, lattice
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.preclean import CleanSettings, preclean
-from splatbench.reference.scene import Scene
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training import loop as training
+from splatbench.methods.training.density import Density
+from splatbench.methods.training.schedules import Rates, require
+from splatbench.reference.compression.affine_codes import fake_quantise, lattice
+from splatbench.reference.stitching.preclean import CleanSettings, preclean
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene
 
 PAPER_SHARE = 7_000 / 40_000
 """Refinement steps a step of block training in the paper."""

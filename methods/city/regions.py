@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
+from splatbench.base.errors import DataError
+from splatbench.base.files import read_tensors, write_tensors
 from splatbench.methods.city.voxel_region import INSIDE, VoxelRegion
-from splatbench.methods.files import read_tensors, write_tensors
-from splatbench.reference.boxes import Box, OrientedBox, Region, box_distance
-from splatbench.reference.errors import DataError
-from splatbench.reference.partition_grid import contract
+from splatbench.reference.partition.boxes import Box, OrientedBox, Region, box_distance
+from splatbench.reference.partition.contracted_grid import contract
 
 KIND = "splatbench regions"
 VERSION = 1

@@ -4,13 +4,13 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from splatbench.methods.city.partition import PartitionSettings
+from splatbench.methods.city.point_roles import Auxiliary, Surrounding
 from splatbench.methods.city.refine import RefineSettings
-from splatbench.methods.city.roles import Auxiliary, Surrounding
-from splatbench.methods.packing import FileSettings
-from splatbench.methods.schedules import require
-from splatbench.methods.settings import Settings
-from splatbench.reference.stitching import StitchSettings
-from splatbench.reference.view_sampling import SamplingSettings
+from splatbench.methods.storage.packed.writer import FileSettings
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.schedules import require
+from splatbench.reference.partition.view_sampling import SamplingSettings
+from splatbench.reference.stitching.stochastic import StitchSettings
 
 GRID = PartitionSettings(method="citygaussian")
 CAMERAS = PartitionSettings(method="vastgaussian")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from splatbench.methods.files import write_text
-from splatbench.reference.errors import UsageError
+from splatbench.base.errors import UsageError
+from splatbench.base.files import write_text
 
 
 class Stages:

@@ -1,4 +1,4 @@
-"""Twin of reference.stitching for blocks of millions: from disk, one block in memory at a time."""
+"""Twin of reference.stitching.stochastic for blocks of millions: from disk, one block in memory at a time."""
 
 import os
 from collections.abc import Sequence
@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from splatbench.base.errors import UsageError
 from splatbench.methods.city.block_model import BlockModel
 from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.methods.morton import morton_order
-from splatbench.reference.boxes import Region
-from splatbench.reference.errors import UsageError
-from splatbench.reference.stitching import (
+from splatbench.methods.storage.packed.morton import morton_order
+from splatbench.reference.partition.boxes import Region
+from splatbench.reference.stitching.stochastic import (
     COMPETITIVE,
     CORE,
     DROPPED,
@@ -54,7 +54,7 @@ def stitch(
     *,
     threads: int | None = None,
 ) -> tuple[Bool[Tensor, " _"], ...]:
-    """Twin of reference.stitching.stitch: same generator state, same kept set; rims are O(n log n).
+    """Twin of reference.stitching.stochastic.stitch: same generator state, same kept set; rims are O(n log n).
 
     Held at once: the rims of all blocks (64 bytes a competitive primitive), one block's positions
     and qualities (32 bytes a primitive) with their k-d tree, and a byte a primitive of the answer.

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float64, Int32, Int64
 from torch import Tensor
 
-from splatbench.reference.errors import DataError
+from splatbench.base.errors import DataError
 
 INSIDE = 1e-10
 """Share of a voxel by which places beyond the scene's grid are moved into it."""

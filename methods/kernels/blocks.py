@@ -15,9 +15,9 @@ from splatbench.methods.kernels.rasterizer import (
     plain,
     rasterize,
 )
-from splatbench.reference.camera import Camera
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.rasterizer import Mode
+from splatbench.reference.rasterizer.rasterize import Mode
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.gaussians import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,7 +1,7 @@
-"""The native rasterizer: twin of splatbench.reference.rasterizer on the CPU, in float32.
+"""The native rasterizer: twin of splatbench.reference.rasterizer.rasterize on the CPU, in float32.
 
 It differs from the reference by rounding only, except on pixels that sit on a step of the image's
-definition (splatbench.reference.steps). Two additions: a Gaussian with a NaN or infinite parameter is
+definition (splatbench.reference.checks.discontinuities). Two additions: a Gaussian with a NaN or infinite parameter is
 not drawn and gets zero gradient, and outputs that nobody differentiates cost nothing in the backward
 pass.
 """
@@ -13,10 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatbench import _ext
-from splatbench.reference.camera import Camera
-from splatbench.reference.rasterizer import Mode
-from splatbench.reference.render import RenderOutput
-from splatbench.reference.screen_gradient import ScreenProbe
+from splatbench.reference.rasterizer.rasterize import Mode
+from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.render import RenderOutput
 
 MAX_CHANNELS = 32
 """Most colour channels in one pass."""

@@ -8,8 +8,8 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from splatbench import _ext
-from splatbench.reference import projection, rotation
-from splatbench.reference.camera import Camera
+from splatbench.reference.rasterizer import projection, rotation
+from splatbench.reference.types.camera import Camera
 
 GAUSSIANS_AT_ONCE = 100_000
 """Gaussians projected together; memory only."""

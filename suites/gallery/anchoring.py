@@ -6,12 +6,15 @@ import numpy as np
 import torch
 from matplotlib.patches import Circle
 
-from splatbench.reference import anchor_attention, anchors, dense_initialisation, support_network
-from splatbench.reference import motion_hierarchy as mh
-from splatbench.reference.camera import project_points
-from splatbench.reference.dense_matching import match_by_flow, plane_between
-from splatbench.reference.scene import Scene
-from splatbench.reference.sparse_convolution import neighbours, voxelise
+from splatbench.reference.anchors import attention as anchor_attention
+from splatbench.reference.anchors import motion_hierarchy as mh
+from splatbench.reference.anchors import scaffold as anchors
+from splatbench.reference.anchors import support_network
+from splatbench.reference.anchors.sparse_convolution import neighbours, voxelise
+from splatbench.reference.supervision import dense_initialisation
+from splatbench.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
 
 

@@ -7,12 +7,15 @@ import numpy as np
 import torch
 
 from splatbench.methods.city.ground import ground
-from splatbench.reference import boxes, partition_density, spectral, stitching, view_sampling
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.partition_density import DensitySettings
-from splatbench.reference.scene import Scene
-from splatbench.reference.stitching import StitchSettings, TrainedBlock
-from splatbench.reference.view_sampling import SamplingSettings
+from splatbench.reference.compression import spectral
+from splatbench.reference.partition import boxes, view_sampling
+from splatbench.reference.partition import density_split as partition_density
+from splatbench.reference.partition.density_split import DensitySettings
+from splatbench.reference.partition.view_sampling import SamplingSettings
+from splatbench.reference.stitching import stochastic as stitching
+from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_plan
 from splatbench.suites.partition import partition_row, partitions
 

@@ -7,17 +7,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference import (
+from splatbench.reference.layered_memory import (
     coordinate_field,
     depth_adaptation,
     layered_depth,
     multi_plane,
-    side_views,
 )
-from splatbench.reference.edge_diffusion import EdgeDiffusion
-from splatbench.reference.layered_depth import LayeredDepth
-from splatbench.reference.scene import Scene, View
-from splatbench.reference.spiral_path import SpiralSettings, spiral_path
+from splatbench.reference.layered_memory.edge_diffusion import EdgeDiffusion
+from splatbench.reference.layered_memory.layered_depth import LayeredDepth
+from splatbench.reference.supervision import side_views
+from splatbench.reference.supervision.spiral_path import SpiralSettings, spiral_path
+from splatbench.reference.types.scene import Scene, View
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
 
 

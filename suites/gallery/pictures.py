@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.gallery import anchoring, blocks, memory, trained
 
 
@@ -31,38 +31,38 @@ class Component:
 COMPONENTS = (
     Component(
         title="Rasterizer",
-        modules=("reference/camera", "reference/rotation", "reference/spherical_harmonics",
-                 "reference/projection", "reference/compositing", "reference/rasterizer",
-                 "reference/screen_gradient", "reference/losses"),
+        modules=("reference/types/camera", "reference/rasterizer/rotation", "reference/rasterizer/spherical_harmonics",
+                 "reference/rasterizer/projection", "reference/rasterizer/compositing", "reference/rasterizer/rasterize",
+                 "reference/rasterizer/screen_gradient", "reference/supervision/losses"),
         source="Kerbl et al. 2023, 3D Gaussian Splatting",
     ),
     Component(
         title="Partitions: ODBP and the three it is compared with",
-        modules=("reference/odbp", "reference/voxel_graph", "reference/metis", "reference/boxes",
-                 "reference/ghosts", "reference/partition_grid", "reference/partition_cameras",
-                 "reference/partition_density", "reference/visibility"),
+        modules=("reference/partition/odbp", "reference/partition/voxel_graph", "reference/partition/metis", "reference/partition/boxes",
+                 "reference/partition/ghosts", "reference/partition/contracted_grid", "reference/partition/camera_cells",
+                 "reference/partition/density_split", "reference/partition/visibility"),
         source="DPGS, Eqs. 5 to 8; CityGaussian; VastGaussian; BlockGaussian",
         pictures=(Picture(file="partitions", draw=blocks.draw_partitions,
                           caption="Blocks from above with each one's load over the mean"),),
     ),
     Component(
         title="Dense co-visibility initialisation",
-        modules=("reference/dense_initialisation", "reference/dense_matching"),
+        modules=("reference/supervision/dense_initialisation", "reference/supervision/dense_matching"),
         source="DPGS, Sec. 3.1, Eq. 1",
         pictures=(Picture(file="dense_points", draw=anchoring.draw_dense_points,
                           caption="A pair, the certainty of its flow, and the points that survive"),),
     ),
     Component(
         title="Side views",
-        modules=("reference/spiral_path", "reference/side_views"),
+        modules=("reference/supervision/spiral_path", "reference/supervision/side_views"),
         source="DPGS, Sec. 3.2, Eqs. 2 to 4",
         pictures=(Picture(file="spiral", draw=memory.draw_spiral,
                           caption="The descent from the training views to the facades"),),
     ),
     Component(
         title="Layered memory and sequential depth adaptation",
-        modules=("reference/layered_depth", "reference/depth_adaptation",
-                 "reference/edge_diffusion"),
+        modules=("reference/layered_memory/layered_depth", "reference/layered_memory/depth_adaptation",
+                 "reference/layered_memory/edge_diffusion"),
         source="StratoSplat, Sec. 3.2, Eqs. 2 to 4",
         pictures=(
             Picture(file="layers", draw=memory.draw_layers,
@@ -73,16 +73,16 @@ COMPONENTS = (
     ),
     Component(
         title="Multi-plane Gaussians",
-        modules=("reference/multi_plane", "reference/coordinate_field"),
+        modules=("reference/layered_memory/multi_plane", "reference/layered_memory/coordinate_field"),
         source="StratoSplat, Sec. 3.3",
         pictures=(Picture(file="planes", draw=memory.draw_planes,
                           caption="The plane stack, and the virtual Gaussians of one camera"),),
     ),
     Component(
         title="Anchors and the HDGS hierarchy",
-        modules=("reference/anchors", "reference/vibration", "reference/motion_hierarchy",
-                 "reference/sparse_convolution", "reference/support_network",
-                 "reference/anchor_control", "reference/mlp"),
+        modules=("reference/anchors/scaffold", "reference/anchors/vibration", "reference/anchors/motion_hierarchy",
+                 "reference/anchors/sparse_convolution", "reference/anchors/support_network",
+                 "reference/anchors/control", "reference/types/mlp"),
         source="Scaffold-GS; PVG; HDGS, Sec. 3.2, 3.3 and 3.5, Eqs. 1 to 8",
         pictures=(
             Picture(file="hierarchy", draw=anchoring.draw_hierarchy,
@@ -93,22 +93,22 @@ COMPONENTS = (
     ),
     Component(
         title="Depth supervision",
-        modules=("reference/soft_rank", "reference/depth_supervision",
-                 "reference/depth_constraint"),
+        modules=("reference/supervision/soft_rank", "reference/supervision/depth_supervision",
+                 "reference/supervision/depth_constraint"),
         source="HDGS, Sec. 3.4, Eqs. 9 to 13; DLG-GS, Sec. 2.2, Eqs. 1 to 5",
     ),
     Component(
         title="Lighting-adaptive appearance",
-        modules=("reference/hvi", "reference/anchor_attention", "reference/lighting_appearance"),
+        modules=("reference/anchors/hvi", "reference/anchors/attention", "reference/anchors/lighting_appearance"),
         source="DLG-GS, Sec. 2.3, Eqs. 6 to 19",
         pictures=(Picture(file="attention", draw=anchoring.draw_attention,
                           caption="Whom three anchors attend to, and how strongly"),),
     ),
     Component(
         title="Stitching, view sampling and the small file",
-        modules=("reference/stitching", "reference/view_sampling", "reference/preclean",
-                 "reference/spectral", "reference/affine_codes", "reference/packing",
-                 "reference/container"),
+        modules=("reference/stitching/stochastic", "reference/partition/view_sampling", "reference/stitching/preclean",
+                 "reference/compression/spectral", "reference/compression/affine_codes", "reference/compression/packing",
+                 "reference/compression/container"),
         source="StitchGS, Sec. 3 and 4",
         pictures=(
             Picture(file="stitching", draw=blocks.draw_stitching,

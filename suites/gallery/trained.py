@@ -10,10 +10,11 @@ from splatbench.methods.backends import get_backend
 from splatbench.methods.registry import METHODS
 from splatbench.methods.run import Run
 from splatbench.metrics.seam_render import render_seam_view
-from splatbench.reference import boxes, partition_density
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.partition_density import DensitySettings
-from splatbench.reference.scene import Scene
+from splatbench.reference.partition import boxes
+from splatbench.reference.partition import density_split as partition_density
+from splatbench.reference.partition.density_split import DensitySettings
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.gallery.blocks import draw_spectrum
 from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image
 

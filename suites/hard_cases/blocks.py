@@ -5,12 +5,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatbench.reference import affine_codes, container, odbp, stitching
-from splatbench.reference.boxes import OrientedBox, box_distance
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.odbp import OdbpSettings
-from splatbench.reference.packing import PackSettings, pack
-from splatbench.reference.stitching import StitchSettings, TrainedBlock
+from splatbench.reference.compression import affine_codes, container
+from splatbench.reference.compression.packing import PackSettings, pack
+from splatbench.reference.partition import odbp
+from splatbench.reference.partition.boxes import OrientedBox, box_distance
+from splatbench.reference.partition.odbp import OdbpSettings
+from splatbench.reference.stitching import stochastic as stitching
+from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatbench.reference.types.gaussians import Gaussians
 from splatbench.suites.hard_cases.case import HardCase, drawn, fixed, joined
 
 

@@ -3,20 +3,12 @@
 import torch
 from torch import Tensor
 
-from splatbench.reference import (
-    anchor_attention,
-    depth_constraint,
-    hvi,
-    layered_depth,
-    multi_plane,
-    rotation,
-    soft_rank,
-    sparse_convolution,
-    spherical_harmonics,
-    support_network,
-    vibration,
-)
-from splatbench.reference.camera import Camera
+from splatbench.reference.anchors import attention as anchor_attention
+from splatbench.reference.anchors import hvi, sparse_convolution, support_network, vibration
+from splatbench.reference.layered_memory import layered_depth, multi_plane
+from splatbench.reference.rasterizer import rotation, spherical_harmonics
+from splatbench.reference.supervision import depth_constraint, soft_rank
+from splatbench.reference.types.camera import Camera
 from splatbench.suites.hard_cases.case import HardCase, drawn, fixed, joined
 
 ZERO = torch.zeros(1)

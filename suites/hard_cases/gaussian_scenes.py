@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

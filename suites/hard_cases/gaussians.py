@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from splatbench.methods.backends import get_backend
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.agreement import compare_gradients, largest_error
-from splatbench.reference.rasterizer import Mode
-from splatbench.reference.steps import step_pixels
+from splatbench.reference.checks.agreement import compare_gradients, largest_error
+from splatbench.reference.checks.discontinuities import step_pixels
+from splatbench.reference.rasterizer import rasterize as reference
+from splatbench.reference.rasterizer.rasterize import Mode
 from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
 
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatbench.reference.result import Result, row_name
+from splatbench.reference.types.result import Result, row_name
 from splatbench.suites.records import read_finished
 
 MB = 2**20

@@ -12,16 +12,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.datasets.images import ImageCache
+from splatbench.base.errors import MissingError
+from splatbench.datasets.image_cache import ImageCache
 from splatbench.datasets.opening import open_scene
-from splatbench.methods.dense_points import match, observed
+from splatbench.methods.training.dense_points import match, observed
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference import dense_initialisation as dense
-from splatbench.reference import layered_depth
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import MissingError
-from splatbench.reference.layered_depth import LayeredDepth
-from splatbench.reference.scene import Scene
+from splatbench.reference.layered_memory import layered_depth
+from splatbench.reference.layered_memory.layered_depth import LayeredDepth
+from splatbench.reference.supervision import dense_initialisation as dense
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.scene import Scene
 
 SHARE = 0.01
 """eps_d as a share of the median depth of the sparse points in the reference view."""

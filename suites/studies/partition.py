@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
+from splatbench.base.errors import MissingError
 from splatbench.datasets.opening import open_scene
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import MissingError
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.partition import partition_rows
 
 

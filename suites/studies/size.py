@@ -15,23 +15,23 @@ from typing import Any
 
 import torch
 
+from splatbench.base.errors import MissingError
 from splatbench.datasets.opening import open_scene
-from splatbench.methods.packing import PARTS, FileSettings, write_packed
-from splatbench.methods.packing_reader import read_packed
-from splatbench.methods.ply import read_ply, write_ply
-from splatbench.methods.reconstruction import ARRAYS, ExplicitModel, load_reconstruction
+from splatbench.methods.models.explicit import ARRAYS, ExplicitModel, load_reconstruction
 from splatbench.methods.registry import get_method
 from splatbench.methods.run import Run
-from splatbench.methods.spz import read_spz, write_spz
+from splatbench.methods.storage.packed.reader import read_packed
+from splatbench.methods.storage.packed.writer import PARTS, FileSettings, write_packed
+from splatbench.methods.storage.ply import read_ply, write_ply
+from splatbench.methods.storage.spz import read_spz, write_spz
 from splatbench.metrics.pixel import psnr
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.metrics.scoring import scene_metrics, score_image
-from splatbench.reference import container
-from splatbench.reference import packing as reference
-from splatbench.reference.errors import MissingError
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.reference.compression import container
+from splatbench.reference.compression import packing as reference
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 SCENES = ("brighton_beach", "courtyard")
 """The first that this machine has."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.methods.packing import PARTS
+from splatbench.methods.storage.packed.writer import PARTS
 from splatbench.suites.gallery.drawing import COLOURS, panels, save
 
 Row = dict[str, Any]

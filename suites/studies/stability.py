@@ -7,8 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.reference.agreement import compare_gradients
-from splatbench.reference.errors import SplatbenchError
+from splatbench.base.errors import SplatbenchError
+from splatbench.reference.checks.agreement import compare_gradients
 from splatbench.suites.hard_cases import blocks, components, gaussians, images
 from splatbench.suites.hard_cases.case import HardCase
 

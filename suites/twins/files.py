@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.methods.packing import FileSettings, write_packed
-from splatbench.methods.packing_reader import read_packed
-from splatbench.reference import container, packing
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.packing import PackSettings
+from splatbench.methods.storage.packed.reader import read_packed
+from splatbench.methods.storage.packed.writer import FileSettings, write_packed
+from splatbench.reference.compression import container, packing
+from splatbench.reference.compression.packing import PackSettings
+from splatbench.reference.types.gaussians import Gaussians
 from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 

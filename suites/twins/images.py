@@ -9,7 +9,7 @@ from torch import Tensor
 from splatbench import _ext
 from splatbench.methods.kernels import loss as native
 from splatbench.metrics import ssim as metrics
-from splatbench.reference import losses
+from splatbench.reference.supervision import losses
 from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 CASES = (Case(size=(320, 240), quick=True), Case(size=(1600, 1200)))

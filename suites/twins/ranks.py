@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.reference import soft_rank
+from splatbench.reference.supervision import soft_rank
 from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 TEMPERATURE = 0.1

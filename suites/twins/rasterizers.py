@@ -9,10 +9,10 @@ from torch import Tensor
 from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
 from splatbench.methods.kernels.roofline import count_pairs
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.steps import step_pixels
-from splatbench.suites.studies.speed_scenes import speed_scene
+from splatbench.reference.checks.discontinuities import step_pixels
+from splatbench.reference.rasterizer import rasterize as reference
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.suites.studies.speed.scenes import speed_scene
 from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 ACTIVATED = ("means", "quaternions", "scales", "opacities", "sh")

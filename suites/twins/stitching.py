@@ -9,10 +9,10 @@ from torch import Tensor
 
 from splatbench.methods.city import stitch as fast
 from splatbench.methods.city.block_model import BlockModel
-from splatbench.reference import stitching
-from splatbench.reference.boxes import OrientedBox
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.stitching import StitchSettings, TrainedBlock
+from splatbench.reference.partition.boxes import OrientedBox
+from splatbench.reference.stitching import stochastic as stitching
+from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatbench.reference.types.gaussians import Gaussians
 from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 CENTRES = ((0.0, 0.0), (2.0, 0.0), (0.0, 2.0), (2.0, 2.0))

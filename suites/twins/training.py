@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import torch
 
+from splatbench.base.errors import MissingError, SplatbenchError
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.registry import find_scene
 from splatbench.methods.backends import get_backend
-from splatbench.methods.density import Density
 from splatbench.methods.run import Run
-from splatbench.methods.settings import Settings
-from splatbench.methods.training import Trainer
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.density import Density
+from splatbench.methods.training.loop import Trainer
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import MissingError, SplatbenchError
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.scene import Scene
 from splatbench.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
 
 SCENE = "brighton_beach"

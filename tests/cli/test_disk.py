@@ -9,9 +9,9 @@ import torch
 from safetensors import SafetensorError
 from sqlalchemy.exc import OperationalError
 
+from splatbench.base import files
+from splatbench.base.errors import MissingError
 from splatbench.cli import doctor, main
-from splatbench.methods import files
-from splatbench.reference.errors import MissingError
 from splatbench.reports import mlflow_client
 
 

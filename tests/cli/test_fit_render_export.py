@@ -10,7 +10,7 @@ from plyfile import PlyData
 from helpers.tiny_scene import camera, tiny_scene
 from splatbench.cli import main
 from splatbench.datasets import opening
-from splatbench.methods.reconstruction import load_reconstruction
+from splatbench.methods.models.explicit import load_reconstruction
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from splatbench import cli
+from splatbench.base.errors import DataError, MissingError
 from splatbench.cli import COMMANDS, main, output
 from splatbench.methods.registry import METHODS
-from splatbench.reference.errors import DataError, MissingError
 
 BENCH = str(Path(sys.executable).with_name("bench"))
 

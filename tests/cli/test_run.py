@@ -14,7 +14,8 @@ from helpers import fake_methods
 from helpers.fake_methods import fake_scene
 from splatbench.cli import main, report
 from splatbench.methods.registry import METHODS
-from splatbench.suites import cases, estimate, runner
+from splatbench.suites import estimate, runner
+from splatbench.suites import run_case as cases
 from splatbench.suites.workers import in_process
 
 SUITE = """

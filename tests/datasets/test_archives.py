@@ -7,8 +7,8 @@ import zipfile
 
 import pytest
 
+from splatbench.base.errors import DataError, UsageError
 from splatbench.datasets.archives import extract
-from splatbench.reference.errors import DataError, UsageError
 
 
 def zip_of(path, members):

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from helpers.colmap_scenes import Flight, view_name, write_scene
+from splatbench.base.errors import SplatbenchError
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.photos import read_photo
-from splatbench.reference.errors import SplatbenchError
-from splatbench.reference.protocol import Protocol
+from splatbench.reference.types.protocol import Protocol
 
 FLIGHT = Flight(views=3, points=30)
 MODEL = "sparse/0"

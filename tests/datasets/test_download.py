@@ -5,9 +5,9 @@ import hashlib
 import pytest
 
 from helpers.file_server import served
+from splatbench.base.errors import DataError, MissingError, UsageError
 from splatbench.datasets import download as module
 from splatbench.datasets.download import download
-from splatbench.reference.errors import DataError, MissingError, UsageError
 
 BODY = bytes(range(256)) * 4096  # 1 MiB
 DIGEST = hashlib.sha256(BODY).hexdigest()

@@ -11,9 +11,9 @@ from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.scene_file import SceneFile, write_scene_file
 from splatbench.datasets.splits import split_hash
-from splatbench.reference.camera import project_points
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 FLIGHT = Flight(views=6)
 

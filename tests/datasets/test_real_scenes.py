@@ -7,9 +7,9 @@ import torch
 
 from helpers.real_scenes import real_scene
 from splatbench.datasets.opening import open_scene
-from splatbench.reference.camera import project_points
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 pytestmark = pytest.mark.real
 FAILED_IN_SENECA = ["img_0482.jpg", "img_0498.jpg", "img_0579.jpg"]

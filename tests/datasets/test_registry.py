@@ -7,9 +7,9 @@ import zipfile
 import pytest
 
 from helpers.file_server import served
+from splatbench.base.errors import DataError, MissingError, UsageError
 from splatbench.datasets import registry
 from splatbench.metrics.protocol_files import protocol_names
-from splatbench.reference.errors import DataError, MissingError, UsageError
 
 
 @pytest.fixture

@@ -10,14 +10,15 @@ from scipy.spatial import KDTree
 
 from helpers.colmap_scenes import Flight, write_scene
 from helpers.tiny_scene import tiny_scene
+from splatbench.base.errors import DataError
 from splatbench.datasets import triangulation
 from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import aerial, exporting, truth
+from splatbench.datasets.procedural import aerial, exporting
+from splatbench.datasets.procedural import oracle as truth
 from splatbench.datasets.triangulation import with_triangulated
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 
 KIND = "church"
 RULES = Protocol(

@@ -19,6 +19,7 @@ from helpers.colmap_scenes import (
     view_name,
     write_scene,
 )
+from splatbench.base.errors import DataError
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.undistort import (
     is_pinhole,
@@ -26,9 +27,8 @@ from splatbench.datasets.undistort import (
     plan_undistortion,
     undistort_image,
 )
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
 
 DISTORTED = [name for name in MODELS if "PINHOLE" not in name]
 every_model = pytest.mark.parametrize("model", MODELS)

@@ -6,8 +6,8 @@ import torch
 
 from helpers.clouds import tracked
 from helpers.tiny_scene import tiny_scene
-from splatbench.reference.camera import project_points
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.scene import Scene
 
 
 def small_scene(points: int = 300) -> Scene:

@@ -11,12 +11,12 @@ from types import ModuleType
 import pytest
 from torch import Tensor
 
+from splatbench.base.errors import DataError
 from splatbench.datasets.opening import open_scene
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import View
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import View
 
-DOORS = Path(__file__).parents[1] / "datasets" / "doors"
+DOORS = Path(__file__).parents[1] / "datasets" / "adapters"
 
 
 def fixtures(name: str) -> ModuleType:

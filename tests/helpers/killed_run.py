@@ -8,8 +8,8 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatbench.methods.run import Run
-from splatbench.methods.settings import Settings
-from splatbench.methods.training import fit
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.loop import fit
 
 
 class Killed(Exception):

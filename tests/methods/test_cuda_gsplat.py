@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, random_gaussians
+from splatbench.base.errors import UsageError
 from splatbench.methods import cuda_gsplat
-from splatbench.reference import rasterizer
-from splatbench.reference.camera import Camera
-from splatbench.reference.errors import UsageError
-from splatbench.reference.screen_gradient import ScreenProbe
+from splatbench.reference.rasterizer import rasterize as rasterizer
+from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
+from splatbench.reference.types.camera import Camera
 
 
 def rasterization(

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, spoiled
+from splatbench.base.errors import UsageError
 from splatbench.metrics.colour_fit import fit_colours
 from splatbench.metrics.pixel import psnr
-from splatbench.reference.errors import UsageError
 
 KINDS = pytest.mark.parametrize("kind", ["cc_affine", "cc_quadratic"])
 

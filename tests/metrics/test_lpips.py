@@ -12,9 +12,9 @@ import torch
 
 from helpers.images import noise_image, spoiled
 from helpers.random_weights import forget, random_features, write_weights
+from splatbench.base.errors import DataError, MissingError
 from splatbench.metrics import lpips, weights
 from splatbench.metrics.registry import METRICS, load_weights
-from splatbench.reference.errors import DataError, MissingError
 
 NETWORKS = {"lpips_vgg_m11": "vgg", "lpips_alex_m11": "alex", "lpips_vgg_01": "vgg"}
 NAMES = pytest.mark.parametrize("name", NETWORKS)

@@ -13,7 +13,7 @@ from splatbench.metrics.parts import OVER, PARTS, part_key, parts_of, score_part
 from splatbench.metrics.pixel import psnr
 from splatbench.metrics.registry import METRICS
 from splatbench.metrics.scoring import scene_metrics, score_image
-from splatbench.reference.protocol import Protocol
+from splatbench.reference.types.protocol import Protocol
 from splatbench.reports.columns import score_column
 
 RULES = Protocol(

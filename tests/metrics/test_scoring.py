@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, pairs, random_mask, spoiled
+from splatbench.base.errors import DataError
 from splatbench.metrics.pixel import psnr
 from splatbench.metrics.registry import METRICS
 from splatbench.metrics.scoring import (
@@ -20,9 +21,8 @@ from splatbench.metrics.scoring import (
     scene_metrics,
     score_image,
 )
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import ImageScore
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import ImageScore
 
 ROUND = Protocol(name="test", source="ours")
 

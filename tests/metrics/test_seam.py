@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from helpers.images import noise_image
 from helpers.tiny_scene import camera, random_gaussians
+from splatbench.base.errors import DataError, UsageError
 from splatbench.metrics.pixel import psnr
 from splatbench.metrics.seam import (
     SeamSums,
@@ -22,7 +23,6 @@ from splatbench.metrics.seam import (
     seam_sums,
 )
 from splatbench.metrics.seam_render import render_seam_view
-from splatbench.reference.errors import DataError, UsageError
 from splatbench.reference.rasterizer import rasterize
 
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from splatbench.methods.city.voxel_region import VoxelRegion
 from splatbench.metrics.seam_partition import partition_seam_mask, surface_points
-from splatbench.reference.boxes import OrientedBox
-from splatbench.reference.camera import Camera, project_points
-from splatbench.reference.rotation import rotation_matrix
+from splatbench.reference.partition.boxes import OrientedBox
+from splatbench.reference.rasterizer.rotation import rotation_matrix
+from splatbench.reference.types.camera import Camera, project_points
 
 WIDTH, HEIGHT, DEPTH = 80, 60, 10.0
 

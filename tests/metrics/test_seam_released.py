@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.images import noise_image, random_mask
 from helpers.tiny_scene import camera
+from splatbench.base.errors import DataError
 from splatbench.metrics.seam import SeamScores
 from splatbench.metrics.seam_released import (
     NAMES,
@@ -22,9 +23,8 @@ from splatbench.metrics.seam_released import (
     seam_view_released,
     sobel_magnitude,
 )
-from splatbench.reference.boxes import OrientedBox
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import DataError
+from splatbench.reference.partition.boxes import OrientedBox
+from splatbench.reference.types.camera import project_points
 
 
 def turned_camera(index, **size):

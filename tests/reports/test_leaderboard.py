@@ -10,11 +10,11 @@ import pytest
 from rich.console import Console
 
 from helpers.case_folders import NAMES, result
+from splatbench.base.errors import DataError
 from splatbench.metrics.registry import METRICS
 from splatbench.metrics.scene_registry import SCENE_METRICS
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import ImageScore, Result
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import ImageScore, Result
 from splatbench.reports import text
 from splatbench.reports.leaderboard import build_tables
 from splatbench.reports.table import Row, Table

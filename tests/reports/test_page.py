@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers import case_folders
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import Result
+from splatbench.base.errors import DataError
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import Result
 from splatbench.reports import charts, pictures
 from splatbench.reports.leaderboard import build_tables
 from splatbench.reports.page import render_page

@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
-from splatbench.reference.errors import DataError, MissingError, UsageError
-from splatbench.reference.result_json import result_to_json
+from splatbench.base.errors import DataError, MissingError, UsageError
+from splatbench.reference.types.result_json import result_to_json
 from splatbench.reports import run_data
 from splatbench.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
 from splatbench.reports.store import EXPERIMENTS, STATE, Picture, find_cases, read_results, sync

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.reference.errors import UsageError
+from splatbench.base.errors import UsageError
 from splatbench.suites.city_plan import (
     City,
     block_cpu_seconds,

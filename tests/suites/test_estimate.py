@@ -11,9 +11,10 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
 from splatbench.methods.city.settings import CitySettings
 from splatbench.methods.registry import METHODS
-from splatbench.methods.settings import Settings
+from splatbench.methods.threedgs.settings import Settings
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites import cases, estimate
+from splatbench.suites import estimate
+from splatbench.suites import run_case as cases
 from splatbench.suites.environment import usable_cores
 from splatbench.suites.runner import run_suite
 from splatbench.suites.suite_files import Case, Suite

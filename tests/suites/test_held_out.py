@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from helpers.fake_methods import fake_scene, model_of
+from splatbench.base.errors import DataError
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import DataError
-from splatbench.reference.result import picture_name
+from splatbench.reference.types.result import picture_name
 from splatbench.suites.held_out import error_picture, score_views, to_8_bit
 
 PROTOCOL = load_protocol("default")

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from helpers import run_fake_suite
-from splatbench.reference.result import Result
+from splatbench.reference.types.result import Result
 from splatbench.reports.store import read_results
 from splatbench.suites.records import read_record
 

@@ -12,7 +12,7 @@ from splatbench.cli import main
 from splatbench.methods.registry import METHODS
 from splatbench.metrics import weights
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites import cases
+from splatbench.suites import run_case as cases
 from splatbench.suites.runner import run_suite
 from splatbench.suites.suite_files import Case, Suite
 from splatbench.suites.workers import in_process

@@ -11,14 +11,14 @@ import torch
 from helpers.city_scene import small_scene
 from helpers.real_scenes import real_scene
 from helpers.tiny_scene import random_gaussians
+from splatbench.base.errors import DataError, UsageError
 from splatbench.datasets.opening import open_scene
-from splatbench.methods.city import coarse_change as rule
+from splatbench.methods.city import citygaussian_views as rule
 from splatbench.methods.city.ground import ground
 from splatbench.methods.city.partition import Partition, PartitionSettings, near_square
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import DataError, UsageError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.scene import Scene
 from splatbench.suites import partition
 from splatbench.suites.gallery import blocks as pictures
 

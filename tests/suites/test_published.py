@@ -6,9 +6,9 @@ import statistics
 import pytest
 
 from helpers.case_folders import result
+from splatbench.base.errors import UsageError
 from splatbench.cli import main
 from splatbench.datasets.registry import get_entry
-from splatbench.reference.errors import UsageError
 from splatbench.suites.published import ours, rows
 from splatbench.suites.records import write_record
 from splatbench.suites.suite_files import load_suite

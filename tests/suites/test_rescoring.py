@@ -22,12 +22,12 @@ from splatbench.cli.output import finite
 from splatbench.datasets.photos import read_photo
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.metrics.scoring import scene_metrics
-from splatbench.reference.camera import Camera
-from splatbench.reference.gaussians import Gaussians
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.render import RenderOutput
-from splatbench.reference.result import ImageScore
-from splatbench.reference.scene import Scene, View
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.render import RenderOutput
+from splatbench.reference.types.result import ImageScore
+from splatbench.reference.types.scene import Scene, View
 from splatbench.suites.held_out import score_views
 
 HEIGHT, WIDTH = 18, 24

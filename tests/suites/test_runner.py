@@ -13,11 +13,11 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
+from splatbench.base.errors import UsageError
 from splatbench.methods.registry import METHODS
 from splatbench.metrics.protocol_files import load_protocol
 from splatbench.metrics.scoring import truth_sha256
-from splatbench.reference.errors import UsageError
-from splatbench.suites import cases
+from splatbench.suites import run_case as cases
 from splatbench.suites.held_out import kept
 from splatbench.suites.records import read_record
 from splatbench.suites.runner import run_suite, select

@@ -10,14 +10,15 @@ import pytest
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
+from splatbench.base.errors import DataError
 from splatbench.methods.registry import METHODS
 from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
-from splatbench.reference.result import Result
-from splatbench.reference.scene import Scene
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import Result
+from splatbench.reference.types.scene import Scene
 from splatbench.reports.store import find_cases
-from splatbench.suites import cases, scene_data
+from splatbench.suites import run_case as cases
+from splatbench.suites import scene_data
 from splatbench.suites.records import read_finished, read_record, write_record
 from splatbench.suites.runner import Progress, run_suite
 from splatbench.suites.suite_files import Case, Suite

@@ -7,9 +7,9 @@ import pytest
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
+from splatbench.base.errors import UsageError
 from splatbench.methods.registry import METHODS
-from splatbench.reference.errors import UsageError
-from splatbench.suites import cases
+from splatbench.suites import run_case as cases
 from splatbench.suites.suite_files import FOLDER, case_key, load_suite, quick_form
 
 GOOD = """

@@ -21,8 +21,8 @@ from typing import Annotated, Any, get_type_hints
 import tyro
 from tyro.extras import SubcommandApp
 
+from splatbench.base.errors import MissingError, SplatbenchError
 from splatbench.cli import output
-from splatbench.reference.errors import MissingError, SplatbenchError
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 

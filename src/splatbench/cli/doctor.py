@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
+from splatbench.base.errors import SplatbenchError
 from splatbench.cli import output
-from splatbench.reference.errors import SplatbenchError
 
 LEAST_FREE_GB = 2.0
 """Free disk below which results and made scenes may not fit; in 2^30 bytes."""
@@ -140,7 +140,7 @@ def _scenes() -> Iterator[Finding]:
 
 
 def _folders(out: Path) -> Iterator[Finding]:
-    from splatbench.datasets.cache import cache_folder
+    from splatbench.datasets.cache_folder import cache_folder
 
     yield _writable("cache", cache_folder(), "set SPLATBENCH_CACHE to a folder that can be written")
     yield _writable("runs", out, "use --out with a folder that can be written")

@@ -22,8 +22,8 @@ def gallery(
         scene: Scene to draw them on; some pictures need one with true depth.
         page: Also write the Markdown page of all components to this file.
     """
+    from splatbench.base.files import write_text
     from splatbench.datasets.opening import open_scene
-    from splatbench.methods.files import write_text
     from splatbench.metrics.protocol_files import load_protocol
     from splatbench.suites.gallery import pictures
 

@@ -9,7 +9,7 @@ from splatbench.cli import output
 from splatbench.cli.models import model_path
 
 if TYPE_CHECKING:
-    from splatbench.reference.camera import Camera
+    from splatbench.reference.types.camera import Camera
 
 
 def render(
@@ -34,11 +34,11 @@ def render(
     """
     import torch
 
-    from splatbench.methods.camera_files import read_cameras
-    from splatbench.methods.reconstruction import load_reconstruction
+    from splatbench.base.errors import DataError
+    from splatbench.methods.models.explicit import load_reconstruction
+    from splatbench.methods.storage.camera_files import read_cameras
     from splatbench.metrics.protocol_files import load_protocol
-    from splatbench.reference.errors import DataError
-    from splatbench.reference.result import picture_name
+    from splatbench.reference.types.result import picture_name
     from splatbench.suites.held_out import to_8_bit, write_png
 
     rules = load_protocol(protocol)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from splatbench.base.errors import UsageError
 from splatbench.cli import output
-from splatbench.reference.errors import UsageError
 
 if TYPE_CHECKING:
     from splatbench.reports.table import Table
@@ -37,7 +37,7 @@ def report(
         markdown: Also write the leaderboard as Markdown to this file.
         html: Where the page is written (default: OUT/report.html).
     """
-    from splatbench.methods.files import write_text
+    from splatbench.base.files import write_text
     from splatbench.reports.leaderboard import build_tables
     from splatbench.reports.mlflow_client import check_uri, default_uri, shown_uri
     from splatbench.reports.page import render_page

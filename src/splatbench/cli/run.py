@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from splatbench.base.errors import UsageError
 from splatbench.cli import output
-from splatbench.reference.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -70,6 +70,7 @@ def run(
         )
     if page is not None or rows is not None:
         raise UsageError(f"--page and --rows are for the studies {', '.join(STUDIES)}")
+    from splatbench.base.typed_toml import unknown
     from splatbench.cli.report import print_tables, sync_cases
     from splatbench.methods.backends import get_backend
     from splatbench.metrics.registry import load_weights
@@ -79,7 +80,6 @@ def run(
     from splatbench.suites.runner import run_suite, select
     from splatbench.suites.scenes import absences, make_scenes, without_absent
     from splatbench.suites.suite_files import load_suite, quick_form, suite_names
-    from splatbench.suites.typed_toml import unknown
 
     uri = default_uri(out)
     if suite not in suite_names() and not suite.endswith(".toml"):

@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 from typing import Any
 
+from splatbench.base.errors import DataError, MissingError, UsageError
+from splatbench.base.files import write_text
 from splatbench.cli import output
 from splatbench.methods.backends import get_backend
-from splatbench.methods.files import write_text
-from splatbench.reference.errors import DataError, MissingError, UsageError
 from splatbench.suites.studies.study import STUDIES, Study
 
 Row = dict[str, Any]

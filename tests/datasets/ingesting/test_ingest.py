@@ -21,12 +21,12 @@ from helpers.aerial_photos import (
     write_flight,
 )
 from helpers.real_scenes import real_scene
+from splatbench.base.errors import DataError
 from splatbench.cli.ingest import ingest
 from splatbench.datasets.ingesting.ingest import Ingested, ingest_photos
 from splatbench.datasets.opening import open_scene
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import DataError
-from splatbench.reference.protocol import Protocol
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="test", hold=3)
 

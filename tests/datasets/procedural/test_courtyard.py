@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
+from splatbench.base.errors import UsageError
 from splatbench.datasets import registry
 from splatbench.datasets.opening import open_scene
 from splatbench.datasets.procedural import courtyard, exporting, worlds
-from splatbench.reference.camera import project_points
-from splatbench.reference.errors import UsageError
-from splatbench.reference.protocol import Protocol
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.protocol import Protocol
 
 TINY = courtyard.Settings(width=64, height=48, oblique=4, nadir=(2, 1), samples=2)
 PROTOCOL = Protocol(name="test", source="ours", hold=4)

@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from splatbench.datasets.procedural import (
-    aerial,
-    courtyard,
-    frames,
-    shapes,
-    street,
-    traffic,
-    tunnel,
-)
+from splatbench.datasets.procedural import aerial, courtyard, shapes, street, traffic, tunnel
+from splatbench.datasets.procedural import ray_images as frames
 from splatbench.datasets.procedural.things import METAL
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.world import Builder

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatbench.datasets.procedural import city, exporting, frames, tiles
+from splatbench.datasets.procedural import city, exporting, tiles
+from splatbench.datasets.procedural import ray_images as frames
 from splatbench.datasets.procedural.plan import Shot
 from splatbench.datasets.procedural.world import Builder
 

@@ -6,12 +6,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.datasets.procedural import frames, shapes
+from splatbench.datasets.procedural import ray_images as frames
+from splatbench.datasets.procedural import shapes
 from splatbench.datasets.procedural.facades import Solid
 from splatbench.datasets.procedural.flights import looking
 from splatbench.datasets.procedural.tracing import Caster
 from splatbench.datasets.procedural.world import Builder
-from splatbench.reference.camera import project_points
+from splatbench.reference.types.camera import project_points
 
 GREY = Solid(tone="808080", dirt=0.0)
 

@@ -10,17 +10,9 @@ import torch
 from helpers import tiny_worlds
 from splatbench.cli import main
 from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import (
-    aerial,
-    city,
-    exporting,
-    frames,
-    street,
-    tracing,
-    tunnel,
-    worlds,
-)
-from splatbench.reference.protocol import Protocol
+from splatbench.datasets.procedural import aerial, city, exporting, street, tracing, tunnel, worlds
+from splatbench.datasets.procedural import ray_images as frames
+from splatbench.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
 
@@ -61,7 +53,7 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
     assert len(unseen.points) > 10
     assert not set(names) & {v.name for v in open_scene(folder, PROTOCOL).views}
     stage = plan.stage(plan.shots[0])
-    from splatbench.datasets.procedural import truth
+    from splatbench.datasets.procedural import oracle as truth
 
     cloud = truth.surface_cloud(stage.caster.world, 2.0, 0)
     train = [s.camera for s in plan.shots if not s.group]
@@ -86,7 +78,7 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
 
 def on_surface(cloud, camera, depth, tolerance):
     """Which points a depth map shows, at angles at which a view tells something of them."""
-    from splatbench.datasets.procedural.truth import STEEP
+    from splatbench.datasets.procedural.oracle import STEEP
 
     local = cloud.points @ camera.rotation.numpy().T + camera.translation.numpy()
     pixel = local @ camera.K.numpy().T

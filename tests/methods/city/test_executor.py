@@ -10,15 +10,15 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.methods.city.blocks import BlockJob
+from splatbench.base.errors import DataError, SplatbenchError, UsageError
 from splatbench.methods.city.executor import run_blocks
 from splatbench.methods.city.jobs import block_jobs
 from splatbench.methods.city.partition import PartitionSettings, partition
-from splatbench.methods.density import Density
-from splatbench.methods.reconstruction import load_reconstruction
+from splatbench.methods.city.train_block import BlockJob
+from splatbench.methods.models.explicit import load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.settings import Settings
-from splatbench.reference.errors import DataError, SplatbenchError, UsageError
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.density import Density
 
 SETTINGS = Settings(iterations=20, sh_degree=0, density=Density(stop=0))
 

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
+from splatbench.base.errors import DataError, UsageError
 from splatbench.methods.city.partition import MethodName, PartitionSettings, partition
+from splatbench.methods.city.point_roles import CONTEXT, GHOST, LEFT_OUT, OWN, roles_of
 from splatbench.methods.city.regions import nearest_region
-from splatbench.methods.city.roles import CONTEXT, GHOST, LEFT_OUT, OWN, roles_of
-from splatbench.reference.errors import DataError, UsageError
 
 SCENE = small_scene(120)
 METHODS: tuple[MethodName, ...] = ("odbp", "blockgaussian", "vastgaussian", "citygaussian")

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.methods import training
+from splatbench.base.errors import DataError, MissingError, UsageError
 from splatbench.methods.city.model import CONTAINER, CityModel
-from splatbench.methods.density import Density
-from splatbench.methods.reconstruction import FIELDS, ExplicitModel, load_reconstruction
+from splatbench.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
 from splatbench.methods.registry import METHODS
 from splatbench.methods.run import Run
-from splatbench.reference.errors import DataError, MissingError, UsageError
-from splatbench.reference.stitching import RIM, StitchSettings
+from splatbench.methods.training import loop as training
+from splatbench.methods.training.density import Density
+from splatbench.reference.stitching.stochastic import RIM, StitchSettings
 
 SHORT = {
     "iterations": 20,

@@ -10,16 +10,16 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
+from splatbench.base.errors import DataError, MissingError
 from splatbench.methods.city import ray_executor
-from splatbench.methods.city.blocks import BlockJob
 from splatbench.methods.city.executor import run_blocks
 from splatbench.methods.city.jobs import block_jobs
 from splatbench.methods.city.partition import PartitionSettings, partition
-from splatbench.methods.density import Density
-from splatbench.methods.reconstruction import load_reconstruction
+from splatbench.methods.city.train_block import BlockJob
+from splatbench.methods.models.explicit import load_reconstruction
 from splatbench.methods.run import Run
-from splatbench.methods.settings import Settings
-from splatbench.reference.errors import DataError, MissingError
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.density import Density
 
 STEPS = 300
 SETTINGS = Settings(iterations=STEPS, sh_degree=0, density=Density(stop=0))

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from splatbench import _ext
 from splatbench.methods.kernels.blocks import block_weights, render_blocks
 from splatbench.methods.kernels.rasterizer import rasterize
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.gaussians import Gaussians
+from splatbench.reference.rasterizer import rasterize as reference
+from splatbench.reference.types.gaussians import Gaussians
 from splatbench.suites.hard_cases.gaussian_scenes import random_scene
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])

@@ -65,7 +65,7 @@ def test_scratch_is_given_back():
 LARGE = """
 import resource, torch
 from splatbench.methods.kernels import rasterizer
-from splatbench.reference.camera import Camera
+from splatbench.reference.types.camera import Camera
 n, g = 5_000_000, torch.Generator().manual_seed(1)
 z = 2 + 8 * torch.rand(n, generator=g)
 means = torch.stack([(torch.rand(n, generator=g) - 0.5) * z, 0.75 * (torch.rand(n, generator=g) - 0.5) * z, z], 1)

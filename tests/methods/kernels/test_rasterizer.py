@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.agreement import compare_gradients, largest_error
-from splatbench.reference.render import RenderOutput
-from splatbench.reference.screen_gradient import ScreenProbe
-from splatbench.reference.steps import step_pixels
+from splatbench.reference.checks.agreement import compare_gradients, largest_error
+from splatbench.reference.checks.discontinuities import step_pixels
+from splatbench.reference.rasterizer import rasterize as reference
+from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
+from splatbench.reference.types.render import RenderOutput
 from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 # Worst of six whole runs with different seeds at every SIMD level: colour 7e-7, alpha 8e-7, depth 3.0e-6,

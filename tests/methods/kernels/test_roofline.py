@@ -6,7 +6,7 @@ import torch
 from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
 from splatbench.methods.kernels.roofline import count_pairs, measure_peak
-from splatbench.reference import compositing, projection, rotation
+from splatbench.reference.rasterizer import compositing, projection, rotation
 from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 

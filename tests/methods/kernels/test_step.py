@@ -9,11 +9,11 @@ from splatbench import _ext
 from splatbench.methods.kernels import rasterizer as native
 from splatbench.methods.kernels.loss import photometric
 from splatbench.methods.kernels.step import ViewGradients, observe
-from splatbench.methods.training import assemble
-from splatbench.reference import losses
-from splatbench.reference import rasterizer as reference
-from splatbench.reference.agreement import compare_gradients
-from splatbench.reference.screen_gradient import ScreenProbe
+from splatbench.methods.training.loop import assemble
+from splatbench.reference.checks.agreement import compare_gradients
+from splatbench.reference.rasterizer import rasterize as reference
+from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
+from splatbench.reference.supervision import losses
 from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 BACKGROUND = (0.2, 0.5, 0.7)

@@ -1,0 +1,132 @@
+"""What the doors of driving data share: tables of numbers, LiDAR files, cameras of a car."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from splatbench.base.errors import DataError
+from splatbench.datasets.layout import Sweep
+
+FRAME_SECONDS = 0.1
+"""KITTI and Waymo take 10 frames a second; used where an export has no timestamps."""
+UP = (0.0, 0.0, 1.0)
+"""Both worlds are z-up, in metres."""
+
+
+def read_numbers(path: Path, count: int) -> Float64[np.ndarray, " n"]:
+    """The numbers of a text file, separated by white space.
+
+    Args:
+        path: The file.
+        count: How many there must be.
+    Raises: DataError naming the file and what it has.
+    """
+    words = read_text(path).split()
+    try:
+        values = np.array(words, dtype=np.float64)
+    except ValueError:
+        values = np.empty(0)
+    if len(values) != count or not np.isfinite(values).all():
+        raise DataError(f"{path}: has {len(words)} words, expected {count} finite numbers")
+    return values
+
+
+def read_table(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
+    """Lines "key: numbers" (the colon may be missing); lines of other words are left out.
+
+    Raises: DataError if the file is missing or is not text.
+    """
+    table = {}
+    for line in read_text(path).splitlines():
+        key, _, rest = line.strip().partition(" ")
+        try:
+            table[key.rstrip(":")] = np.array(rest.split(), dtype=np.float64)
+        except ValueError:
+            continue
+    return table
+
+
+def entry(
+    path: Path, table: dict[str, Float64[np.ndarray, " n"]], names: Sequence[str], *shape: int
+) -> Float64[np.ndarray, "..."]:
+    """A matrix of a table under one of its names. Raises: DataError naming file and key."""
+    for name in names:
+        if name in table:
+            values = table[name]
+            if len(values) != np.prod(shape) or not np.isfinite(values).all():
+                raise DataError(
+                    f"{path}: {name} has {len(values)} numbers, expected {np.prod(shape)} finite ones"
+                )
+            return values.reshape(shape)
+    raise DataError(f"{path}: has no {' or '.join(names)}")
+
+
+def read_text(path: Path) -> str:
+    """A text file. Raises: DataError if it is missing or is not text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DataError(f"{path}: missing; this layout has one") from None
+    except (UnicodeDecodeError, OSError) as error:
+        raise DataError(f"{path}: not a text file ({error})") from None
+
+
+def homogeneous(matrix: Float64[np.ndarray, "3 4"]) -> Float64[np.ndarray, "4 4"]:
+    """A 3 x 4 motion as 4 x 4."""
+    return np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
+
+
+def sweep(
+    path: Path, time: float, to_world: Float64[np.ndarray, "4 4"], columns: int, first: int
+) -> Sweep:
+    """A LiDAR file of float32 rows.
+
+    Args:
+        path: The file; it is read when asked for.
+        time: As the photos'.
+        to_world: From the file's frame to the scene's.
+        columns: Numbers a row.
+        first: Column of x; y and z follow.
+    """
+    return Sweep(time=time, path=path, read=lambda: _points(path, to_world, columns, first))
+
+
+def _points(
+    path: Path, to_world: Float64[np.ndarray, "4 4"], columns: int, first: int
+) -> Float64[np.ndarray, "n 3"]:
+    size = path.stat().st_size
+    if not size or size % (4 * columns):
+        raise DataError(
+            f"{path}: has {size} bytes, expected a multiple of {4 * columns} above 0 "
+            f"({columns} float32 a point); the file is cut short or of another kind"
+        )
+    rows = np.fromfile(path, dtype=np.float32).reshape(-1, columns)
+    points = rows[:, first : first + 3].astype(np.float64)
+    if not np.isfinite(points).all():
+        raise DataError(f"{path}: has a point that is not finite")
+    return points @ to_world[:3, :3].T + to_world[:3, 3]
+
+
+def frame_names(folder: Path) -> list[str]:
+    """Stems of the .txt files of a folder, one a frame; time follows from their order.
+
+    Raises: DataError if they are no whole numbers without a gap.
+    """
+    # 999 before 1000, however many digits an export pads to
+    names = sorted((path.stem for path in folder.glob("*.txt")), key=lambda n: (len(n), n))
+    for name, after in pairwise([*names, ""]):
+        if not name.isdecimal():
+            raise DataError(f"{folder / name}.txt: expected a frame's number for a name")
+        if after.isdecimal() and int(after) != int(name) + 1:
+            missing = folder / f"{int(name) + 1:0{len(name)}d}.txt"
+            raise DataError(f"{missing}: missing, but {after} comes after it; export it again")
+    return names
+
+
+def present(frames: Sequence[str], find: Callable[[str], Path]) -> list[tuple[int, Path]]:
+    """(index, file) of the frames whose file is there: sets lack single sweeps."""
+    files = [(i, find(frame)) for i, frame in enumerate(frames)]
+    return [(i, path) for i, path in files if path.is_file()]

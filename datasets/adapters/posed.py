@@ -1,0 +1,65 @@
+"""What doors share: checked numbers and poses, turned to OpenCV axes."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+from jaxtyping import Float64
+
+from splatbench.base.errors import DataError
+
+RIGID = 1e-3
+"""How far R R^T may be from the identity: files hold float32 or few digits."""
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
+"""Camera axes right, up, back to right, down, forward."""
+
+
+def pinhole_camera(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float
+) -> pycolmap.Camera:
+    """An undistorted camera; all in pixels, pixel centres at .5."""
+    return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[fx, fy, cx, cy])
+
+
+def checked_pose(matrix: object, where: str) -> Float64[np.ndarray, "3 4"]:
+    """The upper 3 x 4 of a camera-to-world matrix, its rotation made exactly orthonormal.
+
+    Args:
+        matrix: 3 x 4 or 4 x 4 numbers.
+        where: File and frame, for errors.
+    Raises: DataError if it is no rigid motion.
+    """
+    try:
+        values = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape not in ((3, 4), (4, 4)) or not np.isfinite(values).all():
+        raise DataError(f"{where}: the pose is not a 3 x 4 or 4 x 4 matrix of finite numbers")
+    rotation = values[:3, :3]
+    off = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if off > RIGID or np.linalg.det(rotation) < 0:
+        raise DataError(
+            f"{where}: the pose is no rotation (R R^T is {off:.3g} off the identity, determinant "
+            f"{np.linalg.det(rotation):.3g}); expected an orthonormal matrix of determinant 1"
+        )
+    left, _, right = np.linalg.svd(rotation)
+    return np.concatenate([left @ right, values[:3, 3:]], axis=1)
+
+
+def positive(value: object, where: str, name: str) -> float:
+    """A finite number above 0. Raises: DataError naming the file and the field."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+        raise DataError(f"{where}: {name} is {value!r}, expected a number above 0")
+    return float(value)
+
+
+def find_photo(stem: Path, suffixes: Sequence[str], listed_in: Callable[[], str]) -> Path:
+    """The image file of a stem with one of the suffixes. Raises: DataError naming the stem."""
+    for suffix in suffixes:
+        path = stem.with_name(stem.name + suffix)
+        if path.is_file():
+            return path
+    raise DataError(
+        f"{stem}: photo is missing with any of {', '.join(suffixes)}, but {listed_in()} lists it"
+    )

@@ -1,0 +1,93 @@
+"""Bounded memory: values are made when asked for and the least recently used ones are dropped."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from threading import Lock
+
+from torch import Tensor
+
+from splatbench.base.errors import UsageError
+from splatbench.reference.types.scene import View
+
+
+class TensorCache:
+    """Least-recently-used tensors up to a number of bytes; safe for several threads.
+
+    Two threads that ask for the same key at once compute it once; a tensor larger than the
+    whole bound is returned and not kept. Callers must not write into what they get.
+    """
+
+    def __init__(self, limit: int) -> None:
+        """Start empty.
+
+        Args:
+            limit: Most bytes kept; 0 keeps nothing.
+        Raises: UsageError if limit is negative.
+        """
+        if limit < 0:
+            raise UsageError(f"cache limit is {limit} bytes, expected >= 0")
+        self.limit = limit
+        self.held = 0
+        self._kept: OrderedDict[Hashable, Tensor] = OrderedDict()
+        self._making: dict[Hashable, Lock] = {}
+        self._lock = Lock()
+
+    def __reduce__(self) -> tuple[type["TensorCache"], tuple[int]]:
+        """Sent to another process it starts empty there."""
+        return TensorCache, (self.limit,)
+
+    def __len__(self) -> int:
+        """Return the number of tensors kept."""
+        return len(self._kept)
+
+    def get(self, key: Hashable, make: Callable[[], Tensor]) -> Tensor:
+        """Return the tensor of a key, from memory or by calling `make`."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+            making = self._making.setdefault(key, Lock())
+        with making:
+            with self._lock:
+                if key in self._kept:  # another thread made it while this one waited
+                    self._kept.move_to_end(key)
+                    return self._kept[key]
+            try:
+                value = make()
+                self._keep(key, value)
+            finally:
+                with self._lock:
+                    self._making.pop(key, None)
+        return value
+
+    def _keep(self, key: Hashable, value: Tensor) -> None:
+        size = value.numel() * value.element_size()
+        if size > self.limit:
+            return
+        with self._lock:
+            while self.held + size > self.limit:
+                _, dropped = self._kept.popitem(last=False)
+                self.held -= dropped.numel() * dropped.element_size()
+            self._kept[key] = value
+            self.held += size
+
+
+class ImageCache:
+    """Images of views as float32, exactly what `View.load` returns, in bounded memory."""
+
+    def __init__(self, limit: int) -> None:
+        """Start empty.
+
+        Args:
+            limit: Most bytes of images kept; an image takes 12 bytes a pixel.
+        """
+        self._cache = TensorCache(limit)
+
+    @property
+    def held(self) -> int:
+        """Bytes of images held now."""
+        return self._cache.held
+
+    def load(self, view: View) -> Tensor:
+        """Return the view's image; do not write into it. Views are told apart by identity."""
+        return self._cache.get(view, view.load)

@@ -1,0 +1,163 @@
+"""docs/city.md from the rows of the suite `city`: tables, and what was expected against what came out."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from city_expectations import Verdict, expectations
+
+from splatbench.reference.types.result import Result
+from splatbench.reports.statistics import summarise
+
+PLY_NUMBERS = 62
+"""float32 numbers of a Gaussian of degree 3 in the .ply of the 3DGS release."""
+Cell = tuple[str, str, int, float]
+"""Key of a row, heading, digits after the point, factor."""
+QUALITY: tuple[Cell, ...] = (
+    ("psnr", "PSNR ↑", 2, 1.0), ("ssim_3dgs", "SSIM ↑", 4, 1.0), ("flip", "FLIP ↓", 4, 1.0),
+    ("seam_psnr", "Seam PSNR ↑", 2, 1.0), ("bpd_l1", "BPD L1 ↓", 4, 1.0), ("nbgj", "nBGJ ↓", 2, 1.0),
+    ("seam_coverage", "seam %", 1, 100.0), ("primitives", "Gaussians", 0, 1.0),
+    ("fps", "FPS ↑", 1, 1.0), ("disk_mb", "disk MB ↓", 2, 1.0),
+)  # fmt: skip
+BALANCE: tuple[Cell, ...] = (
+    ("load_max_over_mean", "load", 2, 1.0), ("views_max_over_mean", "views", 2, 1.0),
+    ("seconds_max_over_mean", "time", 2, 1.0), ("seconds_std_over_mean", "time std/mean", 3, 1.0),
+    ("memory_max_over_mean", "memory", 2, 1.0), ("peak_memory_mb", "peak MB", 0, 1.0),
+)  # fmt: skip
+STAGES: tuple[Cell, ...] = (
+    *((f"stage_{name}", name, 1, 1.0)
+      for name in ("coarse", "partition", "blocks", "stitch", "refine", "compress")),
+    ("training_seconds", "all", 1, 1.0),
+)  # fmt: skip
+GEOMETRY: tuple[Cell, ...] = (
+    ("geometry_accuracy", "accuracy m ↓", 3, 1.0), ("geometry_completeness", "complete % ↑", 1, 100.0),
+    ("geometry_f_score", "F-score ↑", 3, 1.0),
+    ("geometry_blind_completeness", "blind complete % ↑", 1, 100.0),
+)  # fmt: skip
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture of the page and what is seen there."""
+
+    path: str
+    """Relative to the page."""
+    caption: str
+
+
+def row_of(result: Result) -> dict[str, Any]:
+    """What the page needs of a result, as plain JSON; what is undefined is left out."""
+    values = dict(result.metrics) | {
+        "primitives": float(result.primitives),
+        "disk_mb": result.bytes_on_disk / 2**20,
+        "ply_bytes": 4.0 * PLY_NUMBERS * result.primitives,
+        "fps": 1000 / result.render_ms if result.render_ms > 0 else math.nan,
+        "peak_memory_mb": result.peak_memory_mb,
+        "training_seconds": result.training_seconds,
+        **{f"stage_{name}": seconds for name, seconds in result.stages.items()},
+    }
+    return {
+        "scene": result.scene,
+        "row": result.row,
+        "protocol": result.protocol,
+        "seed": result.seed,
+        "blocks": int(str(result.settings.get("blocks", 1))),
+        "iterations": int(str(result.settings["iterations"])),
+        "error": result.error,
+        "machine": ", ".join(
+            f"{key} {result.environment[key]}"
+            for key in ("cores", "simd", "backend") if key in result.environment
+        ),
+        "values": {k: float(f"{v:.6g}") for k, v in sorted(values.items()) if math.isfinite(v)},
+    }  # fmt: skip
+
+
+def render_city(rows: Sequence[Row], pictures: Sequence[Picture], findings: str = "") -> str:
+    """The whole page.
+
+    Args:
+        rows: As `row_of` makes them, in the suite's order.
+        pictures: What is shown below the tables.
+        findings: Why what was expected came out as it did, in words; Markdown.
+    """
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    machines = sorted({row["machine"] for row in rows if row["machine"]})
+    seeds = sorted({row["seed"] for row in rows})
+    parts = [
+        HEAD.format(machines="; ".join(machines), seeds=", ".join(map(str, seeds))),
+        "## What was expected\n",
+        *map(_verdict, expectations(rows)),
+        *([findings.rstrip() + "\n"] if findings else []),
+        *(_scene(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes),
+        "## Pictures\n",
+        *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in pictures),
+    ]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _verdict(found: Verdict) -> str:
+    lines = [f"**{found.outcome}**: {found.claim}\n", *(f"- {line}" for line in found.numbers)]
+    return "\n".join(lines) + "\n"
+
+
+def _scene(scene: str, rows: Sequence[Row]) -> str:
+    """The tables of a scene."""
+    sections = (
+        ("", QUALITY),
+        ("Blocks, the largest over the mean:", BALANCE),
+        ("Wall seconds:", STAGES),
+        ("Rendered depth against the truth:", GEOMETRY),
+    )
+    texts = [f"## {scene} ({rows[0]['protocol']})\n"]
+    for title, cells in sections:
+        shown = [cell for cell in cells if any(cell[0] in row["values"] for row in rows)]
+        if shown:
+            texts.append((title + "\n\n" if title else "") + _table(rows, shown))
+    failed = [f"- {row['row']} seed {row['seed']}: {row['error']}" for row in rows if row["error"]]
+    if failed:
+        texts.append("Failed:\n\n" + "\n".join(failed) + "\n")
+    return "\n".join(texts)
+
+
+def _table(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
+    names = list(dict.fromkeys((row["row"], row["blocks"]) for row in rows))
+    lines = [
+        "| row | K | " + " | ".join(cell[1] for cell in cells) + " |",
+        "|---|---" + "|---:" * len(cells) + "|",
+    ]
+    for name, count in names:
+        own = [row["values"] for row in rows if row["row"] == name]
+        texts = [_text([values.get(key) for values in own], digits, by)
+                 for key, _, digits, by in cells]  # fmt: skip
+        if any(text != "–" for text in texts):
+            lines.append(f"| {name} | {count} | " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _text(values: Sequence[float | None], digits: int, factor: float) -> str:
+    """Mean over seeds and half its 95 % interval; a dash where it is undefined."""
+    known = [value * factor for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return "–"
+    found = summarise(known)
+    half = (found.high - found.low) / 2
+    text = f"{found.mean:,.{digits}f}"
+    return text if math.isnan(half) else f"{text} ± {half:,.{digits}f}"
+
+
+HEAD = """# The city suite
+
+Made by `python docs/tools/make_city_page.py RUNS` from the records of `bench run city --out RUNS` (here in
+[city.json](city.json)); a test compares. Measured on {machines}; seeds {seeds}. With one seed there are no
+intervals, and no difference below says more than that run.
+
+- `3dgs` is one block, with as many steps as all blocks of the other rows together.
+- `stitchgs@hard`, `@merge`, `@gcr` and `stitchgs` are one training, merged by a hard cut, by SIS, refined (GCR),
+  and compressed; `odbp+stitch@hard` and `odbp+stitch` likewise. `@k8` has eight blocks.
+- Seams are scored on the pixels whose surface lies within a normalised distance of 1.1 of two regions or more of the
+  row's partition (`metrics/seam_partition.py`), whatever the merge kept: rows of one partition are compared on the
+  same pixels, rows of different partitions are not. `3dgs` has no partition and no seam.
+- The runs are minutes long, hundreds of times shorter than the papers'; the numbers compare rows, not papers.
+"""

@@ -1,0 +1,68 @@
+"""What sparse points are to a block: its own, context that explains its views, or ghosts."""
+
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float64, Int8, Int64
+from torch import Tensor
+
+from splatbench.reference.partition.ghosts import block_boxes, ghosts
+from splatbench.reference.partition.visibility import track_lengths
+from splatbench.reference.types.scene import SparsePoints
+
+OWN, CONTEXT, GHOST = 0, 1, 2
+"""Trained and densified; trained, not densified; rendered only. What has no role is left out."""
+LEFT_OUT = -1
+Auxiliary = Literal["none", "context", "ghosts", "both"]
+"""none: own points only; context: and all that the block's views see, trained, not densified
+(BlockGaussian); ghosts: and what lies in the auxiliary box, rendered only (DPGS); both: ghosts in
+the auxiliary box, context beyond it."""
+Surrounding = Literal["box", "region"]
+"""Where ghosts are taken from. box: the bounds of what a block owns, a fifth longer (DPGS, Eq. 7);
+of a ragged block that is most of the scene. region: within a normalised distance of 1.2, which is
+that same box where the block is one."""
+
+
+def roles_of(
+    points: SparsePoints,
+    own: Bool[Tensor, " n"],
+    views: Bool[Tensor, " v"],
+    labels: Int64[Tensor, " n"],
+    block: int,
+    upright: Float64[Tensor, "n 3"],
+    auxiliary: Auxiliary,
+    near: Bool[Tensor, " n"] | None = None,
+) -> Int8[Tensor, " n"]:
+    """Role of each sparse point in one block; LEFT_OUT for those it does not start from.
+
+    Args:
+        points: All of the scene.
+        own: What the block trains and densifies.
+        views: What it trains on.
+        labels: Who owns each point.
+        block: Which block.
+        upright: Positions in the ground frame, whose axes the auxiliary box follows.
+        auxiliary: What else takes part.
+        near: Where ghosts are taken from; None: the auxiliary box around what the block owns.
+
+    Source: BlockGaussian, Sec. 3.2 (auxiliary points) and its release; DPGS, Sec. 3.3, Eq. 7
+        (ghosts).
+    """
+    roles = torch.full((len(points),), LEFT_OUT, dtype=torch.int8)
+    if auxiliary in ("context", "both"):
+        roles[seen_points(points, views)] = CONTEXT
+    if auxiliary in ("ghosts", "both") and bool((labels == block).any()):
+        if near is None:
+            _, around = block_boxes(upright, labels, block)
+            near = ghosts(upright, labels, block, around)
+        roles[near & (labels != block)] = GHOST
+    roles[own] = OWN
+    return roles
+
+
+def seen_points(points: SparsePoints, views: Bool[Tensor, " v"]) -> Bool[Tensor, " n"]:
+    """Points that at least one of the views sees."""
+    owner = torch.repeat_interleave(torch.arange(len(points)), track_lengths(points))
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    seen[owner[views[points.track_views.long()]]] = True
+    return seen

@@ -1,0 +1,72 @@
+"""Cameras to render from, as a JSON file."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatbench.base.errors import DataError
+from splatbench.reference.types.camera import Camera
+
+KEYS = ("name", "width", "height", "K", "world_to_camera")
+
+
+def read_cameras(path: Path) -> dict[str, Camera]:
+    """Cameras by name from a JSON list of objects with the keys of KEYS.
+
+    Args:
+        path: K is 3 x 3 in pixels, world_to_camera 4 x 4 rigid and row-major with OpenCV axes.
+
+    Raises: DataError, in one line, naming the file, the entry and the fault.
+    """
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: not JSON ({error})") from None
+    if not isinstance(entries, list) or not entries:
+        raise DataError(f"{path}: expected a list of at least one camera")
+    cameras: dict[str, Camera] = {}
+    for index, entry in enumerate(entries):
+        where = f"{path}: camera {index}"
+        if not isinstance(entry, dict) or not set(KEYS) <= set(entry):
+            raise DataError(f"{where}: expected an object with {', '.join(KEYS)}")
+        name = entry["name"]
+        if not isinstance(name, str) or not name or name in cameras:
+            raise DataError(f"{where}: name {name!r}, expected a text that no other camera has")
+        cameras[name] = _camera(entry, where)
+    return cameras
+
+
+def _camera(entry: dict[str, Any], where: str) -> Camera:
+    """One camera, checked."""
+    for side in ("width", "height"):
+        if not isinstance(entry[side], int) or entry[side] < 1:
+            raise DataError(f"{where}: {side} {entry[side]!r}, expected a whole number >= 1")
+    K, pose = _matrix(entry, "K", 3, where), _matrix(entry, "world_to_camera", 4, where)
+    if min(K[0, 0], K[1, 1]) <= 0 or K[1, 0] or K[0, 1] or K[2].tolist() != [0, 0, 1]:
+        raise DataError(
+            f"{where}: K is {K.tolist()}, expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    turn = pose[:3, :3]
+    off = float((turn @ turn.T - torch.eye(3).double()).abs().max())
+    # 1e-4 lets matrices through that were printed with five digits
+    if off > 1e-4 or torch.linalg.det(turn) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
+        raise DataError(f"{where}: world_to_camera is not rigid (off by {off:.2g})")
+    return Camera(K=K, world_to_camera=pose, width=entry["width"], height=entry["height"])
+
+
+def _matrix(entry: dict[str, Any], key: str, size: int, where: str) -> Float[Tensor, "n n"]:
+    """A square matrix of finite numbers in float64."""
+    try:
+        matrix = torch.tensor(entry[key], dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        matrix = torch.full((1,), math.nan)
+    if matrix.shape != (size, size) or not matrix.isfinite().all():
+        raise DataError(f"{where}: {key} is not a {size} x {size} list of finite numbers")
+    return matrix

@@ -1,0 +1,1 @@
+"""The packed file: gated, coded, ordered and compressed Gaussians, streamed both ways."""

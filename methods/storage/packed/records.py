@@ -1,0 +1,80 @@
+"""A file of records in a row, each sealed together with all before it: damage is seen on reading.
+
+Layout, little-endian: 4 bytes magic, u16 version, then records: u64 length, 32 bytes SHA-256 of the
+seal of the record before (of magic and version, for the first), the length and the content; content.
+"""
+
+import hashlib
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from splatbench.base.errors import DataError
+from splatbench.reference.compression.container import MAGIC
+
+VERSION = 2
+"""Version 1 is reference.compression.container's."""
+START = struct.Struct("<4sH")
+LENGTH = struct.Struct("<Q")
+
+
+class RecordWriter:
+    """Appends sealed records to an open file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Write magic and version."""
+        self._file = file
+        self._seal = START.pack(MAGIC, VERSION)
+        file.write(self._seal)
+
+    def add(self, content: bytes) -> None:
+        """Append one record."""
+        length = LENGTH.pack(len(content))
+        self._seal = _seal(self._seal, length, content)
+        self._file.writelines((length, self._seal, content))
+
+
+def version_of(path: Path) -> int:
+    """Version of a packed file.
+
+    Raises: DataError for a file that is missing or of another kind.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(START.size)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from None
+    if len(head) < START.size or head[:4] != MAGIC:
+        raise DataError(f"{path}: not a packed model: it starts with {head[:4]!r}, not {MAGIC!r}")
+    return START.unpack(head)[1]
+
+
+def records(path: Path) -> Iterator[bytes]:
+    """The records of a file of this version, each checked before it is given out.
+
+    Raises: DataError where the file was cut, altered or joined with something.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        seal = file.read(START.size)
+        while head := file.read(LENGTH.size):
+            found = file.read(32)
+            length = LENGTH.unpack(head)[0] if len(head) == LENGTH.size else size
+            if len(found) < 32 or length > size - file.tell():
+                raise DataError(
+                    f"{path}: ends in the middle of a record: it was cut; copy it again"
+                )
+            content = file.read(length)
+            seal = _seal(seal, head, content)
+            if seal != found:
+                raise DataError(
+                    f"{path}: record before byte {file.tell()} has a wrong checksum: the file was "
+                    "altered; copy it again"
+                )
+            yield content
+
+
+def _seal(before: bytes, length: bytes, content: bytes) -> bytes:
+    """SHA-256 over everything so far."""
+    return hashlib.sha256(before + length + content).digest()

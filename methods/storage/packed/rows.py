@@ -1,0 +1,106 @@
+"""Rows of a model by index, from memory or from a model folder that is too large for it."""
+
+import json
+import mmap
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Int64
+from torch import Tensor
+
+from splatbench.base.errors import DataError
+from splatbench.base.files import sha256
+from splatbench.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatbench.reference.types.gaussians import Gaussians
+
+
+@runtime_checkable
+class Rows(Protocol):
+    """Parameters of a model, gathered by index."""
+
+    def __len__(self) -> int:
+        """Return the number of primitives."""
+        ...
+
+    @property
+    def bands(self) -> int:
+        """SH coefficients of a channel."""
+        ...
+
+    def take(
+        self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
+    ) -> Mapping[str, Tensor]:
+        """Some parameters of some primitives, in that order."""
+        ...
+
+
+class MemoryRows:
+    """Rows of Gaussians in memory."""
+
+    def __init__(self, model: Gaussians) -> None:
+        """Hold the model."""
+        self._model = model
+
+    def __len__(self) -> int:
+        """Return the number of primitives."""
+        return len(self._model)
+
+    @property
+    def bands(self) -> int:
+        """SH coefficients of a channel."""
+        return self._model.sh.shape[1]
+
+    def take(
+        self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
+    ) -> Mapping[str, Tensor]:
+        """Some parameters of some primitives, in that order."""
+        return {name: getattr(self._model, name).detach()[rows] for name in names}
+
+
+class FolderRows:
+    """Rows of model.safetensors, mapped: pages that were read are given back after each call."""
+
+    def __init__(self, folder: Path) -> None:
+        """Map a model folder's arrays.
+
+        Raises: DataError if they are not those that model.json describes, or not float32.
+        """
+        path = folder / ARRAYS
+        if not path.exists() or sha256(path) != describe(folder).get("arrays_sha256"):
+            raise DataError(f"{path}: its sha256 is not the one in model.json; copy it again")
+        with path.open("rb") as file:
+            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        start = 8 + int.from_bytes(self._map[:8], "little")
+        self._arrays: dict[str, np.ndarray] = {}
+        for name, entry in json.loads(self._map[8:start]).items():
+            if name not in FIELDS:
+                continue
+            if entry["dtype"] != "F32":
+                raise DataError(f"{path}: {name} is {entry['dtype']}, expected F32")
+            low, high = entry["data_offsets"]
+            flat = np.frombuffer(self._map, "<f4", (high - low) // 4, start + low)
+            self._arrays[name] = flat.reshape(entry["shape"])
+        missing = [name for name in FIELDS if name not in self._arrays]
+        if missing:
+            raise DataError(f"{path}: no array {missing[0]!r}. Expected {', '.join(FIELDS)}")
+
+    def __len__(self) -> int:
+        """Return the number of primitives."""
+        return len(self._arrays["means"])
+
+    @property
+    def bands(self) -> int:
+        """SH coefficients of a channel."""
+        return self._arrays["sh"].shape[1]
+
+    def take(
+        self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
+    ) -> Mapping[str, Tensor]:
+        """Some parameters of some primitives, in that order."""
+        chosen = rows if isinstance(rows, slice) else rows.numpy()
+        found = {name: torch.from_numpy(self._arrays[name][chosen].copy()) for name in names}
+        self._map.madvise(mmap.MADV_DONTNEED)
+        return found

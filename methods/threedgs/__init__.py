@@ -1,0 +1,1 @@
+"""Method 3dgs: 3D Gaussian Splatting (Kerbl et al. 2023)."""

@@ -1,0 +1,1 @@
+"""Training: the loop, the optimiser, density control, schedules and what training starts from."""

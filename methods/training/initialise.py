@@ -1,0 +1,143 @@
+"""Gaussians from structure-from-motion points."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from splatbench.base.errors import DataError
+from splatbench.methods.run import Run
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.dense_points import with_dense_points
+from splatbench.reference.rasterizer.spherical_harmonics import C0
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene, SparsePoints
+
+NEIGHBOURS = 3
+RANDOM_DEPTHS = (0.1, 10.0)
+"""Depths of random points, in extents of the scene."""
+LEAST_SQUARED = 1e-7
+"""Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
+
+
+def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tensor, " n"]:
+    """Root of the mean squared distance to the 3 nearest other points, at least sqrt(1e-7).
+
+    With fewer than 4 points all others are taken.
+
+    Args:
+        points: Positions in scene units; computed in float64, so UTM-sized ones are safe.
+        lone: What a single point gets, in scene units.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.1, and its release (mean of the
+        squared distances, not squared mean; the release leaves 1e18 with fewer than 4 points).
+    """
+    others = min(NEIGHBOURS, len(points) - 1)
+    if others < 1:
+        return torch.full((len(points),), lone, dtype=torch.float64)
+    positions = points.double().numpy()
+    distances, _ = KDTree(positions).query(positions, k=others + 1)  # the first is itself
+    squared = np.maximum((distances[:, 1:] ** 2).mean(axis=1), LEAST_SQUARED)
+    return torch.from_numpy(np.sqrt(squared))
+
+
+def extent(scene: Scene) -> float:
+    """Size of the scene: 1.1 times the largest distance of a training camera to their mean.
+
+    Where all training cameras share one centre, 1.1 times the median distance of the points to it.
+    Scene units.
+
+    Source: the 3DGS release; one centre: ours (its value 0 would freeze all positions).
+    """
+    centres = torch.stack([view.camera.centre.double() for view in scene.train_views])
+    middle = centres.mean(dim=0)
+    radius = float((centres - middle).norm(dim=1).max())
+    if radius == 0 and len(scene.points):
+        radius = float((scene.points.positions.double() - middle).norm(dim=1).median())
+    return 1.1 * radius
+
+
+def with_points(scene: Scene, settings: Settings, run: Run) -> Scene:
+    """The scene with the points that training starts from, as the settings say."""
+    scene = with_random_points(scene, settings.random_points, run.seed)
+    if settings.dense_cell:
+        scene = with_dense_points(scene, settings.dense_cell, run.image_bytes)
+    return scene
+
+
+def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
+    """The scene with points drawn at random where it has none; a scene with points as it is.
+
+    A point lies on the ray through a uniform place in the image of a uniform training camera, at a
+    depth that is log-uniform from 0.1 to 10 extents; colours are uniform. Every point is in sight,
+    whether cameras look inwards, ahead or down, near or far for how they are spread; its track is
+    the one view that it was drawn in.
+
+    Args:
+        scene: Its points are looked at first.
+        count: Points to draw; 0 leaves the scene alone.
+        seed: Of the draw.
+
+    Source: ours; gsplat and the release's Blender scenes draw from a cube, which holds what
+        cameras look at only where they stand around it.
+    """
+    if len(scene.points) or not count or not scene.train:
+        return scene
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.rand(count, 3, generator=generator).double()
+    chosen = torch.randint(0, len(scene.train), (count,), generator=generator)
+    cameras = [view.camera for view in scene.train_views]
+    sizes = torch.tensor([[camera.width, camera.height] for camera in cameras]).double()
+    pixels = torch.cat([draws[:, :2] * sizes[chosen], torch.ones(count, 1)], dim=1)
+    near, far = (math.log(factor * max(extent(scene), 1e-6)) for factor in RANDOM_DEPTHS)
+    depth = (near + (far - near) * draws[:, 2:]).exp()
+    to_ray = torch.stack([camera.K.double().inverse() for camera in cameras])[chosen]
+    pose = torch.stack([camera.world_to_camera.double() for camera in cameras])[chosen]
+    local = depth * torch.einsum("nij,nj->ni", to_ray, pixels) - pose[:, :3, 3]
+    positions = torch.einsum("nji,nj->ni", pose[:, :3, :3], local)
+    return replace(
+        scene,
+        points=SparsePoints(
+            positions=positions,
+            colours=torch.randint(0, 256, (count, 3), generator=generator, dtype=torch.uint8),
+            track_starts=torch.arange(count + 1),
+            track_views=torch.tensor(scene.train, dtype=torch.int64)[chosen],
+        ),
+    )
+
+
+def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
+    """One isotropic Gaussian for each sparse point: its colour as SH DC, identity rotation.
+
+    Args:
+        scene: With sparse points.
+        degree: Degree of the spherical harmonics, 0 to 3; higher bands start at 0.
+        opacity: In (0, 1).
+
+    Raises: DataError if there is no point or no training view.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.1.
+    """
+    if not scene.train:
+        raise DataError(f"scene {scene.name!r}: no training views. Expected at least one")
+    count = len(scene.points)
+    if count == 0:
+        raise DataError(
+            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
+            "reconstruct the scene again with more overlapping photos (`bench ingest`), or set "
+            "random_points to start from points drawn at random"
+        )
+    distance = neighbour_distance(scene.points.positions, lone=0.01 * extent(scene))
+    sh = torch.zeros(count, (degree + 1) ** 2, 3)
+    sh[:, 0] = (scene.points.colours.float() / 255 - 0.5) / C0
+    return Gaussians(
+        means=scene.points.positions.float(),
+        quaternions=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        log_scales=distance.log().float()[:, None].repeat(1, 3),
+        opacity_logits=torch.full((count,), opacity).logit(),
+        sh=sh,
+    )

@@ -1,0 +1,1 @@
+"""How results are compared: measures of agreement, and where correct results may differ."""

@@ -1,0 +1,1 @@
+"""What is stored of a model: spectra, gates, codes and the file."""

@@ -1,0 +1,1 @@
+"""StratoSplat: layered depth memory, depth adaptation and neural multi-plane Gaussians."""

@@ -1,0 +1,205 @@
+"""Sequential depth adaptation: each view's depth is denoised under the memory of the earlier ones."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from splatbench.reference.layered_memory import layered_depth
+from splatbench.reference.layered_memory.layered_depth import LayeredDepth
+from splatbench.reference.supervision.side_views import unproject
+from splatbench.reference.types.camera import Camera, project_points
+
+
+@runtime_checkable
+class DepthDenoiser(Protocol):
+    """A depth model that predicts in steps, so that guidance can act between them."""
+
+    steps: int
+
+    def encode(
+        self, image: Float[Tensor, "h w 3"], generator: torch.Generator
+    ) -> Float[Tensor, "..."]:
+        """Return the noisy latent that denoising starts from."""
+        ...
+
+    def denoise(
+        self, latent: Float[Tensor, "..."], image: Float[Tensor, "h w 3"], step: int
+    ) -> Float[Tensor, "..."]:
+        """Return the clean latent as estimated at this step; differentiable by the latent."""
+        ...
+
+    def decode(self, latent: Float[Tensor, "..."]) -> Float[Tensor, "h w"]:
+        """Return the depth in [0, 1] of a clean latent; differentiable."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptationSettings:
+    """How strongly and how long the geometry pulls on the prediction."""
+
+    visible_weight: float = 0.1
+    """lambda_vis (paper, Sec. 4)."""
+    guidance_steps: int = 20
+    """Optimiser steps at each denoising step (ours; the paper names none)."""
+    learning_rate: float = 0.2
+    """Adam, for the latent, a and b."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SparseDepths:
+    """Depths of SfM points in one view."""
+
+    rows: Int[Tensor, " n"]
+    columns: Int[Tensor, " n"]
+    depths: Float[Tensor, " n"]
+
+
+def sparse_depths(camera: Camera, points: Float[Tensor, "n 3"]) -> SparseDepths:
+    """z-depths of the points that land in the image, at the pixel they land in."""
+    at, z = project_points(camera, points)
+    size = at.new_tensor([camera.width, camera.height])
+    inside = (z > camera.near) & (at >= 0).all(dim=1) & (at < size).all(dim=1)
+    column, row = at[inside].long().unbind(dim=1)
+    return SparseDepths(rows=row, columns=column, depths=z[inside])
+
+
+TRUSTED = 0.3
+"""Correlation of prediction and sparse depths from which a fitted scale is believed."""
+
+
+def align(
+    prediction: Float[Tensor, "h w"], sparse: SparseDepths
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """Scale and shift (a, b) that take the prediction in [0, 1] to the sparse depths.
+
+    Least squares, where prediction and depths agree at all (correlation >= 0.3). A prediction that
+    does not vary over the points, or contradicts them, says nothing about the scale: it is then
+    given the points' own range, b = min and a = max - min; with fewer than two distinct depths a
+    is 1 and b the mean difference; without any point (1, 0). So a is never negative: that would
+    turn the depth inside out.
+
+    Source: StratoSplat, Sec. 3.2 (learnable scale-shift); the start and its fallbacks: ours.
+    """
+    one = prediction.new_ones(())
+    if not len(sparse.depths):
+        return one, prediction.new_zeros(())
+    here = prediction[sparse.rows, sparse.columns]
+    depths = sparse.depths.to(prediction)
+    x, y = here - here.mean(), depths - depths.mean()
+    power = (x * x).sum() * (y * y).sum()
+    varies = power > 1e-24 * len(here) ** 2
+    if varies and (x * y).sum() >= TRUSTED * power.sqrt():
+        a = (x * y).sum() / (x * x).sum()
+        return a, depths.mean() - a * here.mean()
+    spread = depths.amax() - depths.amin()
+    if spread > 0:
+        return spread, depths.amin()
+    return one, depths.mean() - here.mean()
+
+
+def guidance_loss(
+    depth: Float[Tensor, "h w"],
+    sparse: SparseDepths,
+    guide: Float[Tensor, "h w"],
+    visible: Bool[Tensor, "h w"],
+    visible_weight: float,
+) -> Float[Tensor, ""]:
+    """L = sum_sparse |D - d_sfm| + lambda_vis |(D - D_guide) M_vis|_1, in scene units.
+
+    Args:
+        depth: Aligned prediction a D + b.
+        guide: Guide depth of the memory; only read where visible.
+
+    Source: StratoSplat, Eqs. 3 and 4.
+    """
+    at_points = depth[sparse.rows, sparse.columns] - sparse.depths.to(depth)
+    at_guide = torch.where(visible, depth - guide.to(depth), 0)
+    return at_points.abs().sum() + visible_weight * at_guide.abs().sum()
+
+
+def adapt_view(
+    denoiser: DepthDenoiser,
+    image: Float[Tensor, "h w 3"],
+    sparse: SparseDepths,
+    guide: Float[Tensor, "h w"],
+    visible: Bool[Tensor, "h w"],
+    settings: AdaptationSettings,
+    generator: torch.Generator,
+) -> Float[Tensor, "h w"]:
+    """z-depth of one view: at every denoising step latent, a and b follow the guidance loss.
+
+    Source: StratoSplat, Sec. 3.2, "Sequential Depth Adaptation".
+    """
+    latent = denoiser.encode(image, generator)
+    with torch.no_grad():
+        a, b = align(denoiser.decode(denoiser.denoise(latent, image, 0)), sparse)
+    log_scale, shift = a.log(), b
+    for step in range(denoiser.steps):
+        free = [value.clone().requires_grad_() for value in (latent, log_scale, shift)]
+        optimiser = torch.optim.Adam(free, lr=settings.learning_rate)
+        for _ in range(settings.guidance_steps):
+            optimiser.zero_grad()
+            clean = denoiser.decode(denoiser.denoise(free[0], image, step))
+            depth = free[1].exp() * clean + free[2]
+            guidance_loss(depth, sparse, guide, visible, settings.visible_weight).backward()
+            optimiser.step()
+        with torch.no_grad():
+            latent = denoiser.denoise(free[0], image, step)
+            log_scale, shift = free[1].detach(), free[2].detach()
+    return (log_scale.exp() * denoiser.decode(latent) + shift).detach()
+
+
+def adapt_all(
+    denoiser: DepthDenoiser,
+    cameras: list[Camera],
+    images: list[Float[Tensor, "h w 3"]],
+    points: Float[Tensor, "n 3"],
+    seen: Bool[Tensor, "v n"],
+    order: list[int],
+    memory: LayeredDepth,
+    settings: AdaptationSettings,
+    generator: torch.Generator,
+    report: Callable[[int], None] = lambda view: None,
+) -> tuple[LayeredDepth, dict[int, Float[Tensor, "h w"]]]:
+    """Adapt the views in order; each one's depth enters the memory that guides the next.
+
+    Args:
+        seen: Which view's track holds which point.
+        order: Indices of the views, first to last.
+        memory: LDI that holds the sparse points, or is empty.
+        report: Called with each view's index when it is done.
+
+    Returns: The final memory, whose layers are P_dense, and each view's z-depth.
+    """
+    depths = {}
+    for view in order:
+        camera, image = cameras[view], images[view]
+        guide, visible = layered_depth.render(memory, camera)
+        sparse = sparse_depths(camera, points[seen[view]])
+        depth = adapt_view(denoiser, image, sparse, guide, visible, settings, generator)
+        depths[view] = depth
+        in_front = depth.reshape(-1) > camera.near
+        memory = layered_depth.insert(
+            memory, unproject(camera, depth)[in_front], image.reshape(-1, 3)[in_front]
+        )
+        report(view)
+    return memory, depths
+
+
+def order_by_coverage(seen: Bool[Tensor, "v n"]) -> list[int]:
+    """Views with the most SfM points first; ties by index."""
+    return torch.sort(seen.sum(dim=1), descending=True, stable=True).indices.tolist()
+
+
+def order_by_distance(centres: Float[Tensor, "v 3"], reference: Float[Tensor, "3"]) -> list[int]:
+    """Views nearest to the reference camera first; ties by index."""
+    return torch.sort((centres - reference).norm(dim=1), stable=True).indices.tolist()
+
+
+def order_at_random(count: int, generator: torch.Generator) -> list[int]:
+    """A random order, as the paper's Table 4 compares with."""
+    return torch.randperm(count, generator=generator).tolist()

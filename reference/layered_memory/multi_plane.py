@@ -1,0 +1,181 @@
+"""Neural multi-plane Gaussians: virtual Gaussians where camera rays meet a stack of planes."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatbench.reference.rasterizer import rasterize, spherical_harmonics
+from splatbench.reference.types.camera import Camera
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.render import RenderOutput
+
+BIAS_NEAR, BIAS_FAR = -4.6, 1.4
+"""Opacity logits added at a ray's nearest and farthest hit (paper, Sec. 4): 0.01 and 0.80."""
+PARALLEL = 1e-6
+"""Rays with |n . d| at or below this never meet a plane."""
+UNIQUE = 1e-6
+"""The smallest singular value must lie below the next by this share of the largest."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaneStack:
+    """K parallel planes n . p + d_k = 0, fixed, shared by all views."""
+
+    normal: Float[Tensor, "3"]
+    """Unit vector, on the side of up."""
+    offsets: Float[Tensor, " k"]
+    """d_k in scene units."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hits:
+    """Where rays meet planes; entries that are not valid hold finite numbers without meaning."""
+
+    positions: Float[Tensor, "r k 3"]
+    distances: Float[Tensor, "r k"]
+    """t_k along the unit ray, scene units."""
+    valid: Bool[Tensor, "r k"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VirtualGaussians:
+    """Activated values, as a rasterizer takes them."""
+
+    means: Float[Tensor, "n 3"]
+    quaternions: Float[Tensor, "n 4"]
+    scales: Float[Tensor, "n 3"]
+    opacities: Float[Tensor, " n"]
+    colours: Float[Tensor, "n 3"]
+
+
+def plane_normal(points: Float[Tensor, "n 3"], up: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
+    """Direction of least variance of the cloud: last right singular vector of P - mean(P).
+
+    Args:
+        points: Dense cloud in scene units.
+        up: Any vector on the upper side; it fixes the sign.
+
+    Raises: ValueError if the smallest singular value is not unique (fewer than three points, a
+        line, a sphere): the caller then has to choose a direction, usually up itself.
+
+    Source: StratoSplat, Sec. 3.3, "Plane-Based Gaussian Generation".
+    """
+    centred = points - points.mean(dim=0) if len(points) else points.new_zeros(1, 3)
+    _, values, axes = torch.linalg.svd(
+        torch.cat([centred, points.new_zeros(3, 3)]), full_matrices=False
+    )
+    if not values[1] - values[2] > UNIQUE * values[0]:
+        raise ValueError(
+            f"no unique direction of least variance: singular values {values.tolist()}"
+        )
+    return axes[2] * (1 if axes[2] @ up.to(axes) >= 0 else -1)
+
+
+def plane_stack(points: Float[Tensor, "n 3"], normal: Float[Tensor, "3"], count: int) -> PlaneStack:
+    """`count` planes at equal distances over the range of n . p; a single one in the middle.
+
+    Raises: ValueError if there is no point or no plane.
+
+    Source: StratoSplat, Sec. 3.3.
+    """
+    if count < 1 or not len(points):
+        raise ValueError(f"need at least one plane and one point: {count}, {len(points)}")
+    heights = points @ normal
+    low, high = heights.min(), heights.max()
+    steps = torch.linspace(0, 1, count).to(points) if count > 1 else points.new_tensor([0.5])
+    return PlaneStack(normal=normal, offsets=-(low + (high - low) * steps))
+
+
+def pixel_rays(camera: Camera, stride: int) -> Float[Tensor, "r 3"]:
+    """Unit world directions through the middle of every stride x stride cell of pixels."""
+    rows, columns = torch.meshgrid(
+        torch.arange(stride / 2, camera.height, stride),
+        torch.arange(stride / 2, camera.width, stride),
+        indexing="ij",
+    )
+    pixels = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1).reshape(-1, 3)
+    world = pixels.to(camera.K) @ torch.linalg.inv(camera.K).T @ camera.rotation
+    return world / world.norm(dim=1, keepdim=True)
+
+
+def ray_hits(
+    stack: PlaneStack, origin: Float[Tensor, "3"], directions: Float[Tensor, "r 3"], near: float
+) -> Hits:
+    """Hits t_k = -(n . o + d_k) / (n . d), kept where |n . d| > 1e-6 and t_k > near.
+
+    Args:
+        origin: Camera centre.
+        directions: Unit ray directions.
+        near: Hits at this distance or nearer are dropped. Scene units.
+
+    Source: StratoSplat, Sec. 3.3.
+    """
+    slope = directions @ stack.normal
+    meets = slope.abs() > PARALLEL
+    t = -(origin @ stack.normal + stack.offsets)[None] / torch.where(meets, slope, 1)[:, None]
+    valid = meets[:, None] & (t > near)
+    t = torch.where(valid, t, 0)
+    return Hits(positions=origin + t[..., None] * directions[:, None], distances=t, valid=valid)
+
+
+def opacity_bias(hits: Hits) -> Float[Tensor, "r k"]:
+    """Logit b(t), linear in the ray distance from -4.6 at a ray's nearest hit to 1.4 at its last.
+
+    The paper says "normalized by ray distance"; we normalise over each ray's own hits, so that
+    oblique rays start with a clear front too. A ray with a single hit gets the far value.
+
+    Source: StratoSplat, Sec. 3.3 and 4.
+    """
+    near = torch.where(hits.valid, hits.distances, torch.inf).amin(dim=1, keepdim=True)
+    far = torch.where(hits.valid, hits.distances, 0).amax(dim=1, keepdim=True)
+    spread = far - near
+    several = spread > 0
+    share = torch.where(several, (hits.distances - near) / torch.where(several, spread, 1), 1)
+    return torch.where(hits.valid, BIAS_NEAR + (BIAS_FAR - BIAS_NEAR) * share, 0)
+
+
+def virtual_gaussians(
+    outputs: Float[Tensor, "n 9"], hits: Hits, camera: Camera, stride: int
+) -> VirtualGaussians:
+    """Turn the field's nine numbers a hit into Gaussians: colour 3, opacity 1, scale 1, rotation 4.
+
+    Opacity is sigmoid(logit + b(t)). A zero scale output is as wide as the gap between rays at
+    that distance (ours: the paper leaves the activation open), so the start covers the image.
+
+    Args:
+        outputs: Field values at the n valid hits, in row-major order of (ray, plane).
+    """
+    spacing = hits.distances[hits.valid] * stride / float(camera.K[0, 0])
+    scale = outputs[:, 4].exp() * spacing
+    return VirtualGaussians(
+        means=hits.positions[hits.valid],
+        quaternions=outputs[:, 5:],
+        scales=scale[:, None].expand(-1, 3),
+        opacities=torch.sigmoid(outputs[:, 3] + opacity_bias(hits)[hits.valid]),
+        colours=torch.sigmoid(outputs[:, :3]),
+    )
+
+
+def render_joint(
+    camera: Camera,
+    explicit: Gaussians,
+    virtual: VirtualGaussians,
+    background: Float[Tensor, "3"] | None = None,
+) -> RenderOutput:
+    """Composite explicit and virtual Gaussians together in one depth order.
+
+    Source: StratoSplat, Sec. 3.3, "Joint Training".
+    """
+    towards = spherical_harmonics.directions_to(explicit.means, camera.centre)
+    seen = spherical_harmonics.colour(explicit.sh, towards)
+    return rasterize(
+        camera,
+        torch.cat([explicit.means, virtual.means]),
+        torch.cat([explicit.quaternions, virtual.quaternions]),
+        torch.cat([explicit.scales, virtual.scales]),
+        torch.cat([explicit.opacities, virtual.opacities]),
+        colours=torch.cat([seen, virtual.colours]),
+        background=background,
+    )

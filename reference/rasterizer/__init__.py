@@ -1,0 +1,1 @@
+"""The image that Gaussians define, step by step."""

@@ -1,0 +1,1 @@
+"""How trained blocks become one model."""

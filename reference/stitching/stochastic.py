@@ -1,0 +1,168 @@
+"""Stochastic interwoven stitching: blocks compete for the rims in which they overlap."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from splatbench.base.errors import UsageError
+from splatbench.reference.partition.boxes import Region
+
+RIM = 1.1
+"""Normalised distance up to which primitives compete; beyond it they are dropped."""
+CORE, COMPETITIVE, DROPPED = 0, 1, 2
+"""The three zones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StitchSettings:
+    """How blocks compete. The defaults are ours; `AS_RELEASED` are the authors' code's."""
+
+    neighbours: int = 5
+    """K in {2, 5, 11} in the paper: how many primitives speak for another block at a place."""
+    sharpness: float = 30.0
+    """eta >= 0: 0 keeps half of what competes, infinity is winner-takes-all."""
+    normalise: bool = True
+    """Divide Q, which has unit 1/length, by its median over all that competes."""
+    from_logits: bool = False
+    """Take the opacity LOGIT for alpha in Q."""
+    epsilon: float = 1e-12
+    """Added to the mean scale, in scene units."""
+    keep_unopposed: bool = True
+    """Keep what no other block reaches; else it competes with a score of 0."""
+
+
+AS_RELEASED = StitchSettings(normalise=False, from_logits=True, epsilon=1e-6, keep_unopposed=False)
+"""The authors' code: a negative logit (opacity under 1/2) turns the distance weight around."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainedBlock:
+    """What stitching needs to know of one trained block."""
+
+    box: Region
+    """Where it lies before the margin of training: an OrientedBox in the paper; any other shape
+    with a distance of its own competes alike."""
+    means: Float[Tensor, "n 3"]
+    opacity_logits: Float[Tensor, " n"]
+    log_scales: Float[Tensor, "n 3"]
+
+
+def zones(distances: Float[Tensor, " n"]) -> Int64[Tensor, " n"]:
+    """CORE where d <= 1, COMPETITIVE where 1 < d <= 1.1, DROPPED beyond.
+
+    Source: StitchGS, Sec. 3.2.3.
+    """
+    return (distances > 1).long() + (distances > RIM).long()
+
+
+def quality(block: TrainedBlock, settings: StitchSettings) -> Float64[Tensor, " n"]:
+    """Confidence Q(p) = opacity / (mean(exp(log_scale)) + eps), in 1 / scene units.
+
+    Source: StitchGS, Sec. 3.2.3.
+    """
+    logits = block.opacity_logits.double()
+    opacity = logits if settings.from_logits else torch.sigmoid(logits)
+    return opacity / (block.log_scales.double().exp().mean(dim=1) + settings.epsilon)
+
+
+def weight(distances: Float64[Tensor, " n"]) -> Float64[Tensor, " n"]:
+    """Decay over the rim: w(d) = max(0, 1.1 - d).
+
+    Source: StitchGS, Sec. 3.2.3.
+    """
+    return (RIM - distances).clamp(min=0)
+
+
+def nearest_mean(
+    at: Float64[Tensor, "m 3"], means: Float64[Tensor, "n 3"], values: Float64[Tensor, " n"], k: int
+) -> Float64[Tensor, " m"]:
+    """Mean of the values of the k nearest means, or of all n if there are fewer; n >= 1."""
+    count = min(k, len(means))
+    nearest = np.asarray(KDTree(means.numpy()).query(at.numpy(), k=count)[1], dtype=np.int64)
+    return values[torch.from_numpy(nearest).reshape(len(at), count)].mean(dim=1)
+
+
+def keep_probability(
+    own: Float64[Tensor, " n"], rival: Float64[Tensor, " n"], sharpness: float
+) -> Float64[Tensor, " n"]:
+    """P_keep = sigmoid(eta (S_self - max_j S_j)).
+
+    Source: StitchGS, Sec. 3.2.3.
+    """
+    return torch.sigmoid(sharpness * (own - rival))
+
+
+def keep_probabilities(
+    blocks: tuple[TrainedBlock, ...], settings: StitchSettings
+) -> tuple[Float64[Tensor, " _"], ...]:
+    """Probability with which each primitive of each block stays: 1 in the core, 0 beyond 1.1.
+
+    In between S_self = w(d_i(p)) Q(p) meets the strongest S_j = w(d_j(p)) mean Q(K nearest of
+    block j). Rivals are primitives of block j that are not dropped themselves. Where no other block
+    reaches (all w(d_j) are 0, or it has nothing there), the primitive is kept: the paper is silent,
+    and stitching must never open a hole.
+
+    Args:
+        blocks: All blocks; their order does not matter.
+        settings: How they compete.
+
+    Raises: UsageError for K < 1 or a sharpness that is negative or not finite.
+
+    Source: StitchGS, Sec. 3.2.3; unopposed primitives and normalised Q: ours (spec: SIS).
+    """
+    if settings.neighbours < 1 or not 0 <= settings.sharpness < float("inf"):
+        raise UsageError(f"{settings}: expected neighbours >= 1 and a finite sharpness >= 0")
+    distances = [block.box.distance(block.means.double()) for block in blocks]
+    qualities = [quality(block, settings) for block in blocks]
+    if settings.normalise:
+        rims = [q[zones(d) == COMPETITIVE] for q, d in zip(qualities, distances, strict=True)]
+        unit = torch.cat(rims).median() if sum(map(len, rims)) else torch.ones(())
+        qualities = [q / unit if unit > 0 else q for q in qualities]
+    alive = [zones(d) != DROPPED for d in distances]
+
+    result = []
+    for i, block in enumerate(blocks):
+        zone = zones(distances[i])
+        rim = (zone == COMPETITIVE).nonzero()[:, 0]
+        at = block.means[rim].double()
+        rival = at.new_full((len(at),), -torch.inf if settings.keep_unopposed else 0.0)
+        for j, other in enumerate(blocks):
+            reach = weight(other.box.distance(at))
+            near = (reach > 0).nonzero()[:, 0]
+            if j == i or len(near) == 0 or not bool(alive[j].any()):
+                continue
+            local = nearest_mean(
+                at[near],
+                other.means[alive[j]].double(),
+                qualities[j][alive[j]],
+                settings.neighbours,
+            )
+            rival[near] = rival[near].maximum(reach[near] * local)
+        own = weight(distances[i][rim]) * qualities[i][rim]
+        chance = keep_probability(own, rival, settings.sharpness)
+        probability = (zone == CORE).double()
+        probability[rim] = torch.where(rival.isneginf(), 1.0, chance)
+        result.append(probability)
+    return tuple(result)
+
+
+def stitch(
+    blocks: tuple[TrainedBlock, ...], settings: StitchSettings, generator: torch.Generator
+) -> tuple[Bool[Tensor, " _"], ...]:
+    """Which primitives of each block the merged model keeps: one Bernoulli draw each.
+
+    Numbers are drawn block by block in the order of the boxes' centres, so the order in which the
+    blocks are given does not matter.
+
+    Source: StitchGS, Sec. 3.2.3; order of the draws: ours.
+    """
+    probabilities = keep_probabilities(blocks, settings)
+    kept = [torch.zeros(0, dtype=torch.bool)] * len(blocks)
+    for i in sorted(range(len(blocks)), key=lambda i: blocks[i].box.centre.tolist()):
+        draw = torch.rand(len(probabilities[i]), generator=generator, dtype=torch.float64)
+        kept[i] = draw < probabilities[i]
+    return tuple(kept)

@@ -1,0 +1,1 @@
+"""Losses, depth terms, dense matches and side views that training is supervised by."""

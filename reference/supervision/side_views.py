@@ -1,0 +1,137 @@
+"""Side-view supervision: which photo guides a side view, where it counts, and its loss."""
+
+from typing import Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from splatbench.reference.supervision.losses import photometric
+from splatbench.reference.types.camera import Camera, project_points
+
+EVIDENCE = 2
+"""A pixel seen by this many training views is judged by them, not by a refiner."""
+SOLID = 0.9
+"""Rendered alpha from which a pixel counts as reconstructed."""
+OCCLUSION = 0.02
+"""Relative depth difference beyond which the reference photo sees something else."""
+
+
+@runtime_checkable
+class ViewRefiner(Protocol):
+    """Anything that turns a flawed side view into a plausible one: I_refined = M(I_render, I_ref).
+
+    Source: DPGS, Eq. 3.
+    """
+
+    def __call__(
+        self,
+        camera: Camera,
+        render: Float[Tensor, "h w 3"],
+        depth: Float[Tensor, "h w"],
+        reference_camera: Camera,
+        reference: Float[Tensor, "hr wr 3"],
+        reference_depth: Float[Tensor, "hr wr"],
+    ) -> Float[Tensor, "h w 3"]:
+        """Return the refined image in [0, 1]. Depths are rendered z-depths, 0 where empty."""
+        ...
+
+
+def is_side_view_step(step: int, steps: int, every: int) -> bool:
+    """Whether the loss applies: every n-th step from the half-way point on (paper: 20k of 40k)."""
+    return step >= steps // 2 and (step - steps // 2) % every == 0
+
+
+def nearest_photo(
+    shared: Float[Tensor, " v"],
+    forward: Float[Tensor, "v 3"],
+    side_forward: Float[Tensor, "3"],
+) -> int:
+    """Training view that shares most visible points with the side view; ties by view angle.
+
+    Args:
+        shared: Points that both the side view and each training view see.
+        forward: Unit view directions of the training views.
+        side_forward: Unit view direction of the side view.
+
+    Raises: ValueError if there is no training view.
+    """
+    if not len(shared):
+        raise ValueError("no training view to choose a reference from")
+    best = shared == shared.max()
+    return int(torch.where(best, forward @ side_forward, -torch.inf).argmax())
+
+
+def side_loss(
+    render: Float[Tensor, "h w 3"],
+    refined: Float[Tensor, "h w 3"],
+    alpha: Float[Tensor, "h w"],
+    seen_by: Float[Tensor, "h w"],
+    dssim: float = 0.2,
+) -> Float[Tensor, ""]:
+    """L_side = l1 |I_render - I_refined|_1 + l_ssim (1 - SSIM) where real evidence is missing.
+
+    Pixels that are solid (alpha >= 0.9) and seen by at least two training views are left to those
+    views. l1 = 1 - dssim and l_ssim = dssim, as in the main loss (the paper names no values).
+
+    Source: DPGS, Eq. 4; the mask: ours (spec).
+    """
+    proven = (alpha.detach() >= SOLID) & (seen_by >= EVIDENCE)
+    return photometric(render, refined.detach(), dssim=dssim, mask=~proven)
+
+
+def warp_and_fill(
+    camera: Camera,
+    render: Float[Tensor, "h w 3"],
+    depth: Float[Tensor, "h w"],
+    reference_camera: Camera,
+    reference: Float[Tensor, "hr wr 3"],
+    reference_depth: Float[Tensor, "hr wr"],
+) -> Float[Tensor, "h w 3"]:
+    """The refiner without learning: reference texture through rendered depth, holes inpainted.
+
+    A pixel takes the photo's colour where its surface lands inside the photo and the photo's own
+    rendered depth agrees within 2 %; it keeps the render where it has a surface that the photo
+    does not see; holes (depth 0) are filled by Telea inpainting.
+
+    Source: ours, the floor that learned refiners must beat.
+    """
+    world = unproject(camera, depth)
+    at, z = project_points(reference_camera, world)
+    sampled = _sample(reference, at)
+    known = _sample(reference_depth[..., None], at)[..., 0]
+    size = at.new_tensor([reference_camera.width, reference_camera.height])
+    inside = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > reference_camera.near)
+    agrees = ((known - z).abs() <= OCCLUSION * z) & inside & (depth.reshape(-1) > 0)
+    image = torch.where(agrees[:, None], sampled, render.detach().reshape(-1, 3).to(sampled))
+    return fill_holes(image.reshape(render.shape).to(render), depth <= 0)
+
+
+def fill_holes(image: Float[Tensor, "h w 3"], holes: Bool[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
+    """Inpaint the marked pixels (8-bit inside, so they carry 1/255 steps); others are untouched."""
+    bytes_ = (image.clamp(0, 1) * 255).round().byte().numpy()
+    filled = cv2.inpaint(bytes_, holes.numpy().astype(np.uint8), 3, cv2.INPAINT_TELEA)
+    return torch.where(holes[..., None], torch.from_numpy(filled).to(image) / 255, image)
+
+
+def unproject(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "n 3"]:
+    """World points of a z-depth map, row-major."""
+    rows, columns = torch.meshgrid(
+        torch.arange(camera.height), torch.arange(camera.width), indexing="ij"
+    )
+    pixels = torch.stack([columns + 0.5, rows + 0.5, torch.ones_like(rows)], dim=-1).reshape(-1, 3)
+    cam = pixels.to(camera.K) @ torch.linalg.inv(camera.K).T * depth.reshape(-1, 1).to(camera.K)
+    return (cam - camera.translation) @ camera.rotation
+
+
+def _sample(image: Float[Tensor, "h w c"], at: Float[Tensor, "n 2"]) -> Float[Tensor, "n c"]:
+    """Bilinear values at pixel positions; border values outside."""
+    size = at.new_tensor([image.shape[1], image.shape[0]])
+    place = (2 * at / size - 1)[None, :, None]
+    planes = image.permute(2, 0, 1)[None].to(at)
+    return functional.grid_sample(planes, place, padding_mode="border", align_corners=False)[
+        0, :, :, 0
+    ].T

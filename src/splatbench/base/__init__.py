@@ -1,0 +1,1 @@
+"""Plumbing that every room may use and that imports no room: errors, files, names, processes."""

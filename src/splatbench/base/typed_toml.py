@@ -1,0 +1,81 @@
+"""TOML tables as dataclasses: strict types, unknown keys refused with the nearest name."""
+
+import dataclasses
+import json
+import tomllib
+import typing
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from types import GenericAlias
+from typing import Any, TypeVar
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from splatbench.base.errors import SplatbenchError, UsageError
+
+T = TypeVar("T")
+STRICT = ConfigDict(extra="forbid", strict=True)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises: UsageError naming the file when it is missing, not text or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise UsageError(f"{path}: not TOML: {error}") from None
+
+
+def build(kind: type[T], table: Mapping[str, object], where: str) -> T:
+    """`table` as the dataclass `kind`, nested ones included; only whole numbers become floats.
+
+    Args:
+        kind: Frozen dataclass of plain types, tuples, dicts, unions and such dataclasses.
+        table: As read from TOML.
+        where: File and place in it, for errors.
+    Raises: UsageError naming the key, what was found and what was expected.
+    """
+    try:
+        # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1. A tuple around
+        # `kind`, because pydantic lets only what is not a dataclass itself take a configuration.
+        text = json.dumps([table], default=str)
+        around: Any = GenericAlias(tuple, (kind,))
+        return TypeAdapter(around, config=STRICT).validate_json(text)[0]
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise UsageError(_told(kind, first["loc"][1:], dict(first), where)) from None
+    except SplatbenchError as error:  # the dataclass checks its own values
+        raise UsageError(f"{where}: {error}") from None
+
+
+def unknown(where: str, name: str, known: Iterable[str]) -> UsageError:
+    """The error for a name that does not exist: the nearest one and all there are."""
+    names = sorted(known)
+    near = get_close_matches(name, names, n=1, cutoff=0.5)
+    hint = f", did you mean {near[0]!r}?" if near else "."
+    return UsageError(f"{where}: unknown {name!r}{hint} There are: {', '.join(names) or 'none'}")
+
+
+def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:
+    if fault["type"] == "unexpected_keyword_argument":
+        owner = ".".join([where, *map(str, place[:-1])])
+        return str(unknown(owner, str(place[-1]), _keys_at(kind, place[:-1])))
+    key = ".".join(map(str, place)) or "file"
+    if fault["type"] == "missing":
+        return f"{where}: {key} is missing"
+    return f"{where}: {key}: {fault['msg']}, found {fault['input']!r}"
+
+
+def _keys_at(kind: Any, place: tuple[int | str, ...]) -> list[str]:
+    """Names of the fields of the dataclass at a place inside `kind`."""
+    for step in place:
+        if dataclasses.is_dataclass(kind):
+            kind = typing.get_type_hints(kind)[str(step)]
+        else:  # tuple[X, ...] or dict[str, X]
+            kind = next(part for part in typing.get_args(kind) if dataclasses.is_dataclass(part))
+    return [field.name for field in dataclasses.fields(kind)]

@@ -1,0 +1,225 @@
+"""Run one case: open the scene, train or continue, save, score, and write the record."""
+
+import json
+import shutil
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from splatbench.base.errors import SplatbenchError
+from splatbench.base.files import write_text
+from splatbench.base.folders import SUFFIX, new_folder
+from splatbench.base.memory import peak_memory_mb
+from splatbench.datasets.opening import open_scene
+from splatbench.methods.city.model import CityModel
+from splatbench.methods.models.explicit import load_reconstruction
+from splatbench.methods.registry import get_method
+from splatbench.methods.run import Run
+from splatbench.methods.training.loop import threads
+from splatbench.metrics.registry import load_weights
+from splatbench.metrics.scoring import scene_metrics
+from splatbench.reference.types.result import Result
+from splatbench.reference.types.scene import Scene
+from splatbench.suites import case_costs as measure
+from splatbench.suites.environment import environment
+from splatbench.suites.held_out import score_views, scored_views
+from splatbench.suites.records import RECORD_NAME, write_record
+from splatbench.suites.scene_scores.city_scores import city_scores
+from splatbench.suites.scene_scores.true_geometry import geometry_metrics
+from splatbench.suites.suite_files import Case, case_key
+from splatbench.suites.training_curve import Curve
+
+CHECKPOINT_SECONDS = 15.0
+"""A kill loses at most this much training."""
+OURS = (
+    RECORD_NAME, "case.json", "trained.json", "curve.jsonl", "failure.txt",
+    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
+)  # fmt: skip
+"""Everything that a case leaves in its folder."""
+
+Tell = Callable[[str, int, int, dict[str, float]], None]
+"""tell(stage, step, total, values): where a case is; step and total are 0 outside training."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A case and everything around it that running it takes. Can be sent to another process."""
+
+    case: Case
+    suite: str
+    suite_scenes: tuple[str, ...]
+    folder: Path
+    """Of the case."""
+    backend: str = "cpu"
+    threads: int | None = None
+    resume: bool = True
+    """False: what is in the folder is removed first."""
+    workers: int = 1
+    """Blocks of a city that are trained at the same time."""
+    engine: str = "processes"
+    """Where they are trained."""
+    cache: Path | None = None
+    """Where cases of one suite and the same data share trained blocks; None: they do not."""
+    data: dict[str, str] = field(default_factory=dict)
+    """Facts of the scene's files, for the record; nothing that was made of others is continued."""
+
+    @property
+    def key(self) -> str:
+        """What a record or checkpoint must have been made of to count for this job."""
+        return case_key(self.case, self.backend)
+
+
+@dataclass
+class Spent:
+    """What a case has cost so far."""
+
+    stages: dict[str, float] = field(default_factory=dict)
+    cpu_seconds: float = 0.0
+    peak_memory_mb: float = 0.0
+
+
+def run_case(job: Job, tell: Tell) -> None:
+    """Run a case to its record.json; a failure is recorded too, with its reason in one line.
+
+    A folder of other settings or data is emptied first; one of these is continued: from the
+    saved model if training had ended, else from the method's last checkpoint.
+    """
+    try:
+        with threads(job.threads):
+            _prepare(job)
+            _run(job, tell)
+    except Exception as error:  # noqa: BLE001 (whatever a method raises, the other cases go on)
+        write_text(job.folder / "failure.txt", traceback.format_exc())
+        write_record(job.folder, failed_result(job, reason_of(error)))
+
+
+def reason_of(error: BaseException) -> str:
+    """One line that says why a case failed."""
+    line = " ".join(str(error).split())
+    return line if isinstance(error, SplatbenchError) else f"{type(error).__name__}: {line}"
+
+
+def failed_result(job: Job, reason: str) -> Result:
+    """The record of a case without numbers."""
+    return Result(
+        **_identity(job), images=(), metrics={}, stages={}, cpu_seconds=0.0, peak_memory_mb=0.0,
+        primitives=0, bytes_on_disk=0, render_ms=float("nan"), split_sha256="", model_sha256="",
+        error=reason,
+    )  # fmt: skip
+
+
+def clear(folder: Path) -> None:
+    """Remove everything that a case leaves in its folder, and nothing else."""
+    for name in OURS:
+        for path in (folder / name, folder / (name + SUFFIX)):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+
+
+def _prepare(job: Job) -> None:
+    """Leave in the folder only what belongs to this very case, and no record."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    path = job.folder / "case.json"
+    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
+    text = json.dumps(made_of) + "\n"
+    same = path.exists() and path.read_text(encoding="utf-8") == text
+    if not (same and job.resume):
+        clear(job.folder)
+        write_text(path, text)
+    for name in (RECORD_NAME, "failure.txt"):
+        (job.folder / name).unlink(missing_ok=True)
+
+
+def _run(job: Job, tell: Tell) -> None:
+    weights = load_weights(job.case.protocol.metrics)
+    curve, spent = Curve(job.folder / "curve.jsonl"), Spent()
+    tell("load", 0, 0, {})
+    with measure.timed(spent.stages, "load"):
+        scene = open_scene(job.case.scene, job.case.protocol)
+        scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
+    done = job.folder / "trained.json"
+    if not done.exists():
+        _train(job, scene, curve, spent, tell)
+        spent.cpu_seconds, spent.peak_memory_mb = curve.spent()
+        write_text(done, json.dumps(asdict(spent)))
+    before = Spent(**json.loads(done.read_text(encoding="utf-8")))
+    shutil.rmtree(job.folder / "checkpoint", ignore_errors=True)
+    tell("score", 0, 0, {})
+    started = measure.cpu_seconds()
+    # What is scored is what lies on disk, so a continued case and an undisturbed one agree.
+    model = load_reconstruction(job.folder / "model", backend=job.backend)
+    with measure.timed(before.stages, "score"):
+        images, render_ms = score_views(scene, model, job.case.protocol, job.folder)
+        means = scene_metrics(images) | geometry_metrics(scene, model)
+        if isinstance(model, CityModel):
+            images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
+            means |= extra
+    identity = _identity(job)
+    identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
+    result = Result(
+        **identity,
+        images=images,
+        metrics=means,
+        stages=before.stages,
+        cpu_seconds=before.cpu_seconds + measure.cpu_seconds() - started,
+        peak_memory_mb=max(before.peak_memory_mb, peak_memory_mb()),
+        primitives=model.primitives,
+        bytes_on_disk=measure.bytes_on_disk(job.folder / "model"),
+        render_ms=render_ms,
+        split_sha256=measure.split_sha256(scene),
+        model_sha256=measure.arrays_sha256(job.folder / "model"),
+        curve=curve.points(),
+        scene_facts=scene.facts | job.data,
+        left_out=scene.left_out,
+    )
+    write_record(job.folder, result)
+
+
+def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> None:
+    """Fit the method, or continue it, and save the model."""
+    method = get_method(job.case.method)
+
+    def report(step: int, total: int, values: dict[str, float]) -> None:
+        curve.add(step, total, values)
+        tell("train", step, total, values)
+
+    tell("init", 0, 0, {})
+    model = method.fit(
+        scene,
+        job.case.settings,
+        Run(
+            folder=job.folder,
+            seed=job.case.seed,
+            backend=job.backend,
+            threads=job.threads,
+            background=job.case.protocol.background,
+            report=report,
+            on_stage=spent.stages.__setitem__,
+            checkpoint_seconds=CHECKPOINT_SECONDS,
+            workers=job.workers,
+            engine=job.engine,
+            cache=job.cache,
+        ),
+    )
+    tell("save", 0, 0, {})
+    with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
+        model.save(folder)
+
+
+def _identity(job: Job) -> dict:
+    """The fields that a result has before anything has run."""
+    return {
+        "suite": job.suite,
+        "suite_scenes": job.suite_scenes,
+        "scene": job.case.scene_name,
+        "method": job.case.method,
+        "variant": job.case.variant,
+        "seed": job.case.seed,
+        "protocol": job.case.protocol.name,
+        "protocol_rules": asdict(job.case.protocol),
+        "settings": asdict(job.case.settings),
+        "environment": environment(job.backend),
+    }

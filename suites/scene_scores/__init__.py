@@ -1,0 +1,1 @@
+"""What a model is scored on beside the pixels of its test views: seams, balance, true geometry."""

@@ -1,0 +1,33 @@
+"""How evenly a model's blocks shared the work."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from splatbench.methods.city.train_block import BlockFacts
+from splatbench.metrics.balance import spread
+
+FIELDS = {
+    "load": "load",
+    "views": "views",
+    "points": "points",
+    "primitives": "primitives",
+    "seconds": "seconds",
+    "memory": "peak_mb",
+}
+"""Name in metrics: field of BlockFacts."""
+
+
+def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:
+    """<what>_std_over_mean and <what>_max_over_mean over blocks, for all that FIELDS names.
+
+    Args:
+        blocks: One a block; what is 0 in all of them (never measured) is left out.
+    """
+    found = {}
+    for name, field in FIELDS.items():
+        values = np.array([getattr(block, field) for block in blocks], dtype=float)
+        if values.any():
+            std, most = spread(values)
+            found |= {f"{name}_std_over_mean": std, f"{name}_max_over_mean": most}
+    return found

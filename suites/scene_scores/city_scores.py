@@ -1,0 +1,37 @@
+"""What a model of blocks is scored on beyond any other: its seams and how its blocks shared the work."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from splatbench.methods.city.model import CityModel
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import ImageScore
+from splatbench.reference.types.scene import Scene
+from splatbench.suites.scene_scores.block_balance import balance_metrics
+from splatbench.suites.scene_scores.seams import score_seams
+
+
+def city_scores(
+    scene: Scene,
+    model: CityModel,
+    protocol: Protocol,
+    images: tuple[ImageScore, ...],
+    folder: Path,
+) -> tuple[tuple[ImageScore, ...], dict[str, float]]:
+    """The images' scores with their seam metrics, and the scene's: seams, balance, packed bytes.
+
+    The scene's seam metrics pool the seam pixels of all test views, as the paper defines them; they
+    are not means of the images' values, of which those without a seam pixel are nan.
+
+    Args:
+        scene: With test views.
+        model: Of blocks.
+        protocol: The rules.
+        images: What all methods are scored on.
+        folder: Of the case; see `score_seams` for the pictures.
+    """
+    views, whole = score_seams(scene, model, protocol, model.backend, folder)
+    scored = tuple(replace(one, metrics=one.metrics | views[one.name]) for one in images)
+    if model.packed is not None:
+        whole["packed_bytes"] = float(len(model.packed))
+    return scored, whole | balance_metrics(model.block_facts)

@@ -1,0 +1,128 @@
+"""Seams of a model that was made of blocks, scored view by view on the partition's own mask."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol as Shape
+from typing import runtime_checkable
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from splatbench.base.folders import new_folder
+from splatbench.methods.backends import get_backend
+from splatbench.methods.kernels import blocks as kernels
+from splatbench.metrics.scoring import round_to_8_bit
+from splatbench.metrics.seam import SeamView, seam_scores, seam_sums
+from splatbench.metrics.seam_partition import partition_seam_mask
+from splatbench.metrics.seam_render import render_seam_view
+from splatbench.reference.partition.boxes import Region
+from splatbench.reference.rasterizer.rasterize import Mode
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.protocol import Protocol
+from splatbench.reference.types.result import picture_name
+from splatbench.reference.types.scene import Scene
+from splatbench.suites.held_out import write_png
+from splatbench.suites.scene_scores.surface import surface_depth
+
+COLOURS = (
+    (68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68),
+    (102, 204, 238), (170, 51, 119), (187, 187, 187), (90, 60, 30),
+)  # fmt: skip
+"""sRGB of blocks in pictures; block k has colour k modulo their number."""
+
+
+@runtime_checkable
+class Blocked(Shape):
+    """A reconstruction whose Gaussians belong to the blocks of a partition."""
+
+    @property
+    def blocks(self) -> Int[Tensor, " n"]:
+        """Block of each Gaussian."""
+        ...
+
+    @property
+    def distances(self) -> Float[Tensor, " n"]:
+        """Normalised distance of each Gaussian to its own block's region."""
+        ...
+
+    @property
+    def regions(self) -> Sequence[Region]:
+        """Of the partition's blocks, in the scene's frame."""
+        ...
+
+    @property
+    def mode(self) -> Mode:
+        """How the model is rasterized."""
+        ...
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians, in the scene's frame."""
+        ...
+
+
+def score_seams(
+    scene: Scene, model: Blocked, protocol: Protocol, backend: str, folder: Path
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """The four seam metrics of every test view, and over the seam pixels of all of them together.
+
+    Writes seams/ (the render, seam pixels in red) and blocks/ (each pixel in the colours of the
+    blocks that it is composited from, in their shares) as PNGs named after the views.
+
+    Args:
+        scene: With test views.
+        model: What is scored.
+        protocol: Its background, rounding and mask are applied as for every other metric.
+        backend: Name of the rasterizer.
+        folder: Of the case.
+    Returns: View name to its metrics, and the scene's. nan where no seam pixel is.
+    """
+    views, sums = {}, []
+    with new_folder(folder / "seams") as masks, new_folder(folder / "blocks") as coloured:
+        for index in sorted(scene.test, key=lambda i: scene.views[i].name):
+            view = scene.views[index]
+            seen = seam_view(scene, index, model, protocol, backend)
+            sums.append(seam_sums(seen))
+            views[view.name] = seam_scores([sums[-1]]).values
+            name = picture_name(view.name)
+            write_png(masks / name, mask_picture(seen.image, seen.seam))
+            write_png(coloured / name, block_picture(seen.block_weights))
+    return views, seam_scores(sums).values
+
+
+def seam_view(
+    scene: Scene, index: int, model: Blocked, protocol: Protocol, backend: str
+) -> SeamView:
+    """One test view with the partition's seam mask; masked pixels of the view are on no seam."""
+    view = scene.views[index]
+    native = backend == "cpu"
+    seen = render_seam_view(
+        partial(get_backend(backend).rasterize, mode=model.mode), view.camera, model.gaussians(),
+        model.blocks, model.distances, view.load(), torch.tensor(protocol.background),
+        render_blocks=partial(kernels.render_blocks, mode=model.mode) if native else None,
+        block_weights=partial(kernels.block_weights, mode=model.mode) if native else None,
+    )  # fmt: skip
+    seam = partition_seam_mask(view.camera, surface_depth(scene, index), model.regions)
+    if view.load_mask is not None and protocol.masked:
+        seam &= view.load_mask()
+    return replace(seen, seam=seam, image=round_to_8_bit(seen.image, protocol.rounding))
+
+
+def mask_picture(
+    image: Float[Tensor, "h w 3"], seam: Bool[Tensor, "h w"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image with the seam's pixels half red."""
+    red = torch.tensor([1.0, 0.0, 0.0])
+    shown = torch.where(seam[..., None], 0.5 * image + 0.5 * red, image)
+    return (shown * 255).round().to(torch.uint8).numpy()
+
+
+def block_picture(weights: Float[Tensor, "h w b"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Each pixel in the colours of its blocks, mixed by their compositing weights."""
+    colours = torch.tensor(COLOURS, dtype=weights.dtype)[
+        torch.arange(weights.shape[2]) % len(COLOURS)
+    ]
+    return (weights.clamp(0, 1) @ colours).clamp(0, 255).round().to(torch.uint8).numpy()

@@ -1,0 +1,1 @@
+"""Study speed: time, memory and error of everything that has a twin."""

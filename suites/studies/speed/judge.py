@@ -1,0 +1,84 @@
+"""How far each twin of a component is from its float64 reference."""
+
+import math
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from splatbench.reference.checks.agreement import compare_gradients, largest_error
+from splatbench.suites.twins.twin import Component, Problem, Twin, leaves_of, running
+
+Judgement = dict[str, Any]
+
+
+def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
+    """Errors of all twins by name.
+
+    Keys of each: max_abs_error and rms_error of the output, grad_rel_l2 and grad_cosine (the worst
+    of the gradients by each leaf; None without a backward pass), step_pixels, ok. Outputs on a
+    step do not count and pass no gradient; an approximating twin is ok if it is finite.
+    """
+    if component.reference is None:
+        nothing = dict.fromkeys(
+            ("max_abs_error", "rms_error", "grad_rel_l2", "grad_cosine", "step_pixels")
+        )
+        return {twin.name: nothing | {"ok": True} for twin in component.twins}
+    steps = problem.steps() if problem.steps else None
+    truth, true_gradients = evaluate(component.reference, problem, steps)
+    found = {}
+    for twin in component.twins:
+        value, gradients = evaluate(twin, problem, steps)
+        found[twin.name] = compare(value, truth, steps) | agreement(gradients, true_gradients)
+        found[twin.name]["ok"] = within(component, twin, found[twin.name])
+    return found
+
+
+def evaluate(
+    twin: Twin, problem: Problem, steps: Bool[Tensor, "..."] | None
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Output of the first forward pass, and gradients by the leaves."""
+    leaves = leaves_of(problem, twin)
+    with running(twin):
+        value = twin.start(problem, leaves)()
+        if problem.cotangent is None:
+            return value.detach().cpu(), {}
+        cotangent = problem.cotangent.to(value)
+        if steps is not None:
+            cotangent = torch.where(steps[..., None].to(value.device), 0, cotangent)
+        value.backward(cotangent)
+    gradients = {n: torch.zeros_like(v) if v.grad is None else v.grad for n, v in leaves.items()}
+    return value.detach().cpu(), {name: gradient.cpu() for name, gradient in gradients.items()}
+
+
+def compare(value: Tensor, truth: Tensor, steps: Bool[Tensor, "..."] | None) -> Judgement:
+    """Errors of the output."""
+    error = (value.double() - truth.double()).abs()
+    if steps is not None:
+        error = error[~steps]
+    return {
+        "max_abs_error": largest_error(value, truth, ignore=steps),
+        "rms_error": float(error.square().mean().sqrt()) if error.numel() else 0.0,
+        "step_pixels": 0 if steps is None else int(steps.sum()),
+    }
+
+
+def agreement(gradients: dict[str, Tensor], truth: dict[str, Tensor]) -> Judgement:
+    """The worst relative L2 distance and the worst cosine over the leaves."""
+    if not truth:
+        return {"grad_rel_l2": None, "grad_cosine": None}
+    each = [compare_gradients(gradients[name], truth[name]) for name in truth]
+    return {
+        "grad_rel_l2": max(a.relative_l2 for a in each),
+        "grad_cosine": min(a.cosine for a in each),
+    }
+
+
+def within(component: Component, twin: Twin, found: Judgement) -> bool:
+    """Whether a twin keeps its component's budget, or is finite if it approximates."""
+    error = found["max_abs_error"]
+    if twin.approximates:  # the cosine is -1 for a gradient that is not finite
+        return math.isfinite(error) and (found["grad_cosine"] or 0.0) > -1
+    gradient = found["grad_rel_l2"] or 0.0
+    return error <= component.max_abs_error and gradient <= component.grad_rel_l2

@@ -1,0 +1,210 @@
+"""One twin at work, here or in a process of its own, so that its memory is its own."""
+
+import gc
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+
+from splatbench.base.errors import SplatbenchError
+from splatbench.base.memory import peak_memory_mb
+from splatbench.suites.studies.speed.judge import judge
+from splatbench.suites.twins.registry import COMPONENTS
+from splatbench.suites.twins.twin import Component, Size, leaves_of, running
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What a session works on."""
+
+    component: str
+    size: Size
+    twin: str = ""
+    """One to time; empty: judge all of them instead."""
+    backward: bool = True
+    backend: str = ""
+    """Whose twins are added to the registry's (suites/twins/cuda.py); empty: nobody's."""
+
+
+@runtime_checkable
+class Session(Protocol):
+    """Something that answers for a task."""
+
+    def ask(self, *request: Any) -> Any:
+        """The answer to "turn" seconds, "memory", "pairs" or "judge"."""
+        ...
+
+    @property
+    def pid(self) -> int:
+        """The process that it runs in."""
+        ...
+
+    def close(self) -> None:
+        """End it."""
+        ...
+
+
+Open = Callable[[Task], Session]
+
+
+class Here:
+    """A session in this process."""
+
+    def __init__(self, task: Task) -> None:
+        """Make the problem and, where one twin is timed, its forward pass."""
+        self.task = task
+        self.component = with_backend(task.component, task.backend)
+        self.problem = self.component.problem(task.size)
+        self.pid = os.getpid()
+        if not task.twin:
+            return
+        self.twin = next(twin for twin in self.component.twins if twin.name == task.twin)
+        self.leaves = leaves_of(self.problem, self.twin)
+        with running(self.twin):
+            self.forward = self.twin.start(self.problem, self.leaves)
+        self.cotangent: torch.Tensor | None = None
+        gc.collect()
+        self.held, self.warm = forget_peak(), False
+
+    def _run(self) -> tuple[float, float]:
+        """Milliseconds of one forward and one backward pass (nan without one)."""
+        for leaf in self.leaves.values():
+            leaf.grad = None
+        start = time.perf_counter()
+        if not self.task.backward:
+            with torch.no_grad():
+                self.forward()
+            self.twin.finish()
+            return 1e3 * (time.perf_counter() - start), float("nan")
+        value = self.forward()
+        self.twin.finish()
+        middle = time.perf_counter()
+        if self.problem.cotangent is None:
+            return 1e3 * (middle - start), float("nan")
+        if self.cotangent is None:
+            self.cotangent = self.problem.cotangent.to(value)
+        value.backward(self.cotangent)
+        self.twin.finish()
+        return 1e3 * (middle - start), 1e3 * (time.perf_counter() - middle)
+
+    def ask(self, *request: Any) -> Any:
+        """See Session."""
+        if request[0] == "turn":
+            with running(self.twin):
+                return self._turn(request[1])
+        if request[0] == "memory":
+            peak = peak_memory_mb()
+            device = self.twin.device_mb() if self.twin.device_mb else None
+            return {"peak_mb": peak, "added_mb": peak - self.held, "device_mb": device}
+        if request[0] == "pairs":
+            return self.problem.pairs() if self.problem.pairs else None
+        return judge(self.component, self.problem)
+
+    def _turn(self, seconds: float) -> list[tuple[float, float]]:
+        """Runs for so many seconds, at least one; one before them is not counted.
+
+        A twin whose single run is longer than a turn is warmed up in its first turn only.
+        """
+        begin = time.perf_counter()
+        runs = [self._run()]
+        if not self.warm or time.perf_counter() - begin < seconds:
+            runs = [self._run()]
+        self.warm = True
+        end = begin + seconds
+        while time.perf_counter() < end:
+            runs.append(self._run())
+        return runs
+
+    def close(self) -> None:
+        """Nothing to end."""
+
+
+class Process:
+    """A session in a process of its own."""
+
+    def __init__(self, task: Task) -> None:
+        """Start it.
+
+        Raises: SplatbenchError if it ends before it is ready, e.g. for lack of memory.
+        """
+        self._task = task
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload([__name__])  # imports once, not once a process
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(task, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._answer()
+        assert self._process.pid is not None
+        self.pid = self._process.pid
+
+    def ask(self, *request: Any) -> Any:
+        """See Session."""
+        self._pipe.send(request)
+        return self._answer()
+
+    def _answer(self) -> Any:
+        try:
+            answer = self._pipe.recv()
+        except EOFError:
+            self._process.join()
+            raise SplatbenchError(
+                f"{self._task}: its process ended with exit code {self._process.exitcode}; -9 is "
+                "what running out of memory looks like"
+            ) from None
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def close(self) -> None:
+        """End the process."""
+        self._pipe.close()
+        self._process.join(5)
+        self._process.kill()
+        self._process.join()
+
+
+def _serve(task: Task, pipe: Connection) -> None:
+    """What the process does: answer until nobody asks any more."""
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # ctrl-C reaches the parent, whose pipe then closes
+    try:
+        session = Here(task)
+        pipe.send(None)
+        while True:
+            pipe.send(session.ask(*pipe.recv()))
+    except (EOFError, BrokenPipeError):
+        return
+    except (
+        SplatbenchError,
+        ValueError,
+        RuntimeError,
+        MemoryError,
+    ) as error:  # raised by the parent
+        pipe.send(error)
+
+
+def with_backend(name: str, backend: str) -> Component:
+    """A component of the registry, with the twins of a further backend where one is asked for."""
+    if not backend:
+        return COMPONENTS[name]
+    from splatbench.suites.twins.cuda import with_cuda
+
+    return with_cuda(COMPONENTS[name])
+
+
+def forget_peak() -> float:
+    """Let the peak memory of this process start anew where the system can; what it is now."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        pass  # then the peak is that of the whole life of the process
+    return peak_memory_mb()

@@ -1,0 +1,201 @@
+"""Every door, every file of its fixture: missing, cut short, emptied or rubbish, it is named or not needed."""
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from plyfile import PlyData, PlyElement
+
+from helpers.colmap_scenes import Flight, write_scene
+from helpers.door_checks import fixtures, protocol
+from helpers.posed_scenes import POINTS
+from splatbench.base.errors import DataError
+from splatbench.cli import main
+from splatbench.datasets.opening import ADAPTERS, open_scene
+
+
+@dataclass(frozen=True)
+class Door:
+    """A fixture of a layout, and which of its files may be missing."""
+
+    write: Callable[[Path], object]
+    """Writes the layout below a folder."""
+    inside: str = "."
+    """The scene's folder in what was written."""
+    optional: str = r"$^"
+    """Pattern of the files without which the scene opens: with fewer masks or sweeps, or with the views
+    of this file named in left_out."""
+    unread: str = r"$^"
+    """Pattern of the files that are not read at all."""
+    counted: str = r"$^"
+    """Pattern of the files that have no name of their own in the layout, only a place in a row: what is
+    said is how many there are, and where."""
+
+
+def _rich_nerfstudio(folder: Path) -> None:
+    """With points and masks."""
+    fixtures("doors").nerfstudio(folder)
+    cloud = np.array([tuple(p) for p in POINTS], dtype=[(axis, "f4") for axis in "xyz"])
+    PlyData([PlyElement.describe(cloud, "vertex")]).write(folder / "sparse_pc.ply")
+    path = folder / "transforms.json"
+    data = json.loads(path.read_text()) | {"ply_file_path": "sparse_pc.ply"}
+    for frame in data["frames"]:
+        frame["mask_path"] = f"masks/{Path(frame['file_path']).name}"
+        (folder / "masks").mkdir(exist_ok=True)
+        Image.new("L", (96, 72), 255).save(folder / frame["mask_path"])
+    path.write_text(json.dumps(data))
+
+
+def _tourism(folder: Path) -> None:
+    fixtures("photo_tourism").tourism(folder, ["train", "test", "train", "", "train", "test"])
+
+
+def _tracking(folder: Path) -> None:
+    boxes = fixtures("kitti_boxes")
+    lines = [boxes.label(i, 0, "Car", *boxes.place(i)) for i in range(boxes.FRAMES)]
+    boxes.tracking(folder, lines)
+
+
+DOORS = {
+    "colmap": Door(partial(write_scene, flight=Flight())),
+    "photo-tourism": Door(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
+    "nerfstudio": Door(_rich_nerfstudio),
+    "matrixcity": Door(fixtures("matrix_city").city, optional=r"/transforms\.json", unread="pose/"),
+    "blender": Door(fixtures("doors").blender, unread=r"val/|_val\.json"),
+    "mega-nerf": Door(fixtures("doors").mega_nerf, optional=r"mappings\.txt|coordinates\.pt"),
+    "llff": Door(fixtures("llff").llff, unread="images_2/", counted="images/"),
+    "kitti-raw": Door(
+        fixtures("kitti_boxes").tracklets,
+        inside="2011_09_26_drive_0001_sync",
+        optional=r"\.bin|tracklet_labels",
+        counted="image_02/data",
+    ),
+    "kitti-tracking": Door(
+        _tracking,
+        inside="image_02/0001",
+        optional=r"\.bin|sky_03|label_02",
+        counted="image_02/",
+    ),
+    "drivestudio": Door(
+        fixtures("waymo").drivestudio,
+        optional=r"\.bin|sky_masks|ego_pose/00[03]",  # the first or the last frame
+        unread="dynamic_masks/all",
+    ),
+    "pvg": Door(fixtures("waymo").pvg, optional=r"\.bin|sky_|calib/014500[03]"),
+    "levir-nvs": Door(fixtures("doors").levir_nvs, optional="Cams/"),
+}
+"""By adapter."""
+
+
+def files_of(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def written(tmp_path: Path, name: str) -> tuple[Door, Path]:
+    """A door, and the folder below which its fixture was written."""
+    root = tmp_path / "written"
+    root.mkdir()
+    DOORS[name].write(root)
+    return DOORS[name], root
+
+
+def use(folder: Path) -> None:
+    """Open the scene and read all that its views have."""
+    scene = open_scene(folder, protocol(hold=2))
+    for view in scene.views:
+        view.load()
+        for read in (view.load_mask, view.load_sky, view.load_moving):
+            if read is not None:
+                read()
+
+
+def fault(folder: Path) -> str:
+    """What is said against the scene; "" if nothing. Any other exception fails the test."""
+    try:
+        use(folder)
+    except DataError as error:
+        return str(error)
+    return ""
+
+
+def test_every_adapter_has_a_door_here():
+    assert set(DOORS) == {adapter.name for adapter in ADAPTERS}
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "missing": Path.unlink,
+    "empty": lambda path: path.write_bytes(b""),
+    "cut": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "rubbish": lambda path: path.write_bytes(b"\x00\xff rubbish\n" * 3),
+}
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_a_damaged_file_is_named_in_one_line(tmp_path, name):
+    door, root = written(tmp_path, name)
+    scene = open_scene(root / door.inside, protocol(hold=2))
+    assert scene.facts["adapter"] == name
+    assert fault(root / door.inside) == ""
+    for path in files_of(root):
+        kept = path.read_bytes()
+        relative = path.relative_to(root).as_posix()
+        for damage, apply in DAMAGES.items():
+            apply(path)
+            said = fault(root / door.inside)
+            assert "\n" not in said
+            assert len(said) < 1000
+            if said:
+                counted = damage == "missing" and re.search(door.counted, relative)
+                named = str(path.parent) if counted else path.stem
+                assert named in said, f"{relative} {damage}: {said}"
+            elif not re.search(door.unread, relative):
+                silent = {
+                    "cut": True,  # half of a table may be whole enough
+                    "missing": bool(re.search(door.optional, relative)),
+                    "empty": "label_02" in relative,  # nothing was labelled
+                }
+                assert silent.get(damage), f"{relative} {damage}: nothing was said"
+            path.write_bytes(kept)
+    assert fault(root / door.inside) == ""
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_the_command_ends_with_2_and_one_line(tmp_path, capsys, name):
+    door, root = written(tmp_path, name)
+    victim = photo_of(root, door)
+    victim.write_bytes(b"rubbish")
+    out = tmp_path / "out"
+    assert main(["fit", "3dgs", str(root / door.inside), "--out", str(out)]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert lines[-1].startswith("bench: ")
+    assert str(victim.name) in lines[-1]
+    assert not (out / "model").exists()
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_a_photo_too_many_is_left_out_and_said(tmp_path, name):
+    door, root = written(tmp_path, name)
+    scene = open_scene(root / door.inside, protocol(hold=2))
+    photo = photo_of(root, door)
+    extra = photo.with_name(f"9{photo.name}")
+    shutil.copy(photo, extra)
+    if re.search(door.counted, photo.relative_to(root).as_posix()):
+        assert str(photo.parent) in fault(root / door.inside)  # too many for the rows
+        return
+    more = open_scene(root / door.inside, protocol(hold=2))
+    assert [view.name for view in more.views] == [view.name for view in scene.views]
+    assert any(Path(left).name == extra.name for left, _ in more.left_out), more.left_out
+
+
+def photo_of(root: Path, door: Door) -> Path:
+    """The photo of the first view."""
+    name = Path(open_scene(root / door.inside, protocol(hold=2)).views[0].name).name
+    found = [path for path in files_of(root) if path.name == name]
+    return next(path for path in found if not re.search(r"masks|sky|images_2", str(path.parent)))

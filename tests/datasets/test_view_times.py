@@ -1,0 +1,29 @@
+"""Time, camera and sky masks beside a COLMAP model."""
+
+import pytest
+
+from splatbench.base.errors import DataError
+from splatbench.datasets.view_times import Moment, read_moments, write_moments
+
+MOMENTS = {"b.png": Moment(time=0.1, sensor="left"), "a.png": Moment(time=0.0, sensor="front")}
+
+
+def test_what_is_written_is_read(tmp_path):
+    write_moments(tmp_path, MOMENTS)
+    assert read_moments(tmp_path, ["a.png"]) == MOMENTS
+    assert read_moments(tmp_path / "other", ["a.png"]) == {}
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[1]", '{"a.png": {"time": 1}}', '{"a.png": {"time": "x", "sensor": "s"}}']
+)
+def test_a_damaged_table_is_named(tmp_path, text):
+    (tmp_path / "views.json").write_text(text)
+    with pytest.raises(DataError, match=r"views\.json"):
+        read_moments(tmp_path, ["a.png"])
+
+
+def test_a_view_that_is_missing_is_named(tmp_path):
+    write_moments(tmp_path, MOMENTS)
+    with pytest.raises(DataError, match=r"c\.png"):
+        read_moments(tmp_path, ["a.png", "c.png"])

@@ -1,0 +1,168 @@
+"""One block: its rows keep their roles, it continues after a kill bit for bit, odd blocks end well."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from helpers.city_scene import small_scene
+from splatbench.methods.city.jobs import block_jobs
+from splatbench.methods.city.partition import PartitionSettings, partition
+from splatbench.methods.city.point_roles import CONTEXT, GHOST, OWN, Auxiliary
+from splatbench.methods.city.train_block import BlockJob, BlockTrainer, train_block
+from splatbench.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
+from splatbench.methods.run import Run
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training.density import Density
+from splatbench.reference.partition.view_sampling import SamplingSettings
+from splatbench.reference.types.scene import Scene
+
+SHORT = Settings(
+    iterations=30,
+    sh_degree=1,
+    density=Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=15_000,
+                    gradient=1e-6, largest_size=10.0),
+)  # fmt: skip
+"""Densifies at 10 and 20, resets at 15; a low threshold, so that much is cloned and split."""
+RUN = Run(backend="cpu", threads=1, checkpoint_seconds=0.0)
+
+
+def jobs(folder: Path, auxiliary: Auxiliary = "both", scene: Scene | None = None, **more):
+    scene = scene or small_scene(60)
+    found = partition(scene, 2, PartitionSettings(margin=0.1))
+    return block_jobs(scene, found, SHORT, RUN, folder, auxiliary=auxiliary, **more)
+
+
+def trained(job: BlockJob) -> BlockTrainer:
+    trainer = BlockTrainer(job, replace(RUN, folder=None), None)
+    trainer.train()
+    return trainer
+
+
+def nothing(*_: object) -> None: ...
+
+
+def loaded(job: BlockJob):
+    model = load_reconstruction(job.model, backend="cpu")
+    assert isinstance(model, ExplicitModel)
+    return {name: getattr(model.model, name) for name in FIELDS}
+
+
+@pytest.mark.parametrize("follow", [False, True])
+def test_ghosts_are_held_and_never_multiply(tmp_path, follow):
+    job = jobs(tmp_path, follow=follow)[0]
+    before = BlockTrainer(job, RUN, None)
+    start = before.gaussians()
+    after = trained(job)
+    ghost = after.roles == GHOST
+    assert int(ghost.sum()) == int((job.roles == GHOST).sum()) > 0
+    assert len(after.roles) > len(job.roles)  # others multiplied
+    for name in ("means", "quaternions", "log_scales"):
+        was, now = getattr(start, name)[job.roles == GHOST], getattr(after.gaussians(), name)[ghost]
+        assert torch.equal(was, now)
+    same = torch.equal(start.sh[job.roles == GHOST], after.gaussians().sh[ghost])
+    assert same != follow
+
+
+def test_context_is_trained_but_never_multiplies(tmp_path):
+    job = jobs(tmp_path, "context")[0]
+    after = trained(job)
+    count = int((job.roles == CONTEXT).sum())
+    assert 0 < int((after.roles == CONTEXT).sum()) <= count
+    assert int((after.roles == OWN).sum()) > int((job.roles == OWN).sum())
+    start = job.scene.points.positions[job.roles == CONTEXT].float()
+    moved = after.gaussians().means[after.roles == CONTEXT]
+    assert not torch.isclose(start[: len(moved)], moved, rtol=0, atol=0).all()
+
+
+def test_views_and_points_of_others_are_not_in_a_job(tmp_path):
+    scene = small_scene(60)
+    found = partition(scene, 2, PartitionSettings(margin=0.0))
+    for block, job in enumerate(block_jobs(scene, found, SHORT, RUN, tmp_path)):
+        chosen = found.views[block].nonzero()[:, 0].tolist()
+        assert [view.name for view in job.scene.views] == [scene.views[i].name for i in chosen]
+        assert torch.equal(job.scene.points.positions, scene.points.positions[found.points[block]])
+        assert not job.scene.test
+
+
+class Killed(Exception):
+    """Stands for a kill between two steps."""
+
+
+@pytest.mark.parametrize("sampling", [None, SamplingSettings(uniform_share=0.3)])
+@pytest.mark.parametrize("step", [10, 20])
+def test_continuation_is_bit_equal(tmp_path, sampling, step):
+    (straight, _), (killed, _) = (
+        jobs(tmp_path / name, sampling=sampling) for name in ("straight", "killed")
+    )
+    assert straight.key == killed.key
+    train_block(straight, nothing)
+
+    def kill(now: int, *_: object) -> None:
+        if now == step:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train_block(killed, kill)
+    steps: list[int] = []
+    facts = train_block(killed, lambda now, *_: steps.append(now))
+    assert min(steps) > step - 10  # the report that killed it came before the checkpoint
+    for name, values in loaded(straight).items():
+        assert torch.equal(values, loaded(killed)[name])
+    assert facts.primitives == len(loaded(killed)["means"])
+    assert facts.seconds > 0
+
+
+def test_a_trained_block_is_not_repeated_but_another_key_is(tmp_path):
+    job = jobs(tmp_path)[0]
+    first = train_block(job, nothing)
+
+    def kill(*_: object) -> None:
+        raise Killed
+
+    assert train_block(job, kill) == first
+    with pytest.raises(Killed):
+        train_block(replace(job, seed=5), kill)
+
+
+def test_balanced_and_uniform_sampling_train_different_models(tmp_path):
+    even, uneven = jobs(tmp_path)[0], jobs(tmp_path, sampling=SamplingSettings())[0]
+    assert even.key != uneven.key
+    assert not torch.equal(trained(even).gaussians().sh, trained(uneven).gaussians().sh)
+
+
+def test_a_block_without_views_or_points_is_left_empty_and_says_so(tmp_path):
+    job = jobs(tmp_path)[0]
+    blind = replace(job, scene=replace(job.scene, views=(), train=()), folder=tmp_path / "blind")
+    assert "no view" in train_block(blind, nothing).note
+    bare = replace(job, roles=torch.full_like(job.roles, GHOST), folder=tmp_path / "bare")
+    facts = train_block(bare, nothing)
+    assert "no point" in facts.note
+    assert facts.primitives == len(loaded_means(bare)) == 0
+
+
+def loaded_means(job: BlockJob):
+    from splatbench.methods.city.block_model import BlockModel
+    from splatbench.methods.city.partition import partition as cut
+
+    region = cut(small_scene(60), 1, PartitionSettings()).regions[0]
+    return BlockModel(region=region, model=job.model)
+
+
+def test_a_block_of_one_point_trains(tmp_path):
+    job = jobs(tmp_path, "none")[0]
+    points = job.scene.points
+    one = replace(points, positions=points.positions[:1], colours=points.colours[:1],
+                  track_starts=points.track_starts[:2])  # fmt: skip
+    job = replace(job, scene=replace(job.scene, points=one), roles=job.roles[:1])
+    assert train_block(job, nothing).primitives >= 1
+
+
+def test_a_block_that_no_view_covers_by_the_shares_takes_those_that_see_it(tmp_path):
+    scene = small_scene(60)
+    found = partition(scene, 2, PartitionSettings(margin=0.0, view_share=1.0, block_share=1.0))
+    blind = replace(found, views=(torch.zeros_like(found.views[0]), found.views[1]))
+    job = block_jobs(scene, blind, SHORT, RUN, tmp_path)[0]
+    assert "takes those that see" in job.facts.note
+    assert job.facts.views == len(job.scene.views) > 0

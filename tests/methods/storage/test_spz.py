@@ -1,0 +1,61 @@
+"""The .spz adapter: what comes back is within the format's steps."""
+
+import builtins
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.tiny_scene import random_gaussians
+from splatbench.base.errors import DataError, MissingError
+from splatbench.methods.storage import spz
+
+
+@settings(max_examples=15)
+@given(
+    count=st.integers(1, 60), degree=st.integers(0, 3), seed=st.integers(0, 2**16),
+    version=st.sampled_from([3, 4]), reach=st.sampled_from([1e-3, 1.0, 8.0, 4000.0]),
+)  # fmt: skip
+def test_what_comes_back_is_within_the_formats_steps(
+    tmp_path_factory, count, degree, seed, version, reach
+):
+    path = tmp_path_factory.mktemp("spz") / "m.spz"
+    whole = random_gaussians(count, degree=degree, seed=seed)
+    whole.means[:] *= reach / whole.means.abs().max()
+    spz.write_spz(path, whole, version=version)
+    back = spz.read_spz(path)
+    assert back.degree == degree
+    # 24 bits over at most four times the extent, 23 of them fraction at most; half a step
+    assert (back.means - whole.means).abs().max() <= max(2 * reach, 1) * 2.0**-23
+    assert (back.log_scales - whole.log_scales).abs().max() <= 1 / 32 + 1e-6
+    assert (back.opacities - whole.opacities).abs().max() <= 0.5 / 255 + 1e-6
+    inside = whole.sh[:, 1:].abs() < 0.99
+    assert ((back.sh - whole.sh)[:, 1:].abs()[inside] <= 1 / 16 + 1e-6).all()
+    turned = (back.unit_quaternions * whole.unit_quaternions).sum(dim=1).abs()
+    assert (turned > 1 - 1e-4).all()
+
+
+def test_far_positions_missing_and_damaged_files_are_refused(tmp_path):
+    far = random_gaussians(3)
+    far.means[0] = 2.0**25
+    with pytest.raises(DataError, match="positions up to"):
+        spz.write_spz(tmp_path / "m.spz", far)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(DataError, match="m.spz"):
+        spz.read_spz(tmp_path / "m.spz")
+    (tmp_path / "m.spz").write_bytes(b"ply\n")
+    with pytest.raises(DataError, match="not a whole"):
+        spz.read_spz(tmp_path / "m.spz")
+
+
+def test_without_the_package_it_is_said(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **keywords):
+        if name == "gsply":
+            raise ImportError
+        return real(name, *args, **keywords)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(MissingError, match="pip install"):
+        spz.write_spz(tmp_path / "m.spz", random_gaussians(3))

@@ -1,0 +1,208 @@
+"""Points from matched photos: on the true surface, merged as the reference merges, from training views."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial import KDTree
+
+from helpers.tiny_scene import sparse_points, tiny_scene
+from splatbench.base.errors import UsageError
+from splatbench.datasets.opening import open_scene
+from splatbench.methods.run import Run
+from splatbench.methods.threedgs.settings import Settings
+from splatbench.methods.training import dense_points
+from splatbench.methods.training.dense_points import Voxels, extended, observed, with_dense_points
+from splatbench.methods.training.initialise import with_points
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.reference.supervision.dense_initialisation import DensePoints, merge_in_voxels
+from splatbench.reference.types.camera import project_points
+from splatbench.reference.types.scene import Scene, SparsePoints
+
+CELL = 4.0
+
+
+@pytest.fixture(scope="module")
+def yard() -> Scene:
+    """Six neighbouring views of it for training."""
+    scene = open_scene("courtyard", load_protocol("quick"))
+    return replace(scene, train=scene.train[:6])
+
+
+@pytest.fixture(scope="module")
+def dense(yard: Scene) -> Scene:
+    return with_dense_points(yard, CELL, 2**28)
+
+
+@pytest.fixture(scope="module")
+def surface(yard: Scene) -> KDTree:
+    """What the photos truly show: every pixel of the training views at its true depth."""
+    clouds = []
+    for view in yard.train_views:
+        camera = view.camera
+        assert view.load_depth is not None
+        rows, columns = torch.meshgrid(
+            torch.arange(camera.height), torch.arange(camera.width), indexing="ij"
+        )
+        pixels = torch.stack([columns + 0.5, rows + 0.5, torch.ones(rows.shape)], dim=-1).double()
+        depth = view.load_depth().double()
+        local = (pixels @ camera.K.inverse().T) * depth[..., None]
+        clouds.append((local[depth > 0] - camera.world_to_camera[:3, 3]) @ camera.rotation)
+    return KDTree(torch.cat(clouds).numpy())
+
+
+def cells_away(scene: Scene, points: torch.Tensor, surface: KDTree) -> np.ndarray:
+    """Distance of points to the true surface in cells."""
+    seen = observed(scene)[list(scene.train)]
+    edge = CELL * dense_points.footprint(scene.train_views, scene.points.positions, seen)
+    return surface.query(points.numpy())[0] / edge
+
+
+def test_points_lie_on_the_true_surface(yard: Scene, dense: Scene, surface: KDTree):
+    own = len(yard.points)
+    away = cells_away(yard, dense.points.positions[own:], surface)
+    assert len(away) > 1000
+    # 0.27 cells (1.1 pixels) at the median and 14 % beyond one cell were measured
+    assert np.median(away) < 0.35
+    assert (away > 1).mean() < 0.2
+
+
+def test_the_truth_check_sees_points_that_are_off(yard: Scene, dense: Scene, surface: KDTree):
+    """The control: the same points, a cell higher."""
+    own = len(yard.points)
+    seen = observed(yard)[list(yard.train)]
+    edge = CELL * dense_points.footprint(yard.train_views, yard.points.positions, seen)
+    assert yard.up is not None
+    raised = dense.points.positions[own:] + edge * yard.up
+    assert np.median(cells_away(yard, raised, surface)) > 0.5
+
+
+def test_own_points_stay_and_tracks_are_whole(yard: Scene, dense: Scene):
+    own, points = yard.points, dense.points
+    count = len(own)
+    assert torch.equal(points.positions[:count], own.positions)
+    assert torch.equal(points.colours[:count], own.colours)
+    assert torch.equal(points.track_starts[: count + 1], own.track_starts)
+    assert int(points.track_starts[-1]) == len(points.track_views)
+    for i in range(count, len(points), 50):
+        track = points.track_views[points.track_starts[i] : points.track_starts[i + 1]]
+        assert len(track) >= 2
+        assert torch.equal(track, track.unique())
+        assert set(track.tolist()) <= set(yard.train)
+
+
+def test_held_out_photos_are_not_looked_at(yard: Scene, dense: Scene):
+    def forbidden():
+        raise AssertionError("a held-out photo was read")
+
+    views = tuple(
+        replace(view, load=forbidden) if i in yard.test else view
+        for i, view in enumerate(yard.views)
+    )
+    again = with_dense_points(replace(yard, views=views), CELL, 0)
+    assert torch.equal(again.points.positions, dense.points.positions)
+
+
+def test_threads_of_the_flow_do_not_matter(yard: Scene, dense: Scene):
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        alone = with_dense_points(yard, CELL, 2**28)
+    finally:
+        cv2.setNumThreads(before)
+    assert torch.equal(alone.points.positions, dense.points.positions)
+    assert torch.equal(alone.points.colours, dense.points.colours)
+
+
+def test_masked_pixels_give_no_points(yard: Scene):
+    """With everything masked but the left half, no point is seen first in a right half."""
+    camera = yard.train_views[0].camera
+    left = torch.zeros(camera.height, camera.width, dtype=torch.bool)
+    left[:, : camera.width // 2] = True
+    views = tuple(replace(view, load_mask=left.clone) for view in yard.views)
+    a, b = replace(yard, views=views).train_views[:2]
+    seen = observed(yard)
+    shared = yard.points.positions[seen[yard.train[0]] & seen[yard.train[1]]]
+    images = dense_points.ImageCache(0)
+    found = dense_points.match(a, b, shared, images, dense_points.DenseSettings())
+    at, _ = project_points(a.camera, found.positions)
+    assert len(at) > 100
+    # triangulation moves a point by up to a pixel or two from the pixel it was matched at
+    assert float(at[:, 0].max()) < camera.width // 2 + 3
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), batches=st.integers(1, 4))
+def test_voxels_merge_as_the_reference_does(seed: int, batches: int):
+    """In any number of batches; the reference's grid starts at the lowest corner, put at 0 here."""
+    generator = torch.Generator().manual_seed(seed)
+    count = 200
+    positions = 5 * torch.rand(count, 3, generator=generator, dtype=torch.float64)
+    positions[0] = 0
+    scores = 0.1 + torch.rand(count, generator=generator, dtype=torch.float64)
+    cloud = DensePoints(
+        positions=positions, colours=torch.rand(count, 3, generator=generator), scores=scores
+    )
+    want = merge_in_voxels(cloud, 1.3)
+    voxels = Voxels(1.3)
+    for i, rows in enumerate(torch.arange(count).chunk(batches)):
+        part = DensePoints(positions=positions[rows], colours=cloud.colours[rows],
+                           scores=scores[rows])  # fmt: skip
+        voxels.add(part, (i, i + 1))
+    members = np.unique(np.floor(positions.numpy() / 1.3), axis=0, return_counts=True)[1]
+    enough = members >= dense_points.LEAST_MATCHES
+    got = voxels.points()
+    assert len(got) == enough.sum()
+    order = np.lexsort(np.floor(want.positions.numpy() / 1.3).T[::-1])
+    expected = want.positions.numpy()[order][enough]
+    assert_allclose(got.positions.numpy(), expected, rtol=0, atol=1e-12)
+    colours = want.colours.numpy()[order][enough]
+    assert np.abs(got.colours.numpy() / 255 - colours).max() <= 0.5 / 255 + 1e-6
+
+
+def test_tracks_name_the_views_of_each_voxel():
+    def cloud(x: float) -> DensePoints:
+        return DensePoints(
+            positions=torch.tensor([[x, 0.1, 0.1]] * 4, dtype=torch.float64),
+            colours=torch.zeros(4, 3), scores=torch.ones(4, dtype=torch.float64),
+        )  # fmt: skip
+
+    voxels = Voxels(1.0)
+    voxels.add(cloud(0.5), (3, 5))
+    voxels.add(cloud(-7.5), (1, 2))
+    voxels.add(cloud(0.2), (5, 8))
+    points = voxels.points()
+    assert points.positions[:, 0].tolist() == pytest.approx([-7.5, 0.35])
+    assert points.track_starts.tolist() == [0, 2, 5]
+    assert points.track_views.tolist() == [1, 2, 3, 5, 8]
+
+
+def test_new_points_keep_their_distance():
+    scene = replace(tiny_scene(), points=sparse_points(torch.zeros(1, 3, dtype=torch.float64)))
+    found = SparsePoints(
+        positions=torch.tensor([[0.4, 0, 0], [0.6, 0, 0]], dtype=torch.float64),
+        colours=torch.zeros(2, 3, dtype=torch.uint8),
+        track_starts=torch.tensor([0, 2, 5]),
+        track_views=torch.tensor([1, 2, 1, 3, 4]),
+    )
+    points = extended(scene, found, 0.5).points
+    assert points.positions[:, 0].tolist() == pytest.approx([0, 0.6])
+    assert points.track_starts.tolist() == [0, 0, 3]
+    assert points.track_views.tolist() == [1, 3, 4]
+
+
+def test_a_scene_without_tracks_is_returned_as_it_is():
+    scene = tiny_scene()
+    assert with_dense_points(scene, CELL, 2**28) is scene
+    assert with_points(scene, Settings(dense_cell=CELL), Run()) is scene
+
+
+@pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])
+def test_an_impossible_cell_is_refused(wrong: float):
+    with pytest.raises(UsageError, match="dense_cell"):
+        Settings(dense_cell=wrong)

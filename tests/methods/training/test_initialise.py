@@ -1,0 +1,115 @@
+"""SfM points become Gaussians."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.tiny_scene import camera, sparse_points, tiny_scene
+from splatbench.base.errors import DataError
+from splatbench.methods.training import initialise
+from splatbench.reference.rasterizer.spherical_harmonics import C0
+from splatbench.reference.types.camera import project_points
+
+
+def brute_force(points: np.ndarray) -> np.ndarray:
+    """Root of the mean of the smallest three squared distances to other points."""
+    squared = ((points[:, None] - points[None]) ** 2).sum(axis=2)
+    np.fill_diagonal(squared, np.inf)
+    nearest = np.sort(squared, axis=1)[:, : min(3, len(points) - 1)]
+    return np.sqrt(np.maximum(nearest.mean(axis=1), 1e-7))
+
+
+@given(count=st.integers(2, 40), far=st.sampled_from([0.0, 4e6]), seed=st.integers(0, 999))
+def test_distance_matches_brute_force(count, far, seed):
+    points = np.random.default_rng(seed).normal(size=(count, 3)) + far
+    got = initialise.neighbour_distance(torch.from_numpy(points), lone=1.0)
+    # at 4e6 units a float64 position resolves 5e-10, so distances near 0.1 agree to about 1e-8
+    np.testing.assert_allclose(got.numpy(), brute_force(points), rtol=1e-8)
+
+
+def test_few_and_equal_points_are_finite():
+    same = torch.zeros(5, 3, dtype=torch.float64)
+    assert initialise.neighbour_distance(same, lone=1.0).tolist() == [1e-7**0.5] * 5
+    assert initialise.neighbour_distance(same[:1], lone=0.25).tolist() == [0.25]
+    assert initialise.neighbour_distance(same[:0], lone=1.0).shape == (0,)
+
+
+def test_colour_opacity_and_rotation():
+    scene = tiny_scene()
+    model = initialise.from_points(scene, degree=2, opacity=0.1)
+    assert model.sh.shape == (40, 9, 3)
+    torch.testing.assert_close(
+        model.sh[:, 0] * C0 + 0.5, scene.points.colours.float() / 255, atol=1e-6, rtol=0
+    )
+    assert not model.sh[:, 1:].any()
+    torch.testing.assert_close(model.opacities, torch.full((40,), 0.1))
+    assert (model.quaternions == torch.tensor([1.0, 0, 0, 0])).all()
+
+
+def test_extent_is_the_radius_of_the_training_cameras():
+    scene = tiny_scene(views=3)  # train: two cameras 0.4 and 0.1 apart in x and y
+    assert initialise.extent(scene) == pytest.approx(1.1 * 0.5 * (0.4**2 + 0.1**2) ** 0.5)
+
+
+def test_extent_of_cameras_in_one_place_comes_from_the_points():
+    scene = tiny_scene(views=2)
+    distance = (scene.points.positions - camera(1).centre).norm(dim=1).median()
+    assert initialise.extent(scene) == pytest.approx(1.1 * float(distance))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"points": sparse_points(torch.zeros(0, 3, dtype=torch.float64))}, "0 sparse points"),
+        ({"train": ()}, "no training views"),
+    ],
+)
+def test_nothing_to_start_from_is_refused(change, said):
+    with pytest.raises(DataError, match=said):
+        initialise.from_points(replace(tiny_scene(), **change), degree=0, opacity=0.1)
+
+
+def test_random_points_lie_where_a_training_camera_sees():
+    scene = replace(tiny_scene(), points=sparse_points(torch.zeros(0, 3)))
+    filled = initialise.with_random_points(scene, 500, seed=3)
+    positions = filled.points.positions
+    assert len(positions) == 500
+    reach = initialise.extent(scene)
+    seen, depths = torch.zeros(500, dtype=torch.bool), []
+    for view in scene.train_views:
+        pixels, depth = project_points(view.camera, positions)
+        size = torch.tensor([view.camera.width, view.camera.height])
+        seen |= ((pixels >= -1e-6) & (pixels <= size + 1e-6)).all(1) & (depth > 0.0999 * reach)
+        depths.append(depth)
+    assert seen.all()
+    # log10 of the depth is uniform on [-1, 1]: the median of n draws has a deviation of 1 / sqrt(n)
+    middle = torch.stack(depths).median().log10() - math.log10(reach)
+    assert abs(middle) < 5 / math.sqrt(500)
+    assert positions.std(dim=0).min() > 0.1 * reach
+    drawn = filled.points.track_views
+    assert filled.points.track_starts.tolist() == list(range(501))
+    assert set(drawn.tolist()) == set(scene.train)
+    for index in scene.train:
+        camera_ = scene.views[index].camera
+        pixels, _ = project_points(camera_, positions[drawn == index])
+        size = torch.tensor([camera_.width, camera_.height])
+        assert ((pixels >= -1e-6) & (pixels <= size + 1e-6)).all()
+    assert len(initialise.from_points(filled, degree=1, opacity=0.1)) == 500
+    again = initialise.with_random_points(scene, 500, seed=3).points
+    assert torch.equal(again.positions, positions)
+    other = initialise.with_random_points(scene, 500, seed=4).points
+    assert not torch.equal(other.positions, positions)
+
+
+def test_scenes_with_points_and_settings_without_random_ones_stay_as_they_are():
+    scene = tiny_scene()
+    assert initialise.with_random_points(scene, 500, seed=0) is scene
+    empty = replace(scene, points=sparse_points(torch.zeros(0, 3)))
+    assert initialise.with_random_points(empty, 0, seed=0) is empty
+    with pytest.raises(DataError, match="set random_points to start from points drawn at random"):
+        initialise.from_points(empty, degree=0, opacity=0.1)

@@ -1,0 +1,214 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.testing import assert_close
+
+from splatbench.reference.layered_memory import depth_adaptation as adaptation
+from splatbench.reference.layered_memory import layered_depth
+from splatbench.reference.layered_memory.edge_diffusion import EdgeDiffusion
+from splatbench.reference.types.camera import Camera
+
+D = torch.float64
+
+
+def camera(x: float = 0.0, width: int = 24, height: int = 18) -> Camera:
+    pose = torch.eye(4, dtype=D)
+    pose[0, 3] = -x
+    intrinsics = torch.tensor([[20.0, 0, 12], [0, 20.0, 9], [0, 0, 1]], dtype=D)
+    return Camera(K=intrinsics, world_to_camera=pose, width=width, height=height)
+
+
+def some_depths(n: int, seed: int) -> adaptation.SparseDepths:
+    g = torch.Generator().manual_seed(seed)
+    pixels = torch.randperm(24 * 18, generator=g)[:n]
+    return adaptation.SparseDepths(
+        rows=pixels // 24, columns=pixels % 24, depths=1 + torch.rand(n, generator=g, dtype=D)
+    )
+
+
+def prediction(seed: int) -> Tensor:
+    return torch.rand(18, 24, generator=torch.Generator().manual_seed(seed), dtype=D)
+
+
+@given(n=st.integers(2, 50), seed=st.integers(0, 2**16), a=st.floats(0.1, 50), b=st.floats(-5, 5))
+def test_alignment_recovers_scale_and_shift(n, seed, a, b):
+    clean, sparse = prediction(seed), some_depths(n, seed)
+    depths = a * clean[sparse.rows, sparse.columns] + b
+    sparse = adaptation.SparseDepths(rows=sparse.rows, columns=sparse.columns, depths=depths)
+    got = adaptation.align(clean, sparse)
+    assert [float(x) for x in got] == pytest.approx([a, b], abs=1e-6, rel=1e-6)
+
+
+@given(n=st.integers(3, 50), seed=st.integers(0, 2**16))
+def test_alignment_is_the_least_squares_line(n, seed):
+    clean, sparse = prediction(seed), some_depths(n, seed)
+    here = clean[sparse.rows, sparse.columns]
+    design = torch.stack([here, torch.ones_like(here)], dim=1)
+    want = torch.linalg.lstsq(design, sparse.depths).solution
+    a, b = adaptation.align(clean, sparse)
+    if torch.corrcoef(torch.stack([here, sparse.depths]))[0, 1] >= 0.3:
+        assert_close(torch.stack([a, b]), want)
+    else:  # the prediction knows nothing: the points' own range
+        assert float(b) == float(sparse.depths.min())
+        assert float(a) == pytest.approx(float(sparse.depths.max() - sparse.depths.min()))
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_alignment_without_enough_points(n):
+    clean, sparse = prediction(0), some_depths(n, 3)
+    a, b = adaptation.align(clean, sparse)
+    here = clean[sparse.rows, sparse.columns]
+    want = float(sparse.depths.mean() - here.mean()) if n else 0.0
+    assert (float(a), float(b)) == (1.0, pytest.approx(want))
+
+
+def test_alignment_of_points_at_one_predicted_depth():
+    sparse = some_depths(5, 1)
+    a, b = adaptation.align(torch.full((18, 24), 0.4, dtype=D), sparse)
+    low, high = float(sparse.depths.min()), float(sparse.depths.max())
+    assert (float(a), float(b)) == pytest.approx((high - low, low))
+
+
+def test_points_all_at_one_depth_have_no_slope_to_follow():
+    clean, sparse = prediction(2), some_depths(6, 1)
+    sparse = adaptation.SparseDepths(
+        rows=sparse.rows, columns=sparse.columns, depths=torch.full((6,), 3.0, dtype=D)
+    )
+    a, b = adaptation.align(clean, sparse)
+    assert float(a) > 0
+    assert torch.isfinite(b)
+
+
+def test_loss_by_hand():
+    depth = torch.tensor([[1.0, 2.0], [3.0, 4.0]], dtype=D)
+    sparse = adaptation.SparseDepths(
+        rows=torch.tensor([0, 1]), columns=torch.tensor([1, 0]),
+        depths=torch.tensor([2.5, 3.0], dtype=D),
+    )  # fmt: skip
+    guide = torch.tensor([[1.5, 9.0], [9.0, 3.0]], dtype=D)
+    visible = torch.tensor([[True, False], [False, True]])
+    loss = adaptation.guidance_loss(depth, sparse, guide, visible, 0.1)
+    assert float(loss) == pytest.approx(0.5 + 0.1 * (0.5 + 1.0))
+
+
+@given(seed=st.integers(0, 2**16))
+@settings(max_examples=20)
+def test_diffusion_conserves_depth_and_never_overshoots(seed):
+    g = torch.Generator().manual_seed(seed)
+    image = torch.rand(9, 11, 3, generator=g, dtype=D)
+    latent = torch.randn(9, 11, generator=g, dtype=D)
+    out = EdgeDiffusion(sweeps=20).denoise(latent, image, 0)
+    assert float(out.mean()) == pytest.approx(float(latent.mean()))
+    assert float(out.max()) <= float(latent.max()) + 1e-12
+    assert float(out.min()) >= float(latent.min()) - 1e-12
+
+
+def test_diffusion_stops_at_an_edge():
+    image = torch.zeros(8, 10, 3, dtype=D)
+    image[:, 5:] = 1.0
+    latent = torch.zeros(8, 10, dtype=D)
+    latent[:, :5] = torch.randn(8, 5, generator=torch.Generator().manual_seed(0), dtype=D)
+    out = EdgeDiffusion(sweeps=400).denoise(latent, image, 0)
+    assert_close(out[:, 5:], latent[:, 5:])
+    assert float(out[:, :5].std()) < 0.1 * float(latent[:, :5].std())
+
+
+def test_diffusion_gradient():
+    g = torch.Generator().manual_seed(1)
+    image = torch.rand(4, 5, 3, generator=g, dtype=D)
+    latent = torch.randn(4, 5, generator=g, dtype=D).requires_grad_()
+    model = EdgeDiffusion(sweeps=3)
+    assert torch.autograd.gradcheck(lambda x: model.decode(model.denoise(x, image, 0)), latent)
+
+
+@pytest.mark.parametrize("options", [{"steps": 0}, {"sweeps": 0}, {"contrast": 0.0}])
+def test_senseless_diffusion_is_refused(options):
+    with pytest.raises(ValueError, match="positive"):
+        EdgeDiffusion(**options)
+
+
+def two_surfaces() -> tuple[Tensor, Tensor]:
+    """An image of a bright near block on dark ground, and its true depth."""
+    image = torch.zeros(18, 24, 3, dtype=D)
+    depth = torch.full((18, 24), 3.0, dtype=D)
+    image[5:13, 8:16] = 1.0
+    depth[5:13, 8:16] = 2.0
+    return image, depth
+
+
+def at(depth: Tensor, *pixels: tuple[int, int]) -> adaptation.SparseDepths:
+    rows, columns = torch.tensor(pixels).unbind(dim=1)
+    return adaptation.SparseDepths(rows=rows, columns=columns, depths=depth[rows, columns])
+
+
+def test_a_few_points_and_the_edges_give_the_whole_depth():
+    image, truth = two_surfaces()
+    sparse = at(truth, (8, 10), (10, 14), (2, 3), (2, 20), (15, 3), (15, 20))
+    nothing = torch.zeros(18, 24, dtype=D)
+    got = adaptation.adapt_view(
+        EdgeDiffusion(), image, sparse, nothing, nothing.bool(),
+        adaptation.AdaptationSettings(guidance_steps=40), torch.Generator().manual_seed(0),
+    )  # fmt: skip
+    assert float((got - truth).abs().mean()) < 0.1
+    # The control: alignment alone, without guidance, cannot find the block.
+    start = EdgeDiffusion().encode(image, torch.Generator().manual_seed(0)).sigmoid()
+    a, b = adaptation.align(start, sparse)
+    assert float((a * start + b - truth).abs().mean()) > 0.3
+
+
+def test_the_memory_guides_where_there_are_no_points():
+    image, truth = two_surfaces()
+    sparse = at(truth, (2, 3), (15, 20), (2, 20))
+    visible = torch.zeros(18, 24, dtype=torch.bool)
+    visible[6:12, 9:15] = True
+    options = adaptation.AdaptationSettings(guidance_steps=40)
+    errors = []
+    for mask in (visible, torch.zeros_like(visible)):
+        got = adaptation.adapt_view(
+            EdgeDiffusion(), image, sparse, truth, mask, options, torch.Generator().manual_seed(0)
+        )
+        errors.append(float((got - truth)[6:12, 9:15].abs().mean()))
+    assert errors[0] < 0.15
+    assert errors[0] < 0.3 * errors[1]
+
+
+def test_views_enter_the_memory_one_after_another():
+    cameras = [camera(0.0), camera(0.4)]
+    image, _ = two_surfaces()
+    g = torch.Generator().manual_seed(0)
+    points = torch.rand(40, 3, generator=g, dtype=D) * torch.tensor([2.0, 1.5, 0.2], dtype=D)
+    points = points + torch.tensor([-1.0, -0.75, 2.0], dtype=D)
+    seen = torch.ones(2, 40, dtype=torch.bool)
+    seen[1, 20:] = False
+    memory = layered_depth.empty(cameras[0], 0.05)
+    visited: list[int] = []
+    order = adaptation.order_by_coverage(seen.flip(0))
+    final, depths = adaptation.adapt_all(
+        EdgeDiffusion(steps=1, sweeps=5), cameras, [image, image], points, seen, order, memory,
+        adaptation.AdaptationSettings(guidance_steps=3), g, visited.append,
+    )  # fmt: skip
+    assert visited == [1, 0]
+    assert sorted(depths) == [0, 1]
+    assert len(final) > 300
+    # Everything the reference camera itself contributed is there: all its pixels hold a layer.
+    assert len(final.pixels.unique()) == 24 * 18
+
+
+def test_orders():
+    seen = torch.tensor([[1, 0, 0], [1, 1, 1], [0, 1, 0]]).bool()
+    assert adaptation.order_by_coverage(seen) == [1, 0, 2]
+    centres = torch.tensor([[3.0, 0, 0], [1, 0, 0], [2, 0, 0]], dtype=D)
+    assert adaptation.order_by_distance(centres, torch.zeros(3, dtype=D)) == [1, 2, 0]
+    shuffled = adaptation.order_at_random(9, torch.Generator().manual_seed(1))
+    assert sorted(shuffled) == list(range(9))
+    assert shuffled == adaptation.order_at_random(9, torch.Generator().manual_seed(1))
+
+
+def test_sparse_depths_are_those_of_the_points_in_the_image():
+    points = torch.tensor([[0.0, 0, 2], [0, 0, -2], [50, 0, 2], [0.5, 0.25, 4]], dtype=D)
+    got = adaptation.sparse_depths(camera(), points)
+    assert got.rows.tolist() == [9, 10]
+    assert got.columns.tolist() == [12, 14]
+    assert got.depths.tolist() == [2, 4]

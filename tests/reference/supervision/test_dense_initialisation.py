@@ -1,0 +1,265 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+from torch.testing import assert_close
+
+from splatbench.reference.supervision import dense_initialisation as dense
+from splatbench.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatbench.reference.types.camera import Camera, project_points
+
+D = torch.float64
+SETTINGS = dense.DenseSettings()
+
+
+def camera(x: float, width: int = 64, height: int = 48) -> Camera:
+    pose = torch.eye(4, dtype=D)
+    pose[0, 3] = -x
+    intrinsics = torch.tensor([[60.0, 0, 32], [0, 60.0, 24], [0, 0, 1]], dtype=D)
+    return Camera(K=intrinsics, world_to_camera=pose, width=width, height=height)
+
+
+def points(n: int, seed: int) -> Tensor:
+    g = torch.Generator().manual_seed(seed)
+    return torch.rand(n, 3, generator=g, dtype=D) * 2 + torch.tensor([-1.0, -1, 4], dtype=D)
+
+
+@given(n=st.integers(0, 20), seed=st.integers(0, 2**16))
+def test_triangulation_finds_the_points_that_were_projected(n, seed):
+    a, b, want = camera(0), camera(0.7), points(n, seed)
+    got, angle = dense.triangulate(a, b, project_points(a, want)[0], project_points(b, want)[0])
+    assert_close(got, want, atol=1e-9, rtol=0)
+    for i in range(n):  # the angle by the law of cosines
+        p, q = want[i] - a.centre, want[i] - b.centre
+        cosine = float((p @ p + q @ q - 0.49) / (2 * p.norm() * q.norm()))
+        assert float(angle[i]) == pytest.approx(np.degrees(np.arccos(cosine)), abs=1e-6)
+
+
+@given(n=st.integers(1, 10), seed=st.integers(0, 2**16))
+def test_triangulation_matches_opencv_under_noise(n, seed):
+    a, b, want = camera(0), camera(0.7), points(n, seed)
+    noise = torch.randn(2, n, 2, generator=torch.Generator().manual_seed(seed), dtype=D)
+    at = [project_points(c, want)[0] + e for c, e in zip((a, b), noise, strict=True)]
+    flat = [(u - c.K[:2, 2]) / 60.0 for c, u in zip((a, b), at, strict=True)]
+    found = cv2.triangulatePoints(
+        a.world_to_camera[:3].numpy(), b.world_to_camera[:3].numpy(), flat[0].T.numpy(),
+        flat[1].T.numpy(),
+    )  # fmt: skip
+    oracle = torch.from_numpy(found[:3] / found[3:]).T
+    assert_close(dense.triangulate(a, b, at[0], at[1])[0], oracle.to(D), atol=1e-6, rtol=1e-6)
+
+
+unit = st.floats(0, 1)
+error = st.floats(0, 20)
+
+
+@given(certainty=unit, a=error, b=error, more=st.floats(0, 5), sigma=st.floats(0.1, 5))
+def test_score_is_bounded_and_falls_with_either_error(certainty, a, b, more, sigma):
+    def score(first: float, second: float) -> float:
+        c, e, f = (torch.tensor([x], dtype=D) for x in (certainty, first, second))
+        return float(dense.reliability(c, e, f, sigma))
+
+    assert 0 <= score(a, b) <= certainty
+    assert score(0, 0) == certainty
+    assert score(a + more, b) <= score(a, b)
+    assert score(a, b + more) <= score(a, b)
+    assert score(a, b) == pytest.approx(score(b, a))
+
+
+def test_score_by_hand():
+    # 0.8 exp(-(1 + 4) / (2 * 4)) = 0.8 exp(-0.625) = 0.42821
+    s = dense.reliability(*(torch.tensor([x], dtype=D) for x in (0.8, 1.0, 2.0)), sigma=2.0)
+    assert float(s) == pytest.approx(0.42821, abs=1e-5)
+
+
+def plane_pair(depth: float = 5.0, x: float = 0.5):
+    """A fronto-parallel plane: the true warp is a constant shift of -60 x / depth pixels."""
+    a, b = camera(0), camera(x)
+    warp = torch.zeros(48, 64, 2, dtype=D)
+    warp[..., 0] = -60.0 * x / depth
+    image = torch.rand(48, 64, 3, generator=torch.Generator().manual_seed(0))
+    return a, b, image, warp
+
+
+def test_a_true_warp_gives_the_plane_with_full_score():
+    a, b, image, warp = plane_pair()
+    got = dense.points_of_pair(a, b, image, warp, torch.full((48, 64), 0.9), SETTINGS)
+    assert len(got.scores) == 48 * (64 - 6)  # the left six columns leave image B
+    assert_close(got.positions[:, 2], torch.full_like(got.scores, 5.0))
+    assert_close(got.scores, torch.full_like(got.scores, 0.9), atol=1e-6, rtol=0)
+    assert_close(got.colours, image[:, 6:].reshape(-1, 3))
+    first = project_points(a, got.positions[:1])[0][0]
+    assert_close(first, torch.tensor([6.5, 0.5], dtype=D))  # the centre of the first pixel kept
+
+
+def test_uncertain_matches_change_nothing():
+    a, b, image, warp = plane_pair()
+    certainty = torch.full((48, 64), 0.9)
+    certainty[:, 30:] = SETTINGS.certainty - 1e-6
+    lenient = dense.DenseSettings(score=0.0)  # only the certainty may drop them
+    got = dense.points_of_pair(a, b, image, warp, certainty, lenient)
+    wild = warp.clone()
+    wild[:, 30:] = 7.0
+    again = dense.points_of_pair(a, b, image, wild, certainty, lenient)
+    assert len(got.scores) == 48 * 24
+    assert_close(again.positions, got.positions)
+
+
+@pytest.mark.parametrize(
+    ("x", "shift"),
+    [(0.0, 0.0), (0.5, 3.0), (0.05, -0.6)],
+    ids=["one place", "behind the cameras", "rays nearly parallel"],
+)
+def test_matches_that_prove_nothing_give_no_points(x, shift):
+    a, b, image, warp = plane_pair(x=max(x, 0.01))
+    b = camera(x)
+    warp[..., 0] = shift
+    got = dense.points_of_pair(a, b, image, warp, torch.ones(48, 64), SETTINGS)
+    assert len(got.scores) == 0
+
+
+def test_points_off_the_epipolar_line_are_scored_down():
+    a, b, image, warp = plane_pair()
+    warp[..., 1] = 4.0  # two pixels in each image: exp(-(4 + 4) / 2) = 0.018 < 0.3
+    got = dense.points_of_pair(a, b, image, warp, torch.ones(48, 64), SETTINGS)
+    assert len(got.scores) == 0
+
+
+@given(n=st.integers(0, 40), seed=st.integers(0, 2**16), size=st.floats(0.05, 3))
+def test_voxel_merge_is_the_weighted_mean_of_each_voxel(n, seed, size):
+    g = torch.Generator().manual_seed(seed)
+    cloud = dense.DensePoints(
+        positions=points(n, seed),
+        colours=torch.rand(n, 3, generator=g, dtype=D),
+        scores=0.1 + torch.rand(n, generator=g, dtype=D),
+    )
+    got = dense.merge_in_voxels(cloud, size)
+    cells: dict[tuple, list[int]] = {}
+    for i in range(n):
+        low = cloud.positions.amin(dim=0)
+        cells.setdefault(tuple(((cloud.positions[i] - low) / size).floor().tolist()), []).append(i)
+    assert len(got.scores) == len(cells)
+    for k, members in enumerate(cells[key] for key in sorted(cells)):
+        weight = cloud.scores[members] / cloud.scores[members].sum()
+        assert_close(got.positions[k], weight @ cloud.positions[members])
+        assert_close(got.colours[k], weight @ cloud.colours[members])
+        assert float(got.scores[k]) == float(cloud.scores[members].max())
+
+
+def test_the_same_pair_twice_does_not_grow_the_cloud():
+    a, b, image, warp = plane_pair()
+    once = dense.points_of_pair(a, b, image, warp, torch.ones(48, 64), SETTINGS)
+    twice = dense.DensePoints(
+        positions=once.positions.repeat(2, 1), colours=once.colours.repeat(2, 1),
+        scores=once.scores.repeat(2),
+    )  # fmt: skip
+    first, second = dense.merge_in_voxels(once, 0.2), dense.merge_in_voxels(twice, 0.2)
+    assert_close(first.positions, second.positions)
+
+
+def test_pairs_are_the_most_covisible_at_a_useful_angle():
+    cloud = points(30, 1)
+    centres = torch.tensor([[0.0, 0, 0], [0.01, 0, 0], [0.5, 0, 0], [60.0, 0, 5]], dtype=D)
+    seen = torch.ones(4, 30, dtype=torch.bool)
+    seen[2, 20:] = False
+    # 0-1: too close; 3 sees all from 90 degrees: too far; 0-2 and 1-2 share 20 at about 6 degrees.
+    assert dense.select_pairs(centres, cloud, seen, SETTINGS) == [(0, 2), (1, 2)]
+    seen[2] = False
+    assert dense.select_pairs(centres, cloud, seen, SETTINGS) == []
+
+
+@given(partners=st.integers(1, 3), seed=st.integers(0, 2**10))
+@settings(max_examples=20)
+def test_no_image_asks_for_more_partners_than_set(partners, seed):
+    g = torch.Generator().manual_seed(seed)
+    centres = torch.rand(6, 3, generator=g, dtype=D)
+    seen = torch.rand(6, 40, generator=g) > 0.4
+    few = dense.DenseSettings(partners=partners, angles=(0.0, 180.0))
+    pairs = dense.select_pairs(centres, points(40, seed), seen, few)
+    assert len(pairs) <= 6 * partners
+    assert all(a < b for a, b in pairs)
+    assert pairs == sorted(set(pairs))
+
+
+def textured(seed: int = 0) -> np.ndarray:
+    """A smooth random texture, wider than the views that are cut from it."""
+    noise = np.random.default_rng(seed).random((120, 220, 3)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.0)
+    return (smooth - smooth.min()) / (smooth.max() - smooth.min())
+
+
+def test_flow_finds_a_shift_and_is_sure_of_it():
+    texture = textured()
+    a, b = (torch.from_numpy(texture[:, x : x + 160].copy()) for x in (20, 26))
+    warp, certainty = match_by_flow(a, b)
+    inner = (slice(10, -10), slice(20, -20))
+    assert_close(warp[inner].mean(dim=(0, 1)), torch.tensor([-6.0, 0.0]), atol=0.1, rtol=0)
+    assert float(certainty[inner].median()) > 0.8
+
+
+def test_flow_is_unsure_where_there_is_no_texture_and_where_images_differ():
+    texture = textured()
+    flat = torch.full((120, 160, 3), 0.5)
+    assert float(match_by_flow(flat, flat)[1].max()) == 0
+    a, b = torch.from_numpy(texture[:, :160].copy()), torch.from_numpy(textured(9)[:, :160].copy())
+    assert float(match_by_flow(a, b)[1].median()) < 0.3
+
+
+def turned_pair() -> tuple[Tensor, Tensor, Tensor]:
+    """Two views of one texture, turned by 40 degrees and moved by half an image; A to B."""
+    texture = cv2.resize(textured(3), (640, 360))
+    to_a = np.array([[1.0, 0, -150], [0, 1, -100], [0, 0, 1]])
+    angle = np.radians(40)
+    c, s = np.cos(angle), np.sin(angle)
+    to_b = np.array([[c, -s, 20.0], [s, c, -240], [0, 0, 1]])
+    views = [cv2.warpPerspective(texture, h, (160, 120)) for h in (to_a, to_b)]
+    # warpPerspective counts from pixel centres: shift by half a pixel on both sides
+    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    plane = half @ to_b @ np.linalg.inv(to_a) @ np.linalg.inv(half)
+    a, b = (torch.from_numpy(view) for view in views)
+    return a, b, torch.from_numpy(plane / plane[2, 2])
+
+
+def test_a_homography_lets_flow_match_what_is_turned_and_far_away():
+    a, b, plane = turned_pair()
+    warp, certainty = match_by_flow(a, b, plane)
+    sure = certainty > 0.5
+    assert int(sure.sum()) > 1500
+    rows, columns = torch.where(sure)
+    here = torch.stack([columns, rows], dim=1).double() + 0.5
+    lifted = torch.cat([here, torch.ones(len(here), 1, dtype=D)], dim=1) @ plane.T
+    want = lifted[:, :2] / lifted[:, 2:]
+    off = (here + warp[sure] - want).norm(dim=1)
+    assert float(off.median()) < 0.1
+    # The control: without the homography hardly anything is found, and what is, is wrong.
+    unsure = match_by_flow(a, b)[1]
+    found = unsure > 0.5
+    assert int((found & sure).sum()) < 0.2 * int(sure.sum())
+
+
+def test_pixels_that_the_other_image_does_not_reach_are_unsure():
+    a, b, plane = turned_pair()
+    _, certainty = match_by_flow(a, b, plane)
+    rows, columns = torch.meshgrid(torch.arange(120), torch.arange(160), indexing="ij")
+    here = torch.stack([columns + 0.5, rows + 0.5, torch.ones_like(rows)], dim=-1).double()
+    there = here @ plane.T
+    there = there[..., :2] / there[..., 2:]
+    outside = ((there < 0) | (there >= torch.tensor([160, 120]))).any(dim=-1)
+    assert int(outside.sum()) > 1000
+    assert float(certainty[outside].max()) == 0
+
+
+def test_plane_between_shared_points():
+    g = torch.Generator().manual_seed(0)
+    here = 100 * torch.rand(30, 2, generator=g, dtype=D)
+    plane = torch.tensor([[0.9, -0.2, 5], [0.1, 1.1, -3], [1e-4, 2e-4, 1]], dtype=D)
+    lifted = torch.cat([here, torch.ones(30, 1, dtype=D)], dim=1) @ plane.T
+    there = lifted[:, :2] / lifted[:, 2:]
+    there[0] += 40  # an outlier
+    found = plane_between(here, there)
+    assert found is not None
+    assert_close(found, plane, atol=1e-6, rtol=1e-4)
+    assert plane_between(here[:7], there[:7]) is None

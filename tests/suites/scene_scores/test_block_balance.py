@@ -1,0 +1,26 @@
+import pytest
+
+from splatbench.methods.city.train_block import BlockFacts
+from splatbench.metrics.scene_registry import BLOCKS, SCENE_METRICS
+from splatbench.suites.scene_scores.block_balance import FIELDS, balance_metrics
+
+
+def test_by_hand():
+    blocks = [
+        BlockFacts(block=0, views=3, points=10, load=30, seconds=1.0, peak_mb=100.0, primitives=5),
+        BlockFacts(block=1, views=3, points=30, load=30, seconds=3.0, peak_mb=300.0, primitives=5),
+    ]
+    found = balance_metrics(blocks)
+    assert found["seconds_max_over_mean"] == pytest.approx(1.5)
+    assert found["memory_std_over_mean"] == pytest.approx(0.5)
+    assert found["load_std_over_mean"] == found["views_std_over_mean"] == 0
+    assert found["load_max_over_mean"] == found["primitives_max_over_mean"] == 1
+    assert found.keys() <= SCENE_METRICS.keys()
+    assert len(found) == 2 * len(FIELDS)
+    assert set(FIELDS) == set(BLOCKS)
+
+
+def test_what_was_not_measured_is_left_out():
+    found = balance_metrics([BlockFacts(block=0, views=1, points=2, load=3)])
+    assert "seconds_max_over_mean" not in found
+    assert found["points_max_over_mean"] == 1

@@ -1,0 +1,217 @@
+"""Seam metrics of a case: a planted seam is seen, and only where the partition says so."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from helpers.tiny_scene import camera, sparse_points
+from splatbench.methods.city.model import CityModel
+from splatbench.methods.city.regions import OrientedRegion
+from splatbench.methods.city.train_block import BlockFacts
+from splatbench.methods.kernels.rasterizer import rasterize
+from splatbench.metrics.protocol_files import load_protocol
+from splatbench.metrics.scene_registry import SCENE_METRICS
+from splatbench.reference.partition.boxes import OrientedBox
+from splatbench.reference.rasterizer.rasterize import Mode
+from splatbench.reference.types.gaussians import Gaussians
+from splatbench.reference.types.scene import Scene, View
+from splatbench.suites.held_out import score_views
+from splatbench.suites.scene_scores.city_scores import city_scores
+from splatbench.suites.scene_scores.seams import block_picture, mask_picture, score_seams
+
+PROTOCOL = replace(load_protocol("default"), rounding="float")
+BOXES = tuple(
+    OrientedBox(
+        centre=torch.tensor([x, 0.0, 0.0], dtype=torch.float64),
+        rotation=torch.eye(3, dtype=torch.float64),
+        half=torch.tensor([1.5, 9.0, 9.0], dtype=torch.float64),
+    )
+    for x in (-1.5, 1.5)
+)
+BOXED = tuple(OrientedRegion(box=box) for box in BOXES)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TwoBlocks:
+    """A wall of Gaussians cut in two at x = 0."""
+
+    model: Gaussians
+    blocks: torch.Tensor
+    distances: torch.Tensor
+    regions: tuple[OrientedBox, ...] = BOXES
+    mode: Mode = "classic"
+
+    def gaussians(self) -> Gaussians:
+        return self.model
+
+
+def wall(*, step: float = 0.0, sink: float = 0.0) -> TwoBlocks:
+    """A grid over |x|, |y| < 3 at z = 0; block 1 is brighter by `step`, its rim sunk by `sink`."""
+    line = torch.arange(-3, 3.01, 0.15) + 0.01
+    x, y = torch.meshgrid(line, line, indexing="ij")
+    means = torch.stack([x.ravel(), y.ravel(), torch.zeros(x.numel())], dim=1)
+    blocks = (means[:, 0] > 0).long()
+    means[:, 2] += sink * blocks
+    sh = torch.full((len(means), 1, 3), -0.5)
+    sh[:, 0] += step / 0.28209479 * blocks[:, None]  # DC band: colour = 0.282 sh + 0.5
+    model = Gaussians(
+        means=means,
+        quaternions=torch.tensor([[1.0, 0, 0, 0]]).repeat(len(means), 1),
+        log_scales=torch.full((len(means), 3), 0.12).log(),
+        opacity_logits=torch.full((len(means),), 3.0),
+        sh=sh,
+    )
+    distances = torch.stack([box.distance(means.double()) for box in BOXES])
+    own = distances[blocks, torch.arange(len(means))]
+    return TwoBlocks(model=model, blocks=blocks, distances=own)
+
+
+def scene(of: TwoBlocks | None = None) -> Scene:
+    """Two views whose photos show the wall without a seam."""
+    truth = (of or wall()).model
+
+    def view(index: int) -> View:
+        where = camera(index, width=48, height=36)
+        photo = rasterize(
+            where, truth.means, truth.quaternions, truth.scales, truth.opacities, sh=truth.sh
+        ).colour.clamp(0, 1)
+        return View(name=f"{index}.png", camera=where, load=lambda: photo)
+
+    line = torch.linspace(-2, 2, 9).double()
+    points = torch.cat([torch.cartesian_prod(line, line), torch.zeros(81, 1).double()], dim=1)
+    return Scene(
+        name="wall", root=None, views=(view(1), view(2), view(3)), train=(0,), test=(1, 2),
+        points=sparse_points(points), up=torch.tensor([0.0, -1.0, 0.0]).double(), units="sfm",
+        shift=torch.zeros(3).double(),
+    )  # fmt: skip
+
+
+def scores(model: TwoBlocks, folder, protocol=PROTOCOL, of: Scene | None = None):
+    return score_seams(of or scene(), model, protocol, "cpu", folder)
+
+
+def test_a_perfect_model_has_no_seam_but_a_seam_mask(tmp_path):
+    views, whole = scores(wall(), tmp_path)
+    assert whole["seam_psnr"] == float("inf")
+    assert 0.02 < whole["seam_coverage"] < 0.5
+    assert views.keys() == {"2.png", "3.png"}
+    pooled = np.mean([views[name]["seam_coverage"] for name in views])
+    assert whole["seam_coverage"] == pytest.approx(pooled)  # views of one size
+
+
+def test_a_planted_step_lowers_seam_psnr_and_raises_bpd(tmp_path):
+    faint, strong = (scores(wall(step=step), tmp_path)[1] for step in (0.02, 0.1))
+    none = scores(wall(), tmp_path)[1]
+    assert none["seam_psnr"] > faint["seam_psnr"] > strong["seam_psnr"] + 10
+    assert none["bpd_l1"] < faint["bpd_l1"] < strong["bpd_l1"]
+    # off by 0.1 on one side of the border and by nothing on the other, blended by Gaussians as
+    # wide as the mask: a quarter of the pixels at least and all of them at most
+    assert 20 < strong["seam_psnr"] < -10 * np.log10(0.25 * 0.01) + 1
+
+
+def test_a_planted_jump_in_depth_raises_the_gradient_jump(tmp_path):
+    level, sunk = (scores(wall(sink=sink), tmp_path)[1]["nbgj"] for sink in (0.0, 0.5))
+    assert sunk != pytest.approx(level, rel=0.05)
+
+
+def test_the_mask_is_the_partitions_whatever_the_merge_kept(tmp_path):
+    model = wall()
+    kept = model.distances <= 0.9  # a merge that drops more than a hard one
+    part = replace(
+        model,
+        model=Gaussians(**{name: values[kept] for name, values in vars(model.model).items()}),
+        blocks=model.blocks[kept],
+        distances=model.distances[kept],
+    )
+    assert scores(part, tmp_path)[1]["seam_coverage"] == scores(model, tmp_path)[1]["seam_coverage"]
+    assert scores(part, tmp_path)[1]["seam_psnr"] < 30
+
+
+def test_pixels_off_the_mask_do_not_count(tmp_path):
+    model = wall()
+    far = model.model.means[:, 0].abs() > 0.8
+    sh = model.model.sh + 0.5 * far[:, None, None]
+    spoilt = replace(model, model=replace(model.model, sh=sh))
+    assert scores(spoilt, tmp_path)[1]["seam_psnr"] > 60
+    near = replace(model, model=replace(model.model, sh=model.model.sh + 0.5 * ~far[:, None, None]))
+    assert scores(near, tmp_path)[1]["seam_psnr"] < 20  # the control
+
+
+def test_one_region_is_undefined_not_perfect(tmp_path):
+    views, whole = scores(replace(wall(), regions=BOXES[:1]), tmp_path)
+    assert whole["seam_coverage"] == 0
+    assert np.isnan(whole["seam_psnr"])
+    assert np.isnan(views["2.png"]["bpd_l1"])
+
+
+def test_masked_pixels_are_on_no_seam(tmp_path):
+    masked = scene()
+    views = tuple(
+        replace(view, load_mask=lambda: torch.zeros(36, 48, dtype=torch.bool))
+        for view in masked.views
+    )
+    masked = replace(masked, views=views)
+    assert scores(wall(), tmp_path, of=masked)[1]["seam_coverage"] == 0
+    open_rules = replace(PROTOCOL, masked=False)
+    assert scores(wall(), tmp_path, open_rules, of=masked)[1]["seam_coverage"] > 0
+
+
+def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
+    of = wall(step=0.1)
+    facts = tuple(
+        BlockFacts(block=b, views=2, points=8, load=16, seconds=1.0 + b, peak_mb=9.0, primitives=4)
+        for b in range(2)
+    )
+    model = CityModel(
+        model=of.model, method="test", blocks=of.blocks, distances=of.distances, regions=BOXED,
+        block_facts=facts, packed=b"12345",
+    )  # fmt: skip
+    plain, _ = score_views(scene(), model, PROTOCOL, tmp_path)
+    images, found = city_scores(scene(), model, PROTOCOL, plain, tmp_path)
+    assert found["seam_psnr"] == scores(of, tmp_path)[1]["seam_psnr"]
+    assert found["seconds_max_over_mean"] == pytest.approx(2 / 1.5)
+    assert found["packed_bytes"] == 5
+    assert found.keys() <= SCENE_METRICS.keys()
+    for before, after in zip(plain, images, strict=True):
+        assert before.metrics.items() <= after.metrics.items()
+        assert after.metrics["seam_coverage"] > 0
+
+
+def test_pictures(tmp_path):
+    scores(wall(step=0.1), tmp_path)
+    for kind in ("seams", "blocks"):
+        picture = cv2.imread(str(tmp_path / kind / "2.png"))
+        assert picture is not None
+        assert picture.shape == (36, 48, 3)
+    weights = torch.zeros(2, 2, 9)
+    weights[0, 0, 0] = weights[1, 1, 8] = 1.0
+    painted = block_picture(weights)
+    assert painted[0, 0].tolist() == painted[1, 1].tolist() == [68, 119, 170]  # colours come round
+    assert painted[0, 1].tolist() == [0, 0, 0]
+    seam = torch.tensor([[True, False]])
+    assert mask_picture(torch.full((1, 2, 3), 1.0), seam).tolist() == [[[255, 128, 128], [255] * 3]]
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_one_pass_over_all_blocks_sees_what_a_pass_each_sees(mode: Mode):
+    """The kernels' passes against metrics' own, with more blocks than one pass has channels."""
+    from splatbench.methods.kernels.blocks import block_weights, render_blocks
+    from splatbench.metrics.seam_render import render_seam_view
+
+    held = wall(step=0.1)
+    blocks = torch.arange(len(held.model)) % 20
+    at, truth, grey = camera(0), torch.zeros(18, 24, 3), torch.full((3,), 0.5)
+    plain = partial(rasterize, mode=mode)
+    one = render_seam_view(plain, at, held.model, blocks, held.distances, truth, grey)
+    passes = {"render_blocks": partial(render_blocks, mode=mode),
+              "block_weights": partial(block_weights, mode=mode)}  # fmt: skip
+    two = render_seam_view(plain, at, held.model, blocks, held.distances, truth, grey, **passes)
+    for name in ("image", "depth", "seam", "block_weights", "block_images", "block_depths"):
+        assert torch.equal(getattr(one, name), getattr(two, name)), name
+    many = torch.arange(len(held.model)) % 40
+    wide = render_seam_view(plain, at, held.model, many, held.distances, truth, grey, **passes)
+    assert wide.block_weights.shape[2] == 40

@@ -1,0 +1,64 @@
+"""The curve of a run that was killed and continued is that of an undisturbed one."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatbench.suites import training_curve as curve_module
+from splatbench.suites.training_curve import POINTS, Curve
+
+
+def log(curve: Curve, start: int, stop: int, total: int, every: int) -> None:
+    for step in range(start + 1, stop + 1):
+        if step % every == 0 or step == total:
+            curve.add(step, total, {"loss": 1 / step})
+
+
+@given(
+    total=st.integers(1, 3000),
+    every=st.sampled_from([1, 7, 10]),
+    kill=st.floats(0, 1),
+    back=st.floats(0, 1),
+    torn=st.booleans(),
+)
+def test_continued_equals_undisturbed(tmp_path_factory, total, every, kill, back, torn):
+    folder = tmp_path_factory.mktemp("curve")
+    whole = Curve(folder / "whole.jsonl")
+    log(whole, 0, total, total, every)
+    killed = int(kill * total)
+    log(Curve(folder / "torn.jsonl"), 0, killed, total, every)
+    if torn:
+        with (folder / "torn.jsonl").open("a") as file:
+            file.write('{"step": 1')
+    continued = Curve(folder / "torn.jsonl")
+    log(continued, int(back * killed), total, total, every)
+    assert continued.points() == whole.points()
+    assert Curve(folder / "torn.jsonl").points() == whole.points()
+    assert len(whole.points()) <= 2 * POINTS
+    assert whole.points()[-1][0] == total
+
+
+def test_cpu_time_and_memory_of_lost_steps_do_not_count(tmp_path, monkeypatch):
+    clock, peak = [100.0], [50.0]
+    monkeypatch.setattr(curve_module, "cpu_seconds", lambda: clock[0])
+    monkeypatch.setattr(curve_module, "peak_memory_mb", lambda: peak[0])
+    first = Curve(tmp_path / "c.jsonl")
+    for step in (1, 2, 3):
+        clock[0] += 10
+        first.add(step, 10, {})
+    assert first.spent() == (30.0, 50.0)
+    # Killed; the checkpoint was at step 2. A new process starts its clock anew.
+    clock[0], peak[0] = 1.0, 40.0
+    second = Curve(tmp_path / "c.jsonl")
+    clock[0] += 10
+    second.add(3, 10, {})
+    assert second.spent() == (30.0, 50.0)
+    assert [step for step, _ in second.points()] == [1, 2, 3]
+
+
+def test_training_that_had_ended_reports_nothing_and_keeps_its_points(tmp_path, monkeypatch):
+    monkeypatch.setattr(curve_module, "cpu_seconds", lambda: 5.0)
+    Curve(tmp_path / "c.jsonl").add(1, 1, {"loss": 0.5})
+    again = Curve(tmp_path / "c.jsonl")
+    assert again.points() == ((1, {"loss": 0.5}),)
+    assert again.spent()[0] == pytest.approx(0.0)
