@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.splits import chosen_views, split_hash
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene, View
+from splatproof.base.errors import DataError
+from splatproof.datasets.splits import chosen_views, split_hash
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene, View
 
 
 def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:

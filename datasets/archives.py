@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import IO
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets.files import CHUNK
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets.files import CHUNK
 
 LIMIT = 512 * 2**30
 """Default bound on the unpacked bytes of one archive."""

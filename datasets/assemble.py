@@ -14,22 +14,22 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets.depth_maps import depth_loader, depth_path
-from splatbench.datasets.image_cache import TensorCache
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.lidar import sample_sweeps
-from splatbench.datasets.photos import photo_size
-from splatbench.datasets.protocol_subset import chosen_part
-from splatbench.datasets.resize import scale_intrinsics, scaled_size
-from splatbench.datasets.scene_frame import origin_shift, up_vector
-from splatbench.datasets.sparse_points import seen_in_training
-from splatbench.datasets.splits import chosen_views, split_hash, split_views
-from splatbench.datasets.truth_image import Truth
-from splatbench.datasets.undistort import Undistortion, is_pinhole, plan_undistortion
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene, SparsePoints, View
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets.depth_maps import depth_loader, depth_path
+from splatproof.datasets.image_cache import TensorCache
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.lidar import sample_sweeps
+from splatproof.datasets.photos import photo_size
+from splatproof.datasets.protocol_subset import chosen_part
+from splatproof.datasets.resize import scale_intrinsics, scaled_size
+from splatproof.datasets.scene_frame import origin_shift, up_vector
+from splatproof.datasets.sparse_points import seen_in_training
+from splatproof.datasets.splits import chosen_views, split_hash, split_views
+from splatproof.datasets.truth_image import Truth
+from splatproof.datasets.undistort import Undistortion, is_pinhole, plan_undistortion
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 POSITION_BYTES = 512 * 2**20
 """Bound of the undistortion maps that a scene keeps: 8 bytes a pixel, so one camera of 64 MP."""

@@ -26,7 +26,7 @@ class Box:
     track: str
     """The same for a thing at all moments."""
     kind: str
-    """One of splatbench.datasets.moving_masks.KINDS."""
+    """One of splatproof.datasets.moving_masks.KINDS."""
     frame: int
     """Index of the moment."""
     pose: Float64[np.ndarray, "4 4"]

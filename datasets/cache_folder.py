@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splatbench.base.errors import MissingError
+from splatproof.base.errors import MissingError
 
 
 def cache_folder() -> Path:
-    """SPLATBENCH_CACHE, else splatbench below XDG_CACHE_HOME, else ~/.cache/splatbench."""
-    named = os.environ.get("SPLATBENCH_CACHE")
+    """SPLATPROOF_CACHE, else splatproof below XDG_CACHE_HOME, else ~/.cache/splatproof."""
+    named = os.environ.get("SPLATPROOF_CACHE")
     if named:
         return Path(named)
     base = os.environ.get("XDG_CACHE_HOME")
     # the XDG specification: a relative path is to be ignored
     root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
-    return root / "splatbench"
+    return root / "splatproof"
 
 
 @contextmanager
@@ -31,7 +31,7 @@ def locked(path: Path) -> Iterator[None]:
         handle = path.open("a")
     except OSError as error:
         raise MissingError(
-            f"{path.parent}: cannot write here ({error.strerror}); set SPLATBENCH_CACHE to a "
+            f"{path.parent}: cannot write here ({error.strerror}); set SPLATPROOF_CACHE to a "
             "folder that can be written"
         ) from None
     with handle:

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.colmap_model import Model, find_model, pose_matrix, read_model
-from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
-from splatbench.datasets.moving_masks import FOLDER, moving_masks
-from splatbench.datasets.photos import list_photos
-from splatbench.datasets.scene_file import SceneFile, read_scene_file
-from splatbench.datasets.sparse_points import read_points
-from splatbench.datasets.view_times import read_moments, sky_path
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.colmap_model import Model, find_model, pose_matrix, read_model
+from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatproof.datasets.moving_masks import FOLDER, moving_masks
+from splatproof.datasets.photos import list_photos
+from splatproof.datasets.scene_file import SceneFile, read_scene_file
+from splatproof.datasets.sparse_points import read_points
+from splatproof.datasets.view_times import read_moments, sky_path
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 NOT_REGISTERED = "structure from motion did not register it"
 

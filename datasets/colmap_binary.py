@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.colmap_index import ModelIndex, parameter_count
+from splatproof.base.errors import DataError
+from splatproof.datasets.colmap_index import ModelIndex, parameter_count
 
 SUFFIX = ".bin"
 

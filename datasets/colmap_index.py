@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 MODEL_FILES = ("cameras", "images", "points3D")
 RIG_FILES = ("rigs", "frames")

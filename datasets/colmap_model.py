@@ -8,9 +8,9 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets import colmap_binary, colmap_text
-from splatbench.datasets.colmap_index import (
+from splatproof.base.errors import DataError
+from splatproof.datasets import colmap_binary, colmap_text
+from splatproof.datasets.colmap_index import (
     MODEL_FILES,
     RIG_FILES,
     ModelIndex,

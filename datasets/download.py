@@ -11,8 +11,8 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.datasets.files import CHUNK, sha256_of
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.datasets.files import CHUNK, sha256_of
 
 TIMEOUT = 30.0
 """Seconds without an answer after which a connection counts as broken."""
@@ -99,7 +99,7 @@ def download(
 def _fetch(url: str, part: Path, report: Report, timeout: float) -> None:
     """One connection: append what is missing to the partial file, or begin again."""
     have = part.stat().st_size if part.exists() else 0
-    headers = {"User-Agent": "splatbench", "Accept-Encoding": "identity"}
+    headers = {"User-Agent": "splatproof", "Accept-Encoding": "identity"}
     if have:
         headers["Range"] = f"bytes={have}-"
     request = urllib.request.Request(url, headers=headers)

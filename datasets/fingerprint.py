@@ -5,9 +5,9 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.files import sha256_of
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.files import sha256_of
+from splatproof.reference.types.scene import Scene
 
 Known = dict[str, tuple[int, int, str]]
 """Absolute path -> (bytes, time of change in ns, sha256) of files that were read before."""

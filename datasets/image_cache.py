@@ -6,8 +6,8 @@ from threading import Lock
 
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.types.scene import View
+from splatproof.base.errors import UsageError
+from splatproof.reference.types.scene import View
 
 
 class TensorCache:

@@ -11,7 +11,7 @@ import pycolmap
 import torch
 from jaxtyping import Bool, Float64
 
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.reference.types.scene import SparsePoints
 
 FULL_SIZE_FOLDERS = ("photos", "images")
 """Two names of the folder that has the photos as calibrated."""

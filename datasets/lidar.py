@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatbench.datasets.layout import Sweep, plain_points
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.datasets.layout import Sweep, plain_points
+from splatproof.reference.types.scene import SparsePoints
 
 MOST_POINTS = 600_000
 """Points that a scene takes from its sweeps (Chen et al. 2023, PVG, release: num_pts)."""

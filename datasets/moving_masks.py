@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 KINDS = ("vehicles", "people")
 """What moves; the names of the masks of a view."""

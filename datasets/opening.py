@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters import (
     kitti,
     levir_nvs,
     llff,
@@ -15,10 +15,10 @@ from splatbench.datasets.adapters import (
     transforms,
     waymo,
 )
-from splatbench.datasets.added_views import with_tests
-from splatbench.datasets.colmap import open_colmap
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.added_views import with_tests
+from splatproof.datasets.colmap import open_colmap
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,13 +122,13 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
     folder = Path(spec)
     if not folder.is_dir():
         # imported late: a folder can be opened without the registry's file
-        from splatbench.datasets.registry import find_scene
+        from splatproof.datasets.registry import find_scene
 
         folder = find_scene(str(spec))
     scene = _with_test_views(folder, protocol)
     if protocol.points == "scene":
         return scene
-    from splatbench.datasets.triangulation import with_triangulated  # brings COLMAP's matcher
+    from splatproof.datasets.triangulation import with_triangulated  # brings COLMAP's matcher
 
     return with_triangulated(scene)
 

@@ -6,8 +6,8 @@ import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import UsageError
+from splatproof.reference.types.scene import Scene
 
 LEVELS = {"L1": (0.5, 0.001), "L2": (1.0, 0.002), "L3": (2.0, 0.005)}
 """Standard deviation of the rotation in degrees, and of the position as a share of the extent."""

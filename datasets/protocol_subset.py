@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.layout import Layout
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import DataError
+from splatproof.datasets.layout import Layout
+from splatproof.reference.types.protocol import Protocol
 
 
 def chosen_part(folder: Path, layout: Layout, protocol: Protocol) -> Layout:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args
 
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.datasets.archives import extract
-from splatbench.datasets.cache_folder import cache_folder, locked
-from splatbench.datasets.download import download
-from splatbench.datasets.files import sha256_of
-from splatbench.datasets.progress import bar
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.datasets.archives import extract
+from splatproof.datasets.cache_folder import cache_folder, locked
+from splatproof.datasets.download import download
+from splatproof.datasets.files import sha256_of
+from splatproof.datasets.progress import bar
 
 FILE = "registry.toml"
 """Beside this module; a data root may hold one of its own with further scenes."""
@@ -60,8 +60,8 @@ class SceneEntry:
 
 
 def data_roots() -> tuple[Path, ...]:
-    """Folders that scenes are looked for in: SPLATBENCH_DATA (a path list), else the defaults."""
-    named = os.environ.get("SPLATBENCH_DATA")
+    """Folders that scenes are looked for in: SPLATPROOF_DATA (a path list), else the defaults."""
+    named = os.environ.get("SPLATPROOF_DATA")
     parts = named.split(os.pathsep) if named else DEFAULT_ROOTS
     return tuple(Path(part) for part in parts if part)
 
@@ -181,14 +181,14 @@ def absence(entry: SceneEntry) -> str:
     how = f"run `bench scenes get {entry.name}`" if entry.url else entry.get
     page = f" (home page {entry.home})" if entry.home and entry.home not in how else ""
     return (
-        f"{entry.name}: not on this machine; looked for {looked} (set SPLATBENCH_DATA to the "
+        f"{entry.name}: not on this machine; looked for {looked} (set SPLATPROOF_DATA to the "
         f"folders that hold your data). To get it: {how}{page}"
     )
 
 
 def made_folder(entry: SceneEntry) -> Path:
     """Folder in the cache of what a made scene's world makes, named by its content."""
-    from splatbench.datasets.procedural import worlds
+    from splatproof.datasets.procedural import worlds
 
     content = worlds.content(entry.world, entry.preset, entry.seed)
     return cache_folder() / "scenes" / content / entry.world
@@ -196,7 +196,7 @@ def made_folder(entry: SceneEntry) -> Path:
 
 def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
     """Make a made scene in the cache; a second process waits and finds it there."""
-    from splatbench.datasets.procedural import worlds
+    from splatproof.datasets.procedural import worlds
 
     folder = made_folder(entry)
     with locked(folder.with_name(f".{entry.world}.lock")):

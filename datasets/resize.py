@@ -9,8 +9,8 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import UsageError
+from splatproof.reference.types.protocol import Protocol
 
 _PIL_FILTERS = {
     "bilinear": Image.Resampling.BILINEAR,

@@ -7,7 +7,7 @@ import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 NAME = "scene.toml"
 

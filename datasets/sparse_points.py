@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from splatbench.datasets.colmap_model import Model
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.datasets.colmap_model import Model
+from splatproof.reference.types.scene import SparsePoints
 
 
 def read_points(model: Model) -> SparsePoints:

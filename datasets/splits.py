@@ -5,8 +5,8 @@ import fnmatch
 import hashlib
 from collections.abc import Sequence
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.types.protocol import Protocol
 
 Split = tuple[tuple[int, ...], tuple[int, ...]]
 """Indices of the views that train and of those that are scored, each increasing."""

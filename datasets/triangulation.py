@@ -17,12 +17,12 @@ import pycolmap
 import torch
 from jaxtyping import UInt8
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.cache_folder import cache_folder, locked
-from splatbench.datasets.files import write_bytes
-from splatbench.datasets.ingesting import pairing
-from splatbench.datasets.progress import bar
-from splatbench.reference.types.scene import Scene, SparsePoints, View
+from splatproof.base.errors import DataError
+from splatproof.datasets.cache_folder import cache_folder, locked
+from splatproof.datasets.files import write_bytes
+from splatproof.datasets.ingesting import pairing
+from splatproof.datasets.progress import bar
+from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 SEED = 0
 """Of the verification of matches and the triangulation, which draw samples."""

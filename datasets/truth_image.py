@@ -16,11 +16,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.image_cache import TensorCache
-from splatbench.datasets.photos import read_photo
-from splatbench.datasets.resize import FILTER_RADIUS, resample
-from splatbench.datasets.undistort import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.image_cache import TensorCache
+from splatproof.datasets.photos import read_photo
+from splatproof.datasets.resize import FILTER_RADIUS, resample
+from splatproof.datasets.undistort import (
     Undistortion,
     photo_positions,
     undistort_image,

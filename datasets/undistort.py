@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 LARGEST = 4
 """With "keep", the pinhole image may be this many times the photo's width or height."""

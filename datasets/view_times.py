@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.files import write_bytes
+from splatproof.base.errors import DataError
+from splatproof.datasets.files import write_bytes
 
 NAME = "views.json"
 SKY = "sky"

@@ -8,9 +8,9 @@ from difflib import get_close_matches
 
 import torch
 
-from splatbench.base.errors import MissingError, UsageError
-from splatbench.reference.rasterizer import rasterize as reference_rasterizer
-from splatbench.reference.types.render import RenderOutput
+from splatproof.base.errors import MissingError, UsageError
+from splatproof.reference.rasterizer import rasterize as reference_rasterizer
+from splatproof.reference.types.render import RenderOutput
 
 CONTRACT = frozenset({"float32", "float64", "distance", "median", "contributors", "probe"})
 """What the reference rasterizer offers."""
@@ -18,7 +18,7 @@ CONTRACT = frozenset({"float32", "float64", "distance", "median", "contributors"
 
 @dataclass(frozen=True, kw_only=True)
 class Backend:
-    """One implementation of splatbench.reference.rasterizer.rasterize."""
+    """One implementation of splatproof.reference.rasterizer.rasterize."""
 
     name: str
     rasterize: Callable[..., RenderOutput]
@@ -37,7 +37,7 @@ def _reference() -> Backend:
 
 def _cpu() -> Backend:
     try:
-        kernel = importlib.import_module("splatbench.methods.kernels.rasterizer")
+        kernel = importlib.import_module("splatproof.methods.kernels.rasterizer")
     except ImportError as error:
         return _absent("cpu", f"the compiled kernels do not load ({error}); run `pip install .`")
     return Backend(
@@ -47,8 +47,8 @@ def _cpu() -> Backend:
 
 def _cuda() -> Backend:
     if importlib.util.find_spec("gsplat") is None:
-        return _absent("cuda", "gsplat is not installed; run `pip install splatbench[cuda]`")
-    adapter = importlib.import_module("splatbench.methods.cuda_gsplat")
+        return _absent("cuda", "gsplat is not installed; run `pip install splatproof[cuda]`")
+    adapter = importlib.import_module("splatproof.methods.cuda_gsplat")
     if not torch.cuda.is_available():
         return _absent("cuda", "torch finds no CUDA device; use `cpu`")
     return Backend(

@@ -11,12 +11,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.rasterizer import rotation
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.render import RenderOutput
+from splatproof.base.errors import UsageError
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
 
 CAPABILITIES = frozenset({"float32", "probe"})
 """What of the contract this backend offers."""

@@ -6,14 +6,14 @@ from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-from splatbench.base.errors import UsageError
-from splatbench.methods.city import settings as city
-from splatbench.methods.city.pipeline import fit as fit_city
-from splatbench.methods.models.explicit import Reconstruction
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training import loop as training
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import UsageError
+from splatproof.methods.city import settings as city
+from splatproof.methods.city.pipeline import fit as fit_city
+from splatproof.methods.models.explicit import Reconstruction
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import loop as training
+from splatproof.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ class Run:
     seed: int = 0
     """Every random draw of the run comes from one generator with this seed."""
     backend: str = "cpu"
-    """Name of the rasterizer, see splatbench.methods.backends."""
+    """Name of the rasterizer, see splatproof.methods.backends."""
     threads: int | None = None
     """Threads of torch and of the kernels while fitting; None leaves them alone."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -41,7 +41,7 @@ class Run:
     image_bytes: int = 2**30
     """Most bytes of training images kept in memory; the others are read again each time."""
     engine: str = "processes"
-    """Where the blocks of a city are trained, see splatbench.methods.city.executor."""
+    """Where the blocks of a city are trained, see splatproof.methods.city.executor."""
     workers: int = 1
     """Blocks that are trained at the same time; they share the threads."""
     cache: Path | None = None

@@ -1,9 +1,9 @@
-"""How evenly work is spread over blocks. (The edge cut is splatbench.reference.partition.metis.cut_size.)"""
+"""How evenly work is spread over blocks. (The edge cut is splatproof.reference.partition.metis.cut_size.)"""
 
 import numpy as np
 from jaxtyping import Float
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 
 def spread(loads: Float[np.ndarray, " k"]) -> tuple[float, float]:

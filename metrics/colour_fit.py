@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
+from splatproof.base.errors import UsageError
 
 ROUNDS = 5
 """How often the fit is repeated on its own result (mip-NeRF 360's colour correction)."""

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 RATIO = 1.25
 """delta_k counts pixels whose depth is off by a factor below RATIO^k."""

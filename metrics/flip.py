@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics.pairs import Pair, check_pair, mean_over
+from splatproof.metrics.pairs import Pair, check_pair, mean_over
 
 
 def flip(

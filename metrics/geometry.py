@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
+from splatproof.base.errors import DataError, UsageError
 
 
 @dataclass(frozen=True, kw_only=True)

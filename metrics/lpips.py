@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from splatbench.base.errors import DataError, MissingError
-from splatbench.metrics.pairs import check_pair
-from splatbench.metrics.weights import find_weights, weights_sha256
+from splatproof.base.errors import DataError, MissingError
+from splatproof.metrics.pairs import check_pair
+from splatproof.metrics.weights import find_weights, weights_sha256
 
 SMALLEST = {"vgg": 16, "alex": 31}
 """Shortest side in pixels that still reaches the network's last layer."""
@@ -150,7 +150,7 @@ def _heads_file(network: str) -> Path:
     if found is None or not found.submodule_search_locations:
         raise MissingError(
             "LPIPS takes its linear heads from torchmetrics, which is not installed; "
-            "run: pip install 'splatbench[weights]'"
+            "run: pip install 'splatproof[weights]'"
         )
     return Path(found.submodule_search_locations[0], f"functional/image/lpips_models/{network}.pth")
 

@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics.flip import flip_map
-from splatbench.metrics.pairs import Pair, check_pair, mean_over
-from splatbench.metrics.pixel import psnr_of_mse
-from splatbench.metrics.ssim import WINDOW, skimage_map, ssim_map, windows_valid
+from splatproof.metrics.flip import flip_map
+from splatproof.metrics.pairs import Pair, check_pair, mean_over
+from splatproof.metrics.pixel import psnr_of_mse
+from splatproof.metrics.ssim import WINDOW, skimage_map, ssim_map, windows_valid
 
 PARTS = ("moving", "vehicles", "people", "still")
 """What `Protocol.parts` may name: all that moves, either kind of it, all that does not."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from splatbench.base.errors import UsageError
-from splatbench.metrics.registry import find_metric
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import UsageError
+from splatproof.metrics.registry import find_metric
+from splatproof.reference.types.protocol import Protocol
 
 FOLDER = Path(__file__).parent / "protocols"
 """Where the protocols that come with the package are."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.metrics import flip, lpips, pixel, ssim
+from splatproof.base.errors import UsageError
+from splatproof.metrics import flip, lpips, pixel, ssim
 
 MetricFunction = Callable[
     [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float

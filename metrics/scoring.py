@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.metrics.colour_fit import fit_colours
-from splatbench.metrics.pairs import check_values
-from splatbench.metrics.parts import (
+from splatproof.base.errors import DataError
+from splatproof.metrics.colour_fit import fit_colours
+from splatproof.metrics.pairs import check_values
+from splatproof.metrics.parts import (
     OVER,
     is_part_key,
     mean_over_images,
@@ -22,10 +22,10 @@ from splatbench.metrics.parts import (
     parts_of,
     score_part,
 )
-from splatbench.metrics.pixel import psnr_of_mse
-from splatbench.metrics.registry import find_metric
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore
+from splatproof.metrics.pixel import psnr_of_mse
+from splatproof.metrics.registry import find_metric
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

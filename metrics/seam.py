@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.metrics.pairs import check_pair
-from splatbench.metrics.pixel import psnr_of_mse
+from splatproof.base.errors import DataError, UsageError
+from splatproof.metrics.pairs import check_pair
+from splatproof.metrics.pixel import psnr_of_mse
 
 INNER, OUTER = 1.0, 1.1
 """The overlap band: normalised distances to a primitive's own box in (INNER, OUTER]."""

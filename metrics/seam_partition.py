@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.metrics.seam import INNER, OUTER
-from splatbench.reference.partition.boxes import Region
-from splatbench.reference.types.camera import Camera
+from splatproof.metrics.seam import INNER, OUTER
+from splatproof.reference.partition.boxes import Region
+from splatproof.reference.types.camera import Camera
 
 
 def partition_seam_mask(

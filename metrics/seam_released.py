@@ -13,12 +13,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.metrics.pairs import check_pair
-from splatbench.metrics.pixel import l1, psnr
-from splatbench.metrics.seam import SeamScores, overlap_band
-from splatbench.reference.partition.boxes import OrientedBox, box_distance, widen_oriented
-from splatbench.reference.types.camera import Camera
+from splatproof.base.errors import DataError
+from splatproof.metrics.pairs import check_pair
+from splatproof.metrics.pixel import l1, psnr
+from splatproof.metrics.seam import SeamScores, overlap_band
+from splatproof.reference.partition.boxes import OrientedBox, box_distance, widen_oriented
+from splatproof.reference.types.camera import Camera
 
 MARGIN = 0.15
 """The release's expand_ratio: boxes are widened by this before distances are taken."""

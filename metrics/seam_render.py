@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from splatbench.metrics.seam import TOP, SeamView, overlap_band, seam_mask
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.render import RenderOutput
+from splatproof.metrics.seam import TOP, SeamView, overlap_band, seam_mask
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.render import RenderOutput
 
 
 class BlockPictures(Protocol):
@@ -43,7 +43,7 @@ def render_seam_view(
     """Render the whole model, each block's share of it, and each block alone.
 
     Args:
-        rasterize: Of any backend, with the signature of splatbench.reference.rasterizer.rasterize.
+        rasterize: Of any backend, with the signature of splatproof.reference.rasterizer.rasterize.
         camera: Of the test view.
         gaussians: The merged model.
         blocks: Block of each Gaussian, 0 to b - 1.

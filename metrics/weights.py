@@ -8,19 +8,19 @@ from pathlib import Path
 
 import torch
 
-from splatbench.base.errors import DataError, MissingError
+from splatproof.base.errors import DataError, MissingError
 
 WEIGHTS = {
     "vgg": "https://download.pytorch.org/models/vgg16-397923af.pth",
     "alex": "https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
 }
 """Network -> where its weights come from; a file's name ends in 8 digits of its sha256."""
-VARIABLE = "SPLATBENCH_WEIGHTS"
+VARIABLE = "SPLATPROOF_WEIGHTS"
 """Names a folder with the files of WEIGHTS; torch's own hub folder is looked at too."""
 
 
 def weights_folders() -> tuple[Path, ...]:
-    """Where weights are looked for: $SPLATBENCH_WEIGHTS, then torch's hub (TORCH_HOME)."""
+    """Where weights are looked for: $SPLATPROOF_WEIGHTS, then torch's hub (TORCH_HOME)."""
     own = os.environ.get(VARIABLE, "")
     hub = Path(torch.hub.get_dir()) / "checkpoints"
     return (Path(own), hub) if own else (hub,)

@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from splatbench.base.errors import DataError
-from splatbench.metrics.parts import PARTS, is_part_key
-from splatbench.metrics.registry import METRICS
-from splatbench.metrics.scene_registry import SCENE_METRICS
-from splatbench.reference.types.result import Result
-from splatbench.reports.statistics import Summary
+from splatproof.base.errors import DataError
+from splatproof.metrics.parts import PARTS, is_part_key
+from splatproof.metrics.registry import METRICS
+from splatproof.metrics.scene_registry import SCENE_METRICS
+from splatproof.reference.types.result import Result
+from splatproof.reports.statistics import Summary
 
 MB = 2**20
 FITS = {

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence, Sized
 
-from splatbench.reference.types.result import Result
+from splatproof.reference.types.result import Result
 
 DATA = ("model_sha256", "cameras_sha256", "photos_sha256", "files_sha256")
 """Facts of a scene that name its files, and nothing of code or machine."""

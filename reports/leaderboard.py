@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.reference.types.result import Result
-from splatbench.reports import comparable, run_data
-from splatbench.reports.columns import Column, columns
-from splatbench.reports.ranking import ranked
-from splatbench.reports.statistics import summarise
-from splatbench.reports.table import Row, Table
+from splatproof.reference.types.result import Result
+from splatproof.reports import comparable, run_data
+from splatproof.reports.columns import Column, columns
+from splatproof.reports.ranking import ranked
+from splatproof.reports.statistics import summarise
+from splatproof.reports.table import Row, Table
 
 
 def build_tables(results: Iterable[Result]) -> list[Table]:

@@ -9,7 +9,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splatbench.base.errors import MissingError, UsageError
+from splatproof.base.errors import MissingError, UsageError
 
 if TYPE_CHECKING:
     from mlflow.tracking import MlflowClient

@@ -9,12 +9,12 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from splatbench.reference.types.result import Result
-from splatbench.reports import charts, run_data, text
-from splatbench.reports.mlflow_client import shown_uri
-from splatbench.reports.pictures import QUALITY, WIDEST, Shown, choose
-from splatbench.reports.store import StoredResult
-from splatbench.reports.table import Row, Table
+from splatproof.reference.types.result import Result
+from splatproof.reports import charts, run_data, text
+from splatproof.reports.mlflow_client import shown_uri
+from splatproof.reports.pictures import QUALITY, WIDEST, Shown, choose
+from splatproof.reports.store import StoredResult
+from splatproof.reports.table import Row, Table
 
 PICTURE_BUDGET = 24_000_000
 """Characters of embedded pictures in a page, shared evenly by its scenes; one image each at least."""

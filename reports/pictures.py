@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from splatbench.base.errors import DataError
-from splatbench.reports import run_data
-from splatbench.reports.store import Picture, StoredResult
-from splatbench.reports.table import Row, Table
+from splatproof.base.errors import DataError
+from splatproof.reports import run_data
+from splatproof.reports.store import Picture, StoredResult
+from splatproof.reports.table import Row, Table
 
 WIDEST = 960
 """Pixels; wider pictures are scaled down for the page (the store keeps the originals)."""

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from splatbench.reports import comparable
-from splatbench.reports.columns import Column
-from splatbench.reports.statistics import Difference, Scores, paired_difference
-from splatbench.reports.table import Row, Table
+from splatproof.reports import comparable
+from splatproof.reports.columns import Column
+from splatproof.reports.statistics import Difference, Scores, paired_difference
+from splatproof.reports.table import Row, Table
 
 
 def ranked(table: Table, allowed: set[str]) -> Table:

@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 
-from splatbench.reference.types.result import Result
+from splatproof.reference.types.result import Result
 
 NOT_IN_A_NAME = re.compile(r"[^\w\-. :/]")
 """What MLflow refuses in the names of params and metrics."""

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from splatbench.base.errors import DataError, MissingError
-from splatbench.reference.types.result import Result, picture_name
-from splatbench.reference.types.result_json import result_from_json
-from splatbench.reports import run_data
-from splatbench.reports.mlflow_client import (
+from splatproof.base.errors import DataError, MissingError
+from splatproof.reference.types.result import Result, picture_name
+from splatproof.reference.types.result_json import result_from_json
+from splatproof.reports import run_data
+from splatproof.reports.mlflow_client import (
     artifact_root,
     check_uri,
     one_line,
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from mlflow.store.artifact.artifact_repo import ArtifactRepository
     from mlflow.tracking import MlflowClient
 
-EXPERIMENTS = "splatbench/"
+EXPERIMENTS = "splatproof/"
 """Start of the name of every experiment of ours; the suite's name follows."""
 ARTIFACTS = ("record.json", "renders", "truth", "masks", "errors", "seams", "blocks", "model")
 """What of a case folder is logged. Checkpoints are not: they are of no use once a case is done."""
 STATE, RECORD, ORIGIN, CASE = (
-    f"splatbench.{name}" for name in ("state", "record_sha256", "origin", "case")
+    f"splatproof.{name}" for name in ("state", "record_sha256", "origin", "case")
 )
 """Tags: logging or complete; hash of record.json; host and folder it came from; `case_key`."""
 FOLDERS = {"render": "renders", "truth": "truth", "error": "errors"}

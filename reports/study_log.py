@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import MissingError
-from splatbench.reports.mlflow_client import artifact_root, one_line, open_client, store_errors
-from splatbench.reports.store import EXPERIMENTS, METRICS_A_BATCH
+from splatproof.base.errors import MissingError
+from splatproof.reports.mlflow_client import artifact_root, one_line, open_client, store_errors
+from splatproof.reports.store import EXPERIMENTS, METRICS_A_BATCH
 
 NAMED_BY = ("component", "twin", "case")
 """Columns that name a row."""
@@ -28,7 +28,7 @@ def log_study(
     files: Sequence[Path],
     uri: str,
 ) -> str:
-    """Log one run in experiment splatbench/<name>: machine as params, numbers as metrics, files.
+    """Log one run in experiment splatproof/<name>: machine as params, numbers as metrics, files.
 
     Returns: One line saying why it is not in the store; empty when it is.
     Raises: UsageError for a URI that cannot work.
@@ -52,7 +52,7 @@ def log_study(
         experiment = (
             found.experiment_id if found else client.create_experiment(title, artifact_root(uri))
         )
-        run = client.create_run(experiment, run_name=name, tags={"splatbench.study": name})
+        run = client.create_run(experiment, run_name=name, tags={"splatproof.study": name})
         identity = run.info.run_id
         client.log_batch(identity, params=[Param(k, v) for k, v in machine.items() if v])
         for start in range(0, len(metrics), METRICS_A_BATCH):

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from splatbench.reference.types.result import Result
-from splatbench.reports.columns import Column
-from splatbench.reports.statistics import Difference, Summary
+from splatproof.reference.types.result import Result
+from splatproof.reports.columns import Column
+from splatproof.reports.statistics import Difference, Summary
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,9 @@ import rich.table
 from rich.console import Group
 from rich.text import Text
 
-from splatbench.reference.types.result import Result
-from splatbench.reports.columns import Column
-from splatbench.reports.table import Row, Table
+from splatproof.reference.types.result import Result
+from splatproof.reports.columns import Column
+from splatproof.reports.table import Row, Table
 
 LEGEND = (
     "± is half the 95 % confidence interval over seeds. Rows that the paired bootstrap over images "

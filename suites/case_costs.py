@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from splatbench.base.files import sha256
-from splatbench.reference.types.scene import Scene
+from splatproof.base.files import sha256
+from splatproof.reference.types.scene import Scene
 
 
 def cpu_seconds() -> float:

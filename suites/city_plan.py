@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from splatbench.base.errors import UsageError
-from splatbench.methods.city.memory_plan import IMAGE_BYTES, training_memory_mb
-from splatbench.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP, START_SECONDS
+from splatproof.base.errors import UsageError
+from splatproof.methods.city.memory_plan import IMAGE_BYTES, training_memory_mb
+from splatproof.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP, START_SECONDS
 
 STITCH_SECONDS = 0.6e-6
 """CPU seconds a primitive of stitching. Measured like the next two: 800,000 Gaussians of degree 3 in

@@ -6,7 +6,7 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-PACKAGES = ("splatbench", "torch", "numpy", "pycolmap", "opencv-contrib-python-headless")
+PACKAGES = ("splatproof", "torch", "numpy", "pycolmap", "opencv-contrib-python-headless")
 """Those whose version can change a number."""
 
 
@@ -72,7 +72,7 @@ def usable_cores() -> int:
 def simd_level() -> str:
     """Instruction set that the native kernels chose on this machine; "" where they are not built."""
     try:
-        from splatbench import _ext
+        from splatproof import _ext
     except ImportError:
         return ""
     return _ext.simd_level()
@@ -87,7 +87,7 @@ def machine(backend: str) -> dict[str, str]:
         gigabytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
         said["memory"] = f"{gigabytes:.0f} GiB"
     if said["simd"]:
-        from splatbench import _ext
+        from splatproof import _ext
 
         said["compiler"] = _ext.compiler()
     if backend == "cuda" and torch.cuda.is_available():

@@ -6,14 +6,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.run import Run
-from splatbench.methods.training.initialise import with_random_points
-from splatbench.reference.types.result import Result
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.environment import usable_cores
-from splatbench.suites.records import read_finished
-from splatbench.suites.suite_files import Case, Suite
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.run import Run
+from splatproof.methods.training.initialise import with_random_points
+from splatproof.reference.types.result import Result
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.environment import usable_cores
+from splatproof.suites.records import read_finished
+from splatproof.suites.suite_files import Case, Suite
 
 START_SECONDS = 3.0
 """Imports of a case's process."""

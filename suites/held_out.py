@@ -12,17 +12,17 @@ import torch
 from jaxtyping import Bool, Float, UInt8, UInt16
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import write_bytes
-from splatbench.base.folders import new_folder
-from splatbench.methods.models.explicit import Reconstruction
-from splatbench.metrics.flip import flip_map
-from splatbench.metrics.pairs import check_pair
-from splatbench.metrics.registry import find_metric
-from splatbench.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore, picture_name
-from splatbench.reference.types.scene import Scene, View
+from splatproof.base.errors import DataError
+from splatproof.base.files import write_bytes
+from splatproof.base.folders import new_folder
+from splatproof.methods.models.explicit import Reconstruction
+from splatproof.metrics.flip import flip_map
+from splatproof.metrics.pairs import check_pair
+from splatproof.metrics.registry import find_metric
+from splatproof.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore, picture_name
+from splatproof.reference.types.scene import Scene, View
 
 TIMED_FRAMES = 15
 """Frames whose render time is measured, spread over the test views."""

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from splatbench.base.errors import UsageError
-from splatbench.methods.city.ground import Ground, ground
-from splatbench.methods.city.partition import (
+from splatproof.base.errors import UsageError
+from splatproof.methods.city.ground import Ground, ground
+from splatproof.methods.city.partition import (
     Partition,
     PartitionSettings,
     blockgaussian_blocks,
@@ -16,9 +16,9 @@ from splatbench.methods.city.partition import (
     odbp_blocks,
     vastgaussian_blocks,
 )
-from splatbench.reference.partition.metis import cut_size
-from splatbench.reference.partition.voxel_graph import grid_coordinates, voxel_graph
-from splatbench.reference.types.scene import Scene
+from splatproof.reference.partition.metis import cut_size
+from splatproof.reference.partition.voxel_graph import grid_coordinates, voxel_graph
+from splatproof.reference.types.scene import Scene
 
 PAPER = PartitionSettings(imbalance=0.05, seeds=1)
 """DPGS' own bound, with one METIS seed."""

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import write_text
-from splatbench.reference.types.result import Result
-from splatbench.reference.types.result_json import result_from_json, result_to_json
+from splatproof.base.errors import DataError
+from splatproof.base.files import write_text
+from splatproof.reference.types.result import Result
+from splatproof.reference.types.result_json import result_from_json, result_to_json
 
 RECORD_NAME = "record.json"
 

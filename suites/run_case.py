@@ -7,28 +7,28 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from splatbench.base.errors import SplatbenchError
-from splatbench.base.files import write_text
-from splatbench.base.folders import SUFFIX, new_folder
-from splatbench.base.memory import peak_memory_mb
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.city.model import CityModel
-from splatbench.methods.models.explicit import load_reconstruction
-from splatbench.methods.registry import get_method
-from splatbench.methods.run import Run
-from splatbench.methods.training.loop import threads
-from splatbench.metrics.registry import load_weights
-from splatbench.metrics.scoring import scene_metrics
-from splatbench.reference.types.result import Result
-from splatbench.reference.types.scene import Scene
-from splatbench.suites import case_costs as measure
-from splatbench.suites.environment import environment
-from splatbench.suites.held_out import score_views, scored_views
-from splatbench.suites.records import RECORD_NAME, write_record
-from splatbench.suites.scene_scores.city_scores import city_scores
-from splatbench.suites.scene_scores.true_geometry import geometry_metrics
-from splatbench.suites.suite_files import Case, case_key
-from splatbench.suites.training_curve import Curve
+from splatproof.base.errors import SplatproofError
+from splatproof.base.files import write_text
+from splatproof.base.folders import SUFFIX, new_folder
+from splatproof.base.memory import peak_memory_mb
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.city.model import CityModel
+from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.registry import get_method
+from splatproof.methods.run import Run
+from splatproof.methods.training.loop import threads
+from splatproof.metrics.registry import load_weights
+from splatproof.metrics.scoring import scene_metrics
+from splatproof.reference.types.result import Result
+from splatproof.reference.types.scene import Scene
+from splatproof.suites import case_costs as measure
+from splatproof.suites.environment import environment
+from splatproof.suites.held_out import score_views, scored_views
+from splatproof.suites.records import RECORD_NAME, write_record
+from splatproof.suites.scene_scores.city_scores import city_scores
+from splatproof.suites.scene_scores.true_geometry import geometry_metrics
+from splatproof.suites.suite_files import Case, case_key
+from splatproof.suites.training_curve import Curve
 
 CHECKPOINT_SECONDS = 15.0
 """A kill loses at most this much training."""
@@ -97,7 +97,7 @@ def run_case(job: Job, tell: Tell) -> None:
 def reason_of(error: BaseException) -> str:
     """One line that says why a case failed."""
     line = " ".join(str(error).split())
-    return line if isinstance(error, SplatbenchError) else f"{type(error).__name__}: {line}"
+    return line if isinstance(error, SplatproofError) else f"{type(error).__name__}: {line}"
 
 
 def failed_result(job: Job, reason: str) -> Result:

@@ -7,13 +7,13 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Literal
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.types.result import Result
-from splatbench.suites.records import RECORD_NAME, read_record
-from splatbench.suites.run_case import Job, reason_of
-from splatbench.suites.scene_data import SceneData, changed, digest
-from splatbench.suites.suite_files import Case, Suite, key_of
-from splatbench.suites.workers import Launch, Lock, in_worker
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.types.result import Result
+from splatproof.suites.records import RECORD_NAME, read_record
+from splatproof.suites.run_case import Job, reason_of
+from splatproof.suites.scene_data import SceneData, changed, digest
+from splatproof.suites.suite_files import Case, Suite, key_of
+from splatproof.suites.workers import Launch, Lock, in_worker
 
 Status = Literal["kept", "finished", "failed"]
 """kept: it was finished before; finished, failed: it ran now."""
@@ -104,7 +104,7 @@ def run_suite(
         resume: False starts every case over.
         workers: Blocks of a city that are trained at the same time. Equal blocks of several cases
             are trained once, in <folder>/<suite>/.blocks/.
-        engine: Where they are trained, see splatbench.methods.city.executor.
+        engine: Where they are trained, see splatproof.methods.city.executor.
         launch: Runs a job to its record.
     Returns: One outcome a case, in the suite's order.
     Raises: UsageError if `only` matches nothing; also if the folder is in use.

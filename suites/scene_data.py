@@ -5,10 +5,10 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from splatbench.base.files import write_text
-from splatbench.datasets.fingerprint import Known, files_sha256
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.files import write_text
+from splatproof.datasets.fingerprint import Known, files_sha256
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.protocol import Protocol
 
 FILES = "files_sha256"
 """The fact of a record that this room adds to the scene's own."""

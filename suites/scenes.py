@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from splatbench.base.errors import MissingError, UsageError
-from splatbench.datasets.registry import absence, find_scene, get_entry, locate
-from splatbench.suites.suite_files import PATH, Suite
+from splatproof.base.errors import MissingError, UsageError
+from splatproof.datasets.registry import absence, find_scene, get_entry, locate
+from splatproof.suites.suite_files import PATH, Suite
 
 
 def without_absent(suite: Suite) -> tuple[Suite, tuple[str, ...]]:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import UsageError
-from splatbench.base.typed_toml import build, read_toml, unknown
-from splatbench.methods.registry import METHODS
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import row_name
+from splatproof.base.errors import UsageError
+from splatproof.base.typed_toml import build, read_toml, unknown
+from splatproof.methods.registry import METHODS
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import row_name
 
 FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""

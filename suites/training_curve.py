@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-from splatbench.base.files import write_text
-from splatbench.base.memory import peak_memory_mb
-from splatbench.suites.case_costs import cpu_seconds
+from splatproof.base.files import write_text
+from splatproof.base.memory import peak_memory_mb
+from splatproof.suites.case_costs import cpu_seconds
 
 POINTS = 200
 """About this many points are kept, spread evenly over the steps."""

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
-from splatbench.base.errors import UsageError
-from splatbench.base.processes import how_it_ended, serve_parent
-from splatbench.suites.records import RECORD_NAME, write_record
-from splatbench.suites.run_case import Job, Tell, failed_result, run_case
+from splatproof.base.errors import UsageError
+from splatproof.base.processes import how_it_ended, serve_parent
+from splatproof.suites.records import RECORD_NAME, write_record
+from splatproof.suites.run_case import Job, Tell, failed_result, run_case
 
 Launch = Callable[[Job, Tell], None]
 """Runs a job to its record; `tell` hears where it is."""

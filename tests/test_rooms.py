@@ -25,7 +25,7 @@ def forbidden_imports(source: str, room: str) -> list[str]:
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
     allowed = MAY_IMPORT[room] | {room, "base", "_ext", "__version__"}
-    ours = [name.split(".") for name in names if name.split(".")[0] == "splatbench"]
+    ours = [name.split(".") for name in names if name.split(".")[0] == "splatproof"]
     return [".".join(parts) for parts in ours if len(parts) < 2 or parts[1] not in allowed]
 
 
@@ -40,9 +40,9 @@ def test_room_imports_only_what_it_may(room):
 @pytest.mark.parametrize(
     "source",
     [
-        "from splatbench.methods import registry",
-        "import splatbench.suites.runner",
-        "def f():\n    from splatbench import reports",
+        "from splatproof.methods import registry",
+        "import splatproof.suites.runner",
+        "def f():\n    from splatproof import reports",
     ],
 )
 def test_the_check_sees_a_wrong_import(source):
@@ -50,4 +50,4 @@ def test_the_check_sees_a_wrong_import(source):
 
 
 def test_the_check_lets_a_right_import_pass():
-    assert not forbidden_imports("from splatbench.reference.types.camera import Camera", "metrics")
+    assert not forbidden_imports("from splatproof.reference.types.camera import Camera", "metrics")

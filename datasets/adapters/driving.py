@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.layout import Sweep
+from splatproof.base.errors import DataError
+from splatproof.datasets.layout import Sweep
 
 FRAME_SECONDS = 0.1
 """KITTI and Waymo take 10 frames a second; used where an export has no timestamps."""

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters import driving
-from splatbench.datasets.adapters.kitti_boxes import read_labels, read_tracklets
-from splatbench.datasets.adapters.posed import checked_pose, pinhole_camera, positive
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.boxes import Box, covered, in_motion
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.moving_masks import KINDS
-from splatbench.datasets.photos import list_photos, photo_size
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters import driving
+from splatproof.datasets.adapters.kitti_boxes import read_labels, read_tracklets
+from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.boxes import Box, covered, in_motion
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.moving_masks import KINDS
+from splatproof.datasets.photos import list_photos, photo_size
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 EARTH_RADIUS = 6378137.0
 """Metres, of the Mercator projection of the devkit."""

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters import driving
-from splatbench.datasets.boxes import Box
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters import driving
+from splatproof.datasets.boxes import Box
 
 TYPES = {
     **dict.fromkeys(("Car", "Van", "Truck", "Tram"), "vehicles"),

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters.posed import checked_pose, pinhole_camera, positive
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.photos import list_photos, photo_size
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.photos import list_photos, photo_size
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 
 def recognises(folder: Path) -> bool:

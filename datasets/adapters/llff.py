@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters.posed import checked_pose, pinhole_camera, positive
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.colmap import photo_folder
-from splatbench.datasets.layout import Layout, PosedPhoto, copy_factor
-from splatbench.datasets.photos import list_photos
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.colmap import photo_folder
+from splatproof.datasets.layout import Layout, PosedPhoto, copy_factor
+from splatproof.datasets.photos import list_photos
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 FILE = "poses_bounds.npy"
 COLUMNS = 17

@@ -11,19 +11,19 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters.posed import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
     pinhole_camera,
     positive,
 )
-from splatbench.datasets.adapters.transforms import read_frames
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.photos import list_photos, photo_size
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.adapters.transforms import read_frames
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.photos import list_photos, photo_size
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 RAW_ROTATION = 100.0
 """The rendered poses hold a rotation divided by this."""

@@ -11,19 +11,19 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters.posed import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
     find_photo,
     pinhole_camera,
     positive,
 )
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.photos import list_photos
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.photos import list_photos
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 SPLITS: dict[str, Literal["train", "test"]] = {"train": "train", "val": "test"}
 SUFFIXES = (".jpg", ".JPG", ".png", ".PNG")

@@ -4,15 +4,15 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.colmap import NOT_REGISTERED, photo_folder, posed_photos
-from splatbench.datasets.colmap_model import find_model, read_model
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.photos import list_photos
-from splatbench.datasets.sparse_points import read_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.colmap import NOT_REGISTERED, photo_folder, posed_photos
+from splatproof.datasets.colmap_model import find_model, read_model
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.photos import list_photos
+from splatproof.datasets.sparse_points import read_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 COLUMNS = ("filename", "id", "split")
 NOT_LISTED = "the split of NeRF-W does not use it"

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyParseError
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.layout import plain_points
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.base.errors import DataError
+from splatproof.datasets.layout import plain_points
+from splatproof.reference.types.scene import SparsePoints
 
 
 def read_ply_points(path: Path) -> SparsePoints:

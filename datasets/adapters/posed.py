@@ -7,7 +7,7 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 RIGID = 1e-3
 """How far R R^T may be from the identity: files hold float32 or few digits."""

@@ -14,19 +14,19 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters.ply_points import read_ply_points
-from splatbench.datasets.adapters.posed import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters.ply_points import read_ply_points
+from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
     pinhole_camera,
     positive,
 )
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
-from splatbench.datasets.photos import PHOTO_SUFFIXES, list_photos, photo_size
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatproof.datasets.photos import PHOTO_SUFFIXES, list_photos, photo_size
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 """Nerfstudio reads all of these with the same parameters: k1, k2, k3 radial, p1, p2 tangential."""

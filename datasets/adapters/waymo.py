@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.adapters import driving
-from splatbench.datasets.adapters.posed import checked_pose, find_photo, pinhole_camera, positive
-from splatbench.datasets.assemble import open_layout
-from splatbench.datasets.layout import Layout, PosedPhoto
-from splatbench.datasets.moving_masks import moving_masks
-from splatbench.datasets.photos import list_photos, photo_size
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.adapters import driving
+from splatproof.datasets.adapters.posed import checked_pose, find_photo, pinhole_camera, positive
+from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.moving_masks import moving_masks
+from splatproof.datasets.photos import list_photos, photo_size
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 CAMERAS = ("front", "front_left", "front_right", "side_left", "side_right")
 """Names of the cameras 0 to 4, which a protocol's `sensors` chooses from."""

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from jaxtyping import Float64
 
-from splatbench.datasets.scene_frame import up_vector
+from splatproof.datasets.scene_frame import up_vector
 
 TILT = math.radians(1.0)
 """Largest standard error of the vertical that altitudes may leave."""

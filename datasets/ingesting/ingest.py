@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.ingesting import structure
-from splatbench.datasets.ingesting.alignment import Alignment, align, local_metres
-from splatbench.datasets.ingesting.structure import Report, Structure
-from splatbench.datasets.ingesting.survey import Photo, Survey, survey_photos
-from splatbench.datasets.scene_file import SceneFile, write_scene_file
+from splatproof.base.errors import DataError
+from splatproof.datasets.ingesting import structure
+from splatproof.datasets.ingesting.alignment import Alignment, align, local_metres
+from splatproof.datasets.ingesting.structure import Report, Structure
+from splatproof.datasets.ingesting.survey import Photo, Survey, survey_photos
+from splatproof.datasets.scene_file import SceneFile, write_scene_file
 
 _FEW_MATCHES = 30
 """COLMAP's mapper wants this many inliers to place a photo (abs_pose_min_num_inliers)."""

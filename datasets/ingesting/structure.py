@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.ingesting import alignment, pairing
-from splatbench.datasets.ingesting.survey import Photo
+from splatproof.base.errors import DataError
+from splatproof.datasets.ingesting import alignment, pairing
+from splatproof.datasets.ingesting.survey import Photo
 
 Report = Callable[[str, int, int], None]
 """Told (step, done, total)."""

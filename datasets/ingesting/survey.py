@@ -8,8 +8,8 @@ from pathlib import Path
 
 from PIL import ExifTags, Image
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.photos import check_photo, list_photos
+from splatproof.base.errors import DataError
+from splatproof.datasets.photos import check_photo, list_photos
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 

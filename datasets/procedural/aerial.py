@@ -10,18 +10,18 @@ from threading import Lock
 
 import numpy as np
 
-from splatbench.datasets.procedural import aerial_grounds as grounds
-from splatbench.datasets.procedural import aerial_lands as lands
-from splatbench.datasets.procedural import city, things
-from splatbench.datasets.procedural.blocks import parked_car, tree
-from splatbench.datasets.procedural.daylight import Daylight, Sky
-from splatbench.datasets.procedural.facades import Facade, Tiles
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
-from splatbench.datasets.procedural.shapes import cylinder, joined, placed
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder, World
+from splatproof.datasets.procedural import aerial_grounds as grounds
+from splatproof.datasets.procedural import aerial_lands as lands
+from splatproof.datasets.procedural import city, things
+from splatproof.datasets.procedural.blocks import parked_car, tree
+from splatproof.datasets.procedural.daylight import Daylight, Sky
+from splatproof.datasets.procedural.facades import Facade, Tiles
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
+from splatproof.datasets.procedural.shapes import cylinder, joined, placed
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder, World
 
 MARGIN = 215.0
 """Metres of open land around blocks: no view sees its end."""

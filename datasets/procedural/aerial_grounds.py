@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural.facades import Solid, stones
-from splatbench.datasets.procedural.grounds import (
+from splatproof.datasets.procedural.facades import Solid, stones
+from splatproof.datasets.procedural.grounds import (
     asphalt_colour,
     grass_colour,
     gravel_colour,
@@ -18,10 +18,10 @@ from splatbench.datasets.procedural.grounds import (
     segment_distance,
     water,
 )
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.rock import rock_colour
-from splatbench.datasets.procedural.surface import Paint, Surface, layered, mix, rgb, step
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.rock import rock_colour
+from splatproof.datasets.procedural.surface import Paint, Surface, layered, mix, rgb, step
+from splatproof.datasets.procedural.units import Number
 
 __all__ = ["CHURCH_PATH", "LANE", "WALKS", "Mountain", "ashlar", "banded", "bowl", "churchyard", "container", "near", "park",
            "pond_bed", "stadium", "water", "yard"]  # fmt: skip

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from splatbench.datasets.procedural.blocks import tree
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.shapes import heightfield
-from splatbench.datasets.procedural.surface import Material
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural.blocks import tree
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.shapes import heightfield
+from splatproof.datasets.procedural.surface import Material
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder
 
 NEAR, FAR = 110.0, 320.0
 """Half-sides of the land in metres: where its grid is fine, and where it ends."""

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from splatbench.datasets.procedural import things
-from splatbench.datasets.procedural.facades import Facade
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import things
+from splatproof.datasets.procedural.facades import Facade
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder
 
 
 def slabs(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural.blocks import BLOCKS, parked_car, tree
-from splatbench.datasets.procedural.daylight import Daylight, Sky
-from splatbench.datasets.procedural.flights import looking, strips
-from splatbench.datasets.procedural.grounds import (
+from splatproof.datasets.procedural.blocks import BLOCKS, parked_car, tree
+from splatproof.datasets.procedural.daylight import Daylight, Sky
+from splatproof.datasets.procedural.flights import looking, strips
+from splatproof.datasets.procedural.grounds import (
     asphalt_colour,
     grass_colour,
     gravel_colour,
@@ -18,14 +18,14 @@ from splatbench.datasets.procedural.grounds import (
     plain,
     water,
 )
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
-from splatbench.datasets.procedural.shapes import heightfield, polygon
-from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
-from splatbench.datasets.procedural.tiles import Sketch, TiledStage
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder, World
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
+from splatproof.datasets.procedural.shapes import heightfield, polygon
+from splatproof.datasets.procedural.surface import Paint, Surface, layered, step
+from splatproof.datasets.procedural.tiles import Sketch, TiledStage
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder, World
 
 PITCH = 56.0
 """Metres from street to street."""

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural import things
-from splatbench.datasets.procedural.daylight import Daylight, Sky
-from splatbench.datasets.procedural.facades import Facade, Planks, Tiles, stone_wall
-from splatbench.datasets.procedural.flights import looking, ring, strips
-from splatbench.datasets.procedural.grounds import (
+from splatproof.datasets.procedural import things
+from splatproof.datasets.procedural.daylight import Daylight, Sky
+from splatproof.datasets.procedural.facades import Facade, Planks, Tiles, stone_wall
+from splatproof.datasets.procedural.flights import looking, ring, strips
+from splatproof.datasets.procedural.grounds import (
     asphalt_colour,
     grass_colour,
     gravel_colour,
@@ -21,13 +21,13 @@ from splatbench.datasets.procedural.grounds import (
     soil_colour,
     water,
 )
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
-from splatbench.datasets.procedural.shapes import box, cylinder, heightfield, joined, placed
-from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.world import Builder, World
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
+from splatproof.datasets.procedural.shapes import box, cylinder, heightfield, joined, placed
+from splatproof.datasets.procedural.surface import Paint, Surface, layered, step
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.world import Builder, World
+from splatproof.reference.types.camera import Camera
 
 ROAD = [(-60.0, -21.0), (-20.0, -19.0), (0.0, -19.5), (25.0, -23.0), (60.0, -22.0)]
 PATH = [(0.0, -19.5), (0.5, -12.0), (-1.0, -4.0), (-3.0, 3.0)]

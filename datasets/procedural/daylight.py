@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.surface import mix, rgb, step
-from splatbench.datasets.procedural.tracing import START, Caster
-from splatbench.datasets.procedural.units import Number, Triple
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.surface import mix, rgb, step
+from splatproof.datasets.procedural.tracing import START, Caster
+from splatproof.datasets.procedural.units import Number, Triple
 
 DIRECTIONS = 64
 """Rays by which each cell of the volume looks around."""

@@ -14,16 +14,16 @@ import pycolmap
 import torch
 from jaxtyping import Float
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets import moving_masks as moving
-from splatbench.datasets.depth_maps import depth_path
-from splatbench.datasets.files import write_bytes
-from splatbench.datasets.procedural import sfm
-from splatbench.datasets.procedural.plan import Plan, Shot, content_hash
-from splatbench.datasets.procedural.ray_images import Frame, take
-from splatbench.datasets.scene_file import SceneFile, read_scene_file, write_scene_file
-from splatbench.datasets.view_times import Moment, sky_path, write_moments
-from splatbench.reference.types.camera import Camera
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets import moving_masks as moving
+from splatproof.datasets.depth_maps import depth_path
+from splatproof.datasets.files import write_bytes
+from splatproof.datasets.procedural import sfm
+from splatproof.datasets.procedural.plan import Plan, Shot, content_hash
+from splatproof.datasets.procedural.ray_images import Frame, take
+from splatproof.datasets.scene_file import SceneFile, read_scene_file, write_scene_file
+from splatproof.datasets.view_times import Moment, sky_path, write_moments
+from splatproof.reference.types.camera import Camera
 
 WORKERS = 2
 """Views made at a time; each is single-threaded, so that nothing waits for busy cores."""
@@ -270,7 +270,7 @@ def _write_facts(plan: Plan, folder: Path, shots: Sequence[Shot], name: str) -> 
     camera = shots[0].camera
     chosen = {f"world_{key}": str(value) for key, value in plan.settings.items()}
     facts = {
-        "made_by": "splatbench",
+        "made_by": "splatproof",
         "world": plan.world,
         "seed": str(plan.seed),
         "content": name,

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural.noise import cell_random, fbm, visible
-from splatbench.datasets.procedural.surface import Paint, Surface, mix, palette, rgb, step
+from splatproof.datasets.procedural.noise import cell_random, fbm, visible
+from splatproof.datasets.procedural.surface import Paint, Surface, mix, palette, rgb, step
 
 
 @dataclass(frozen=True)

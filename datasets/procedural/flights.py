@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from splatbench.datasets.procedural.units import Number
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.units import Number
+from splatproof.reference.types.camera import Camera
 
 
 def looking(

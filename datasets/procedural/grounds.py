@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural.noise import cell_random, fbm, visible
-from splatbench.datasets.procedural.surface import Paint, Surface, mix, rgb, step
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.noise import cell_random, fbm, visible
+from splatproof.datasets.procedural.surface import Paint, Surface, mix, rgb, step
+from splatproof.datasets.procedural.units import Number
 
 
 def plain(tone: str) -> Callable[[Surface], Float[Tensor, "n 3"]]:

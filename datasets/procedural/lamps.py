@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.datasets.procedural.tracing import START, Caster
+from splatproof.datasets.procedural.tracing import START, Caster
 
 LOBE = 2.0
 """Exponent of the cosine by which a lamp's light falls off from its axis."""

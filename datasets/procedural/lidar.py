@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
 
 BEAMS = 64
 LOW, HIGH = -25.0, 3.0

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.units import Number
 
 SIDES = {2: 256, 3: 64}
 """Cells after which a table repeats, by dimension."""

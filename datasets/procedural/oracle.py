@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import World
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import World
+from splatproof.reference.types.camera import Camera
 
 UPRIGHT = 0.3
 """Largest |z| of the unit normal of a facade."""

@@ -9,9 +9,9 @@ from threading import Lock
 import numpy as np
 from jaxtyping import Float
 
-from splatbench.datasets.procedural.ray_images import Lighting
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.ray_images import Lighting
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.reference.types.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +58,7 @@ class Plan:
     """Corners looked for in a view when the sparse points are drawn."""
     movable: Mapping[str, str] = field(default_factory=dict)
     """Kinds of objects that move and so never carry sparse points, each with the mask that shows it
-    (splatbench.datasets.moving_masks.KINDS)."""
+    (splatproof.datasets.moving_masks.KINDS)."""
     driven: bool = False
     """Whether time passes: views.json says when and by which camera each view was taken, and sky/
     has masks of the sky."""

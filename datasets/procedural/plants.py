@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import torch
 
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.surface import Paint, Surface, mix, palette, rgb, step
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.surface import Paint, Surface, mix, palette, rgb, step
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.datasets.procedural.surface import Surface, to_srgb
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.surface import Surface, to_srgb
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
+from splatproof.reference.types.camera import Camera
 
 RAYS_AT_ONCE = 2**16
 """Bound on samples shaded together: small enough for the cache, large enough for vectors."""

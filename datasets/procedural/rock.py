@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.surface import Paint, Surface, mix, rgb, step
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.surface import Paint, Surface, mix, rgb, step
 
 
 def rock_colour(surface: Surface) -> Float[Tensor, "n 3"]:

@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from splatbench.datasets.procedural.ray_images import Frame, pixel_rays
-from splatbench.datasets.procedural.units import Number
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.ray_images import Frame, pixel_rays
+from splatproof.datasets.procedural.units import Number
+from splatproof.reference.types.camera import Camera
 
 PIXEL_NOISE = 0.4
 """Standard deviation of an observation in pixels."""

@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from splatbench.datasets.procedural.units import Number, Triple
+from splatproof.datasets.procedural.units import Number, Triple
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,14 +8,14 @@ from threading import Lock
 
 import numpy as np
 
-from splatbench.datasets.files import write_bytes
-from splatbench.datasets.procedural import lidar, street_still, traffic
-from splatbench.datasets.procedural.daylight import Daylight, Sky
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
-from splatbench.datasets.procedural.street_still import CARRIAGE, CROSSING
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.files import write_bytes
+from splatproof.datasets.procedural import lidar, street_still, traffic
+from splatproof.datasets.procedural.daylight import Daylight, Sky
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
+from splatproof.datasets.procedural.street_still import CARRIAGE, CROSSING
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
 
 CAMERAS = {"front": 0.0, "left": 42.0, "right": -42.0}
 """Yaw of the cameras to the left in degrees."""

@@ -3,16 +3,16 @@
 import numpy as np
 import torch
 
-from splatbench.datasets.procedural import things
-from splatbench.datasets.procedural.blocks import parked_car
-from splatbench.datasets.procedural.city import pavement
-from splatbench.datasets.procedural.facades import Facade, Solid, stones
-from splatbench.datasets.procedural.grounds import asphalt_colour, grass_colour, plain
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.shapes import box, cylinder, joined, placed, polygon
-from splatbench.datasets.procedural.surface import Paint, Surface, layered, mix, palette, rgb, step
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import things
+from splatproof.datasets.procedural.blocks import parked_car
+from splatproof.datasets.procedural.city import pavement
+from splatproof.datasets.procedural.facades import Facade, Solid, stones
+from splatproof.datasets.procedural.grounds import asphalt_colour, grass_colour, plain
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.shapes import box, cylinder, joined, placed, polygon
+from splatproof.datasets.procedural.surface import Paint, Surface, layered, mix, palette, rgb, step
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder
 
 CARRIAGE, WALK = 6.6, 3.4
 """Half-width of the carriageway and width of each pavement in metres."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.units import Number
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

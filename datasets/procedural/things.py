@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from splatbench.datasets.procedural.facades import Solid, Tiles, flat_roof
-from splatbench.datasets.procedural.plants import Bark, Leaves
-from splatbench.datasets.procedural.shapes import (
+from splatproof.datasets.procedural.facades import Solid, Tiles, flat_roof
+from splatproof.datasets.procedural.plants import Bark, Leaves
+from splatproof.datasets.procedural.shapes import (
     Shape,
     blob,
     box,
@@ -16,8 +16,8 @@ from splatbench.datasets.procedural.shapes import (
     polygon,
     walls,
 )
-from splatbench.datasets.procedural.surface import Material
-from splatbench.datasets.procedural.units import Number, Triple
+from splatproof.datasets.procedural.surface import Material
+from splatproof.datasets.procedural.units import Number, Triple
 
 Parts = list[tuple[Shape, Material]]
 

@@ -10,13 +10,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.datasets.procedural.daylight import FILLS, Daylight, Sky, sky_moments
-from splatbench.datasets.procedural.plan import Shot, Stage
-from splatbench.datasets.procedural.shapes import Shape
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number, Pair
-from splatbench.datasets.procedural.world import Builder, Parts, World
-from splatbench.reference.types.camera import Camera
+from splatproof.datasets.procedural.daylight import FILLS, Daylight, Sky, sky_moments
+from splatproof.datasets.procedural.plan import Shot, Stage
+from splatproof.datasets.procedural.shapes import Shape
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number, Pair
+from splatproof.datasets.procedural.world import Builder, Parts, World
+from splatproof.reference.types.camera import Camera
 
 Tile = tuple[int, int]
 

@@ -7,7 +7,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
-from splatbench.datasets.procedural.world import World
+from splatproof.datasets.procedural.world import World
 
 START = 1e-3
 """Metres by which rays from a surface start off it."""

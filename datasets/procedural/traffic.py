@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from splatbench.datasets.procedural import things
-from splatbench.datasets.procedural.facades import Solid
-from splatbench.datasets.procedural.shapes import Shape, blob, cylinder, joined, placed
-from splatbench.datasets.procedural.things import Parts
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural import things
+from splatproof.datasets.procedural.facades import Solid
+from splatproof.datasets.procedural.shapes import Shape, blob, cylinder, joined, placed
+from splatproof.datasets.procedural.things import Parts
+from splatproof.datasets.procedural.units import Number
 
 STEP = 1.35
 """Metres that a person walks in one cycle of the legs."""

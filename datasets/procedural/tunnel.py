@@ -7,15 +7,15 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from splatbench.datasets.procedural import things
-from splatbench.datasets.procedural.facades import Planks, Solid
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.grounds import gravel_colour, plain
-from splatbench.datasets.procedural.lamps import Lamps
-from splatbench.datasets.procedural.noise import fbm
-from splatbench.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
-from splatbench.datasets.procedural.rock import tunnel_rock
-from splatbench.datasets.procedural.shapes import (
+from splatproof.datasets.procedural import things
+from splatproof.datasets.procedural.facades import Planks, Solid
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.grounds import gravel_colour, plain
+from splatproof.datasets.procedural.lamps import Lamps
+from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds
+from splatproof.datasets.procedural.rock import tunnel_rock
+from splatproof.datasets.procedural.shapes import (
     Shape,
     box,
     cylinder,
@@ -24,10 +24,10 @@ from splatbench.datasets.procedural.shapes import (
     polygon,
     smooth,
 )
-from splatbench.datasets.procedural.surface import Paint, Surface, layered, step
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.units import Number
-from splatbench.datasets.procedural.world import Builder, World
+from splatproof.datasets.procedural.surface import Paint, Surface, layered, step
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.world import Builder, World
 
 HALF_WIDTH, SPRING = 2.4, 1.9
 """Half the width, and the height at which walls become the arch, in metres."""

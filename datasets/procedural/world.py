@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from jaxtyping import Float, Int
 
-from splatbench.datasets.procedural.shapes import Shape
-from splatbench.datasets.procedural.surface import Material
-from splatbench.datasets.procedural.units import Number
+from splatproof.datasets.procedural.shapes import Shape
+from splatproof.datasets.procedural.surface import Material
+from splatproof.datasets.procedural.units import Number
 
 Parts = Sequence[tuple[Shape, Material]]
 

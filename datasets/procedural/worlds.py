@@ -5,8 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import UsageError
-from splatbench.datasets.procedural.plan import Plan, content_hash
+from splatproof.base.errors import UsageError
+from splatproof.datasets.procedural.plan import Plan, content_hash
 
 WORLDS = {
     "courtyard": "courtyard",
@@ -21,7 +21,7 @@ WORLDS = {
 def _module(world: str) -> Any:
     if world not in WORLDS:
         raise UsageError(f"{world}: no such world; there are {', '.join(WORLDS)}")
-    return importlib.import_module(f"splatbench.datasets.procedural.{WORLDS[world]}")
+    return importlib.import_module(f"splatproof.datasets.procedural.{WORLDS[world]}")
 
 
 def settings_of(world: str, preset: str) -> Any:
@@ -54,7 +54,7 @@ def make(
         folder: New, or this very scene.
         report: Told (steps done, steps in all), two steps a view.
     """
-    from splatbench.datasets.procedural.exporting import make_scene
+    from splatproof.datasets.procedural.exporting import make_scene
 
     if seed < 0:
         raise UsageError(f"seed is {seed}, expected 0 or more")

@@ -7,8 +7,8 @@ from typing import Any
 
 from city_expectations import Verdict, expectations
 
-from splatbench.reference.types.result import Result
-from splatbench.reports.statistics import summarise
+from splatproof.reference.types.result import Result
+from splatproof.reports.statistics import summarise
 
 PLY_NUMBERS = 62
 """float32 numbers of a Gaussian of degree 3 in the .ply of the 3DGS release."""

@@ -14,14 +14,14 @@ import numpy as np
 import torch
 from city_page import Picture, render_city, row_of
 
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.city.model import CityModel
-from splatbench.methods.city.regions import nearest_region
-from splatbench.methods.models.explicit import load_reconstruction
-from splatbench.suites.held_out import picture_name
-from splatbench.suites.records import read_record
-from splatbench.suites.scene_scores.seams import COLOURS
-from splatbench.suites.suite_files import Case, load_suite
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.regions import nearest_region
+from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.suites.held_out import picture_name
+from splatproof.suites.records import read_record
+from splatproof.suites.scene_scores.seams import COLOURS
+from splatproof.suites.suite_files import Case, load_suite
 
 FOLDER = Path(__file__).parents[1]
 ROWS, PAGE, LIST = FOLDER / "city.json", FOLDER / "city.md", FOLDER / "city_pictures.json"

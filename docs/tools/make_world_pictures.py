@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import torch
 
-from splatbench.datasets.procedural import worlds
-from splatbench.datasets.procedural.plan import Plan, Shot
-from splatbench.datasets.procedural.ray_images import Frame, take
+from splatproof.datasets.procedural import worlds
+from splatproof.datasets.procedural.plan import Plan, Shot
+from splatproof.datasets.procedural.ray_images import Frame, take
 
 FOLDER = Path(__file__).parents[1] / "images"
 PICKS: dict[str, tuple[str, ...]] = {

@@ -7,10 +7,10 @@ from pathlib import Path
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import ARRAYS, FIELDS, describe
-from splatbench.reference.partition.boxes import Region
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatproof.reference.partition.boxes import Region
+from splatproof.reference.types.gaussians import Gaussians
 
 CHUNK = 2**19
 """Primitives in memory at once where a model streams: 120 MB of degree 3."""

@@ -7,13 +7,13 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench.datasets.resize import scale_intrinsics
-from splatbench.methods.backends import get_backend
-from splatbench.methods.city.ground import Ground
-from splatbench.methods.training.initialise import from_points
-from splatbench.reference.supervision.losses import ssim_map
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.datasets.resize import scale_intrinsics
+from splatproof.methods.backends import get_backend
+from splatproof.methods.city.ground import Ground
+from splatproof.methods.training.initialise import from_points
+from splatproof.reference.supervision.losses import ssim_map
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
 
 COARSE_WIDTH = 128
 """Width in pixels of the images by which the rule is decided here."""

@@ -11,19 +11,19 @@ from importlib import import_module
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 
-from splatbench.base.errors import SplatbenchError, UsageError
-from splatbench.base.processes import how_it_ended, serve_parent
-from splatbench.methods.city.train_block import BlockFacts, BlockJob, train_block, trained
-from splatbench.methods.training.loop import threads as torch_threads
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.processes import how_it_ended, serve_parent
+from splatproof.methods.city.train_block import BlockFacts, BlockJob, train_block, trained
+from splatproof.methods.training.loop import threads as torch_threads
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""
 Engine = Callable[[Sequence[BlockJob], int, int | None, BlocksReport], list[BlockFacts]]
 """engine(jobs, workers, threads, report): the facts of all blocks, in the order of the jobs."""
 ENGINES = {
-    "processes": "splatbench.methods.city.executor:run_in_processes",
-    "inline": "splatbench.methods.city.executor:run_inline",
-    "ray": "splatbench.methods.city.ray_executor:run_on_ray",
+    "processes": "splatproof.methods.city.executor:run_in_processes",
+    "inline": "splatproof.methods.city.executor:run_inline",
+    "ray": "splatproof.methods.city.ray_executor:run_on_ray",
 }
 """Where blocks are trained: in processes here, in this process, or on a Ray cluster."""
 
@@ -47,7 +47,7 @@ def run_blocks(
         threads: Of all workers together; None: the cores of this machine.
         report: Hears where each job is.
 
-    Raises: UsageError for an unknown engine or fewer workers than one; SplatbenchError naming the
+    Raises: UsageError for an unknown engine or fewer workers than one; SplatproofError naming the
         block that failed and why.
     """
     if engine not in ENGINES:
@@ -107,7 +107,7 @@ def run_in_processes(
                     kind, content = one.says.recv()
                 except EOFError:
                     one.process.join()
-                    raise SplatbenchError(_died(jobs[one.index], one.process.exitcode)) from None
+                    raise SplatproofError(_died(jobs[one.index], one.process.exitcode)) from None
                 if kind == "report":
                     report(one.index, *content)
                 elif kind == "error":
@@ -159,7 +159,7 @@ def _work(job: BlockJob, theirs: Connection, threads: int) -> None:
     try:
         with torch_threads(threads), alone(job):
             facts = train_block(job, lambda *at: theirs.send(("report", at)))
-    except SplatbenchError as error:
+    except SplatproofError as error:
         theirs.send(("error", type(error)(f"block {job.facts.block}: {error}")))
     else:
         theirs.send(("done", facts))

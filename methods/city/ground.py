@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition.ground_frame import ground_frame
-from splatbench.reference.partition.visibility import track_lengths
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.reference.partition.ground_frame import ground_frame
+from splatproof.reference.partition.visibility import track_lengths
+from splatproof.reference.types.scene import Scene
 
 VOXELS_ALONG = 64
 """Voxels along the longer side of the middle 98 % of the points, unless a size is given."""

@@ -7,16 +7,16 @@ import torch
 from jaxtyping import Bool, Int8
 from torch import Tensor
 
-from splatbench.methods.city.ground import Ground, ground
-from splatbench.methods.city.partition import Partition
-from splatbench.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
-from splatbench.methods.city.train_block import BlockFacts, BlockJob
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.reference.partition.ghosts import RIM
-from splatbench.reference.partition.view_sampling import SamplingSettings
-from splatbench.reference.partition.visibility import shared_points
-from splatbench.reference.types.scene import Scene, SparsePoints
+from splatproof.methods.city.ground import Ground, ground
+from splatproof.methods.city.partition import Partition
+from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
+from splatproof.methods.city.train_block import BlockFacts, BlockJob
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.reference.partition.ghosts import RIM
+from splatproof.reference.partition.view_sampling import SamplingSettings
+from splatproof.reference.partition.visibility import shared_points
+from splatproof.reference.types.scene import Scene, SparsePoints
 
 SEEDS_APART = 1_000_003
 """Between the seeds of two blocks; block 0 has the run's own, so that one block is the plain row."""

@@ -4,10 +4,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from splatbench.base.errors import MissingError
-from splatbench.base.memory import MEBIBYTE, available_mb
-from splatbench.methods.city.point_roles import OWN
-from splatbench.methods.city.train_block import BlockJob
+from splatproof.base.errors import MissingError
+from splatproof.base.memory import MEBIBYTE, available_mb
+from splatproof.methods.city.point_roles import OWN
+from splatproof.methods.city.train_block import BlockJob
 
 PROCESS_MB = 450.0
 """Resident size of a process that has imported torch and the kernels."""

@@ -7,11 +7,11 @@ from typing import Any
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.models.explicit import ARRAYS, DESCRIPTION, FIELDS, write_description
-from splatbench.methods.storage.float_file import write_float_stream
-from splatbench.reference.rasterizer.rasterize import Mode
+from splatproof.base.errors import DataError
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.models.explicit import ARRAYS, DESCRIPTION, FIELDS, write_description
+from splatproof.methods.storage.float_file import write_float_stream
+from splatproof.reference.rasterizer.rasterize import Mode
 
 
 def write_merged(

@@ -8,20 +8,20 @@ from typing import Any, ClassVar
 from jaxtyping import Float, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import sha256, write_bytes
-from splatbench.methods.city.regions import AnyRegion, load_regions, save_regions
-from splatbench.methods.city.train_block import BlockFacts
-from splatbench.methods.models.explicit import (
+from splatproof.base.errors import DataError
+from splatproof.base.files import sha256, write_bytes
+from splatproof.methods.city.regions import AnyRegion, load_regions, save_regions
+from splatproof.methods.city.train_block import BlockFacts
+from splatproof.methods.models.explicit import (
     ARRAYS,
     DESCRIPTION,
     ExplicitModel,
     described,
     gaussians_in,
 )
-from splatbench.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.reader import read_packed
 
-CONTAINER = "model.sbgs"
+CONTAINER = "model.spgs"
 """The compressed Gaussians, where a model is compressed."""
 
 REGIONS = "regions.safetensors"

@@ -8,26 +8,26 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
-from splatbench.methods.city.citygaussian_views import coarse_change, point_model
-from splatbench.methods.city.ground import Ground, ground
-from splatbench.methods.city.partition_regions import (
+from splatproof.methods.city.citygaussian_views import coarse_change, point_model
+from splatproof.methods.city.ground import Ground, ground
+from splatproof.methods.city.partition_regions import (
     contracted_regions,
     ground_regions,
     oriented_regions,
     voxel_regions,
 )
-from splatbench.methods.city.regions import AnyRegion
-from splatbench.methods.training.schedules import require
-from splatbench.reference.partition import camera_cells as partition_cameras
-from splatbench.reference.partition import contracted_grid as partition_grid
-from splatbench.reference.partition import density_split as partition_density
-from splatbench.reference.partition import odbp
-from splatbench.reference.partition.camera_cells import CameraGrid
-from splatbench.reference.partition.density_split import DensitySettings
-from splatbench.reference.partition.odbp import OdbpPartition, OdbpSettings
-from splatbench.reference.partition.visibility import covering_views
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
+from splatproof.methods.city.regions import AnyRegion
+from splatproof.methods.training.schedules import require
+from splatproof.reference.partition import camera_cells as partition_cameras
+from splatproof.reference.partition import contracted_grid as partition_grid
+from splatproof.reference.partition import density_split as partition_density
+from splatproof.reference.partition import odbp
+from splatproof.reference.partition.camera_cells import CameraGrid
+from splatproof.reference.partition.density_split import DensitySettings
+from splatproof.reference.partition.odbp import OdbpPartition, OdbpSettings
+from splatproof.reference.partition.visibility import covering_views
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
 
 MethodName = Literal["odbp", "blockgaussian", "vastgaussian", "citygaussian"]
 

@@ -8,14 +8,14 @@ from jaxtyping import Float64, Int64
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.city.regions import ContractedRegion, GroundRegion, OrientedRegion
-from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.reference.partition.boxes import Box
-from splatbench.reference.partition.camera_cells import CameraGrid
-from splatbench.reference.partition.density_split import Rectangles, oriented_boxes
-from splatbench.reference.partition.odbp import OdbpPartition
-from splatbench.reference.partition.voxel_graph import voxel_centres
+from splatproof.base.errors import DataError
+from splatproof.methods.city.regions import ContractedRegion, GroundRegion, OrientedRegion
+from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.reference.partition.boxes import Box
+from splatproof.reference.partition.camera_cells import CameraGrid
+from splatproof.reference.partition.density_split import Rectangles, oriented_boxes
+from splatproof.reference.partition.odbp import OdbpPartition
+from splatproof.reference.partition.voxel_graph import voxel_centres
 
 MOST_CELLS = 2**22
 """Cells of the grid over a whole scene; voxels that were halved further are rounded to it."""

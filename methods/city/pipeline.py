@@ -14,30 +14,30 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.base.files import read_tensors, write_tensors
-from splatbench.methods.backends import get_backend
-from splatbench.methods.city import refine as refinement
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.city.executor import run_blocks
-from splatbench.methods.city.jobs import block_jobs
-from splatbench.methods.city.memory_plan import plan_memory
-from splatbench.methods.city.merge import write_merged
-from splatbench.methods.city.model import CityModel
-from splatbench.methods.city.partition import Partition, partition
-from splatbench.methods.city.settings import CitySettings
-from splatbench.methods.city.stages import Stages
-from splatbench.methods.city.stitch import cut_hard, stitch
-from splatbench.methods.city.train_block import BlockFacts, BlockJob, read_gaussians, select
-from splatbench.methods.models.explicit import ARRAYS, FIELDS
-from splatbench.methods.run import Run
-from splatbench.methods.storage.packed.morton import morton_order
-from splatbench.methods.storage.packed.reader import read_packed
-from splatbench.methods.storage.packed.writer import PackedFacts, write_packed
-from splatbench.methods.training import initialise
-from splatbench.methods.training import loop as training
-from splatbench.methods.training.loop import Trainer
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
+from splatproof.base.files import read_tensors, write_tensors
+from splatproof.methods.backends import get_backend
+from splatproof.methods.city import refine as refinement
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.executor import run_blocks
+from splatproof.methods.city.jobs import block_jobs
+from splatproof.methods.city.memory_plan import plan_memory
+from splatproof.methods.city.merge import write_merged
+from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.partition import Partition, partition
+from splatproof.methods.city.settings import CitySettings
+from splatproof.methods.city.stages import Stages
+from splatproof.methods.city.stitch import cut_hard, stitch
+from splatproof.methods.city.train_block import BlockFacts, BlockJob, read_gaussians, select
+from splatproof.methods.models.explicit import ARRAYS, FIELDS
+from splatproof.methods.run import Run
+from splatproof.methods.storage.packed.morton import morton_order
+from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
+from splatproof.methods.training import initialise
+from splatproof.methods.training import loop as training
+from splatproof.methods.training.loop import Trainer
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,7 +104,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             stages.run("refine", partial(_refine, merged, scene, settings, run, path, progress))
             merged = _read_refined(merged, path)
         if settings.quantise:
-            path = folder / "model.sbgs"
+            path = folder / "model.spgs"
             if settings.pack.sort:
                 merged = merged.take(morton_order(merged.model.means))
             small = stages.run("compress", partial(_compress, merged, settings, path, scene))
@@ -128,7 +128,7 @@ def _work_folder(run: Run) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         yield folder
         return
-    with tempfile.TemporaryDirectory(prefix="splatbench-") as name:
+    with tempfile.TemporaryDirectory(prefix="splatproof-") as name:
         yield Path(name)
 
 

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float64, Int8, Int64
 from torch import Tensor
 
-from splatbench.reference.partition.ghosts import block_boxes, ghosts
-from splatbench.reference.partition.visibility import track_lengths
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.reference.partition.ghosts import block_boxes, ghosts
+from splatproof.reference.partition.visibility import track_lengths
+from splatproof.reference.types.scene import SparsePoints
 
 OWN, CONTEXT, GHOST = 0, 1, 2
 """Trained and densified; trained, not densified; rendered only. What has no role is left out."""

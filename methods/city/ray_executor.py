@@ -4,10 +4,10 @@ import os
 from collections.abc import Sequence
 from typing import Any
 
-from splatbench.base.errors import MissingError, SplatbenchError
-from splatbench.methods.city.executor import BlocksReport, alone
-from splatbench.methods.city.train_block import BlockFacts, BlockJob, train_block
-from splatbench.methods.training.loop import threads as torch_threads
+from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.methods.city.executor import BlocksReport, alone
+from splatproof.methods.city.train_block import BlockFacts, BlockJob, train_block
+from splatproof.methods.training.loop import threads as torch_threads
 
 RETRIES = 3
 """How often a block whose worker died is given to another one."""
@@ -23,7 +23,7 @@ def run_on_ray(
     A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
     must lie where all machines read and write it. A task asks for its share of the threads as CPUs.
 
-    Raises: MissingError without the package ray; SplatbenchError naming a block that lost its worker
+    Raises: MissingError without the package ray; SplatproofError naming a block that lost its worker
         more than RETRIES times, or what a block itself raised.
     """
     ray = _ray()
@@ -84,12 +84,12 @@ def _facts(ray: Any, one: Any, job: BlockJob) -> BlockFacts:
     try:
         return ray.get(one)
     except ray.exceptions.RayTaskError as error:
-        if isinstance(error.cause, SplatbenchError):
+        if isinstance(error.cause, SplatproofError):
             raise type(error.cause)(f"{where}: {error.cause}") from None
         raise
     except ray.exceptions.RayError as error:
         line = " ".join(str(error).split())[:200]
-        raise SplatbenchError(
+        raise SplatproofError(
             f"{where}: lost on the cluster ({type(error).__name__}: {line}); the same command "
             "continues from its checkpoint"
         ) from None
@@ -101,6 +101,6 @@ def _ray() -> Any:
         import ray.exceptions
     except ImportError:
         raise MissingError(
-            "the engine 'ray' needs the package ray; run `pip install splatbench[distributed]`"
+            "the engine 'ray' needs the package ray; run `pip install splatproof[distributed]`"
         ) from None
     return ray

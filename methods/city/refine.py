@@ -8,17 +8,17 @@ from typing import Literal
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench.methods.backends import get_backend
-from splatbench.methods.models.explicit import FIELDS
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training import loop as training
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.schedules import Rates, require
-from splatbench.reference.compression.affine_codes import fake_quantise, lattice
-from splatbench.reference.stitching.preclean import CleanSettings, preclean
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
+from splatproof.methods.backends import get_backend
+from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import loop as training
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.schedules import Rates, require
+from splatproof.reference.compression.affine_codes import fake_quantise, lattice
+from splatproof.reference.stitching.preclean import CleanSettings, preclean
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
 
 PAPER_SHARE = 7_000 / 40_000
 """Refinement steps a step of block training in the paper."""

@@ -12,13 +12,13 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import read_tensors, write_tensors
-from splatbench.methods.city.voxel_region import INSIDE, VoxelRegion
-from splatbench.reference.partition.boxes import Box, OrientedBox, Region, box_distance
-from splatbench.reference.partition.contracted_grid import contract
+from splatproof.base.errors import DataError
+from splatproof.base.files import read_tensors, write_tensors
+from splatproof.methods.city.voxel_region import INSIDE, VoxelRegion
+from splatproof.reference.partition.boxes import Box, OrientedBox, Region, box_distance
+from splatproof.reference.partition.contracted_grid import contract
 
-KIND = "splatbench regions"
+KIND = "splatproof regions"
 VERSION = 1
 
 
@@ -156,7 +156,7 @@ def load_regions(path: Path) -> tuple[AnyRegion, ...]:
         raise DataError(f"{path}: not a file of block regions (no format {KIND!r})")
     if facts.get("version") != VERSION:
         raise DataError(
-            f"{path}: version {facts.get('version')!r}, this splatbench reads {VERSION}"
+            f"{path}: version {facts.get('version')!r}, this splatproof reads {VERSION}"
         )
     known = {kind.__name__: kind for kind in AnyRegion.__args__}
     regions = []

@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from splatbench.methods.city.partition import PartitionSettings
-from splatbench.methods.city.point_roles import Auxiliary, Surrounding
-from splatbench.methods.city.refine import RefineSettings
-from splatbench.methods.storage.packed.writer import FileSettings
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.schedules import require
-from splatbench.reference.partition.view_sampling import SamplingSettings
-from splatbench.reference.stitching.stochastic import StitchSettings
+from splatproof.methods.city.partition import PartitionSettings
+from splatproof.methods.city.point_roles import Auxiliary, Surrounding
+from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.storage.packed.writer import FileSettings
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.schedules import require
+from splatproof.reference.partition.view_sampling import SamplingSettings
+from splatproof.reference.stitching.stochastic import StitchSettings
 
 GRID = PartitionSettings(method="citygaussian")
 CAMERAS = PartitionSettings(method="vastgaussian")

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import UsageError
-from splatbench.base.files import write_text
+from splatproof.base.errors import UsageError
+from splatproof.base.files import write_text
 
 
 class Stages:

@@ -11,12 +11,12 @@ from jaxtyping import Bool, Float64, Int64, UInt8
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.methods.storage.packed.morton import morton_order
-from splatbench.reference.partition.boxes import Region
-from splatbench.reference.stitching.stochastic import (
+from splatproof.base.errors import UsageError
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.methods.storage.packed.morton import morton_order
+from splatproof.reference.partition.boxes import Region
+from splatproof.reference.stitching.stochastic import (
     COMPETITIVE,
     CORE,
     DROPPED,

@@ -11,18 +11,18 @@ import torch
 from jaxtyping import Float, Int8
 from torch import Tensor
 
-from splatbench.base.files import read_tensors, write_text
-from splatbench.base.memory import peak_memory_mb
-from splatbench.methods.backends import get_backend
-from splatbench.methods.city.point_roles import GHOST, OWN
-from splatbench.methods.models.explicit import FIELDS, ExplicitModel
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training import loop as training
-from splatbench.methods.training.initialise import from_points
-from splatbench.reference.partition.view_sampling import SamplingSettings, balanced_draws, view_bins
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
+from splatproof.base.files import read_tensors, write_text
+from splatproof.base.memory import peak_memory_mb
+from splatproof.methods.backends import get_backend
+from splatproof.methods.city.point_roles import GHOST, OWN
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import loop as training
+from splatproof.methods.training.initialise import from_points
+from splatproof.reference.partition.view_sampling import SamplingSettings, balanced_draws, view_bins
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
 
 Report = Callable[[int, int, dict[str, float]], None]
 """report(step, total, values) of one block."""

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float64, Int32, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 INSIDE = 1e-10
 """Share of a voxel by which places beyond the scene's grid are moved into it."""

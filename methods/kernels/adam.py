@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench import _ext
+from splatproof import _ext
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels.rasterizer import (
+from splatproof import _ext
+from splatproof.methods.kernels.rasterizer import (
     MAX_CHANNELS,
     check_background,
     check_model,
@@ -15,9 +15,9 @@ from splatbench.methods.kernels.rasterizer import (
     plain,
     rasterize,
 )
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,4 +1,4 @@
-"""The native photometric loss: twin of splatbench.reference.supervision.losses.photometric, in float32.
+"""The native photometric loss: twin of splatproof.reference.supervision.losses.photometric, in float32.
 
 `photometric(image, truth, *, dssim=0.2, mask=None)` computes the value and the gradient by the image in
 one pass, so its backward costs one multiplication. The truth gets no gradient.
@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench import _ext
+from splatproof import _ext
 
 
 def photometric(
@@ -22,7 +22,7 @@ def photometric(
 ) -> Float[Tensor, ""]:
     """Training loss (1 - l) mean|image - truth| + l (1 - mean SSIM), over valid pixels.
 
-    Arguments and result are those of splatbench.reference.supervision.losses.photometric.
+    Arguments and result are those of splatproof.reference.supervision.losses.photometric.
 
     Raises: ValueError unless image and truth are float32 on the CPU, of one shape that is not empty,
         and the mask is boolean of theirs.

@@ -1,7 +1,7 @@
-"""The native rasterizer: twin of splatbench.reference.rasterizer.rasterize on the CPU, in float32.
+"""The native rasterizer: twin of splatproof.reference.rasterizer.rasterize on the CPU, in float32.
 
 It differs from the reference by rounding only, except on pixels that sit on a step of the image's
-definition (splatbench.reference.checks.discontinuities). Two additions: a Gaussian with a NaN or infinite parameter is
+definition (splatproof.reference.checks.discontinuities). Two additions: a Gaussian with a NaN or infinite parameter is
 not drawn and gets zero gradient, and outputs that nobody differentiates cost nothing in the backward
 pass.
 """
@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.render import RenderOutput
+from splatproof import _ext
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
 
 MAX_CHANNELS = 32
 """Most colour channels in one pass."""
@@ -42,7 +42,7 @@ def rasterize(
 ) -> RenderOutput:
     """Render Gaussians: C = sum_i c_i a_i prod_{j<i} (1 - a_j) + T bg, sorted by camera-space z.
 
-    Arguments and result are those of splatbench.reference.rasterizer.rasterize.
+    Arguments and result are those of splatproof.reference.rasterizer.rasterize.
 
     Raises: ValueError unless exactly one of `colours` and `sh` is given, everything is float32 on the
         CPU and the shapes fit together, with at most 32 channels.

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.reference.rasterizer import projection, rotation
-from splatbench.reference.types.camera import Camera
+from splatproof import _ext
+from splatproof.reference.rasterizer import projection, rotation
+from splatproof.reference.types.camera import Camera
 
 GAUSSIANS_AT_ONCE = 100_000
 """Gaussians projected together; memory only."""

@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels.rasterizer import DEGREES, check_background, native_camera, plain
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.camera import Camera
+from splatproof import _ext
+from splatproof.methods.kernels.rasterizer import DEGREES, check_background, native_camera, plain
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.camera import Camera
 
 SHAPES = {"means": (3,), "quaternions": (4,), "scales": (3,), "opacity": (), "sh_dc": (1, 3)}
 """Shape of one row of each trained tensor; sh_rest has (k - 1, 3)."""

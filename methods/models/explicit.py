@@ -11,16 +11,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench import __version__
-from splatbench.base.errors import DataError
-from splatbench.base.files import read_tensors, sha256, write_tensors, write_text
-from splatbench.methods.backends import get_backend
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.render import RenderOutput
+from splatproof import __version__
+from splatproof.base.errors import DataError
+from splatproof.base.files import read_tensors, sha256, write_tensors, write_text
+from splatproof.methods.backends import get_backend
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.render import RenderOutput
 
-FORMAT = "splatbench model"
+FORMAT = "splatproof model"
 FORMAT_VERSION = 1
 ARRAYS = "model.safetensors"
 DESCRIPTION = "model.json"
@@ -62,7 +62,7 @@ class ExplicitModel:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Every setting it was made with, JSON-ready."""
     mode: Mode = "classic"
-    """How it is rasterized, see splatbench.reference.rasterizer.rasterize."""
+    """How it is rasterized, see splatproof.reference.rasterizer.rasterize."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
     """Float64; added to the means it gives positions in the original frame."""
     units: str = "sfm"
@@ -150,7 +150,7 @@ def write_description(
         "primitives": primitives,
         "degree": degree,
         "arrays_sha256": sha256(folder / ARRAYS),
-        "versions": {"splatbench": __version__, "torch": torch.__version__},
+        "versions": {"splatproof": __version__, "torch": torch.__version__},
     } | dict(more or {})
     write_text(folder / DESCRIPTION, json.dumps(facts, indent=2) + "\n")
 
@@ -168,10 +168,10 @@ def describe(folder: Path) -> dict[str, Any]:
     except (ValueError, OSError) as error:
         raise DataError(f"{path}: not JSON ({error})") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise DataError(f"{path}: not a model of splatbench (no format {FORMAT!r})")
+        raise DataError(f"{path}: not a model of splatproof (no format {FORMAT!r})")
     if facts.get("version") != FORMAT_VERSION:
         raise DataError(
-            f"{path}: version {facts.get('version')!r}, this splatbench reads {FORMAT_VERSION}; "
+            f"{path}: version {facts.get('version')!r}, this splatproof reads {FORMAT_VERSION}; "
             "use the version that wrote it"
         )
     if facts.get("kind") not in KINDS:
@@ -189,7 +189,7 @@ def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction
     Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version.
     """
     if folder.is_file():
-        from splatbench.methods.storage.packed.reader import read_packed  # it builds on this module
+        from splatproof.methods.storage.packed.reader import read_packed  # it builds on this module
 
         model, packed = read_packed(folder)
         check_gaussians(model, folder)
@@ -202,7 +202,7 @@ def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction
             f"{path}: its sha256 is not the one in {DESCRIPTION}; copy the folder again"
         )
     if facts["kind"] == "city":
-        from splatbench.methods.city.model import load_city  # it builds on this module
+        from splatproof.methods.city.model import load_city  # it builds on this module
 
         return load_city(folder, facts, arrays, backend=backend)
     model = gaussians_in(arrays, path)

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.types.camera import Camera
+from splatproof.base.errors import DataError
+from splatproof.reference.types.camera import Camera
 
 KEYS = ("name", "width", "height", "K", "world_to_camera")
 

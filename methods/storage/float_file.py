@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 
 def write_float_stream(

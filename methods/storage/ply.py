@@ -10,11 +10,11 @@ from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import check_gaussians
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import check_gaussians
+from splatproof.reference.types.gaussians import Gaussians
 
-SHIFT = "splatbench shift"
+SHIFT = "splatproof shift"
 """Header comment that holds the vector that was added to the means."""
 FAR = 10_000.0
 """Scene units; float32 resolves 1e-3 there, so positions further out are centred on import."""

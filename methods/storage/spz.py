@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 import torch
 
-from splatbench.base.errors import DataError, MissingError
-from splatbench.methods.models.explicit import check_gaussians
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError, MissingError
+from splatproof.methods.models.explicit import check_gaussians
+from splatproof.reference.types.gaussians import Gaussians
 
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
@@ -84,6 +84,6 @@ def _package() -> ModuleType:
         import gsply
     except ImportError:
         raise MissingError(
-            "no package gsply, which reads and writes .spz; pip install 'splatbench[spz]'"
+            "no package gsply, which reads and writes .spz; pip install 'splatproof[spz]'"
         ) from None
     return gsply

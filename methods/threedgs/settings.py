@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, field
 
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.schedules import Rates, require
-from splatbench.reference.rasterizer.rasterize import Mode
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.schedules import Rates, require
+from splatproof.reference.rasterizer.rasterize import Mode
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,17 +8,17 @@ from jaxtyping import Bool, Float, Float64, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.datasets.image_cache import ImageCache
-from splatbench.datasets.progress import bar
-from splatbench.reference.supervision.dense_initialisation import (
+from splatproof.datasets.image_cache import ImageCache
+from splatproof.datasets.progress import bar
+from splatproof.reference.supervision.dense_initialisation import (
     DensePoints,
     DenseSettings,
     points_of_pair,
     select_pairs,
 )
-from splatbench.reference.supervision.dense_matching import match_by_flow, plane_between
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene, SparsePoints, View
+from splatproof.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 LEAST_MATCHES = 4
 """A voxel with fewer holds nothing but stray matches."""

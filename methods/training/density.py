@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.methods.kernels import step as kernels
-from splatbench.methods.training.schedules import require, shrink
-from splatbench.reference.rasterizer.rotation import rotation_matrix
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.methods.kernels import step as kernels
+from splatproof.methods.training.schedules import require, shrink
+from splatproof.reference.rasterizer.rotation import rotation_matrix
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
 
 SPLIT_SHRINK = 1.6
 """A child's scale is its parent's divided by this (0.8 times the 2 children)."""

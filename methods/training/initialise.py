@@ -9,13 +9,13 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.dense_points import with_dense_points
-from splatbench.reference.rasterizer.spherical_harmonics import C0
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene, SparsePoints
+from splatproof.base.errors import DataError
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.dense_points import with_dense_points
+from splatproof.reference.rasterizer.spherical_harmonics import C0
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene, SparsePoints
 
 NEIGHBOURS = 3
 RANDOM_DEPTHS = (0.1, 10.0)

@@ -12,25 +12,25 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from splatbench.base.errors import SplatbenchError, UsageError
-from splatbench.base.files import read_tensors, write_tensors
-from splatbench.datasets.image_cache import TensorCache
-from splatbench.methods.backends import Backend, get_backend
-from splatbench.methods.kernels.loss import photometric
-from splatbench.methods.kernels.step import ViewGradients
-from splatbench.methods.models.explicit import ExplicitModel
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training import initialise
-from splatbench.methods.training.density import DensityControl, reset_opacity
-from splatbench.methods.training.gradient_mean import GradientMean
-from splatbench.methods.training.optimizer import Adam
-from splatbench.methods.training.regularisers import draw_shown, opacity_pull, thinned
-from splatbench.methods.training.schedules import active_degree, means_rate, settling, shrink
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene, View
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.files import read_tensors, write_tensors
+from splatproof.datasets.image_cache import TensorCache
+from splatproof.methods.backends import Backend, get_backend
+from splatproof.methods.kernels.loss import photometric
+from splatproof.methods.kernels.step import ViewGradients
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import initialise
+from splatproof.methods.training.density import DensityControl, reset_opacity
+from splatproof.methods.training.gradient_mean import GradientMean
+from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.regularisers import draw_shown, opacity_pull, thinned
+from splatproof.methods.training.schedules import active_degree, means_rate, settling, shrink
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene, View
 
 REPORT_EVERY = 10
 """Steps between reports."""
@@ -47,7 +47,7 @@ def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
         run: Where checkpoints go; one that is there already is continued.
 
     Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
-        another run; SplatbenchError if the loss stops being finite.
+        another run; SplatproofError if the loss stops being finite.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5 and Alg. 1.
     """
@@ -211,7 +211,7 @@ class Trainer:
         differentiate = self.by_kernels if native else self.by_autograd
         loss, screen, radii = differentiate(view.camera, degree, truth, mask)
         if not math.isfinite(loss):
-            raise SplatbenchError(
+            raise SplatproofError(
                 f"step {self.step}, view {view.name}: the loss is {loss}; lower the learning rates"
             )
         if self.settings.opacity_weight:

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from splatbench.methods.kernels import adam as kernels
+from splatproof.methods.kernels import adam as kernels
 
 
 class Adam:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from splatbench.base.errors import UsageError
+from splatproof.base.errors import UsageError
 
 FULL_LENGTH = 30_000
 """Iterations of a full run; schedules are written down for this length."""

@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.anchors import hvi
-from splatbench.reference.supervision.losses import ssim_map
-from splatbench.reference.types import mlp
-from splatbench.reference.types.mlp import Mlp
+from splatproof.reference.anchors import hvi
+from splatproof.reference.supervision.losses import ssim_map
+from splatproof.reference.types import mlp
+from splatproof.reference.types.mlp import Mlp
 
 TestMode = Literal["nearest", "half", "oracle"]
 

@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference.anchors.scaffold import view_code
-from splatbench.reference.anchors.vibration import life, vibrate
-from splatbench.reference.rasterizer import rotation
-from splatbench.reference.types import mlp
-from splatbench.reference.types.mlp import Mlp
+from splatproof.reference.anchors.scaffold import view_code
+from splatproof.reference.anchors.vibration import life, vibrate
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.types import mlp
+from splatproof.reference.types.mlp import Mlp
 
 CODE_OCTAVES = 4
 """Octaves of the sine-cosine embedding of positions and time (ours: the paper gives none)."""

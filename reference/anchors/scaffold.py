@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.reference.rasterizer import rotation
-from splatbench.reference.types import mlp
-from splatbench.reference.types.mlp import Mlp
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.types import mlp
+from splatproof.reference.types.mlp import Mlp
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

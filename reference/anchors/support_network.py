@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from splatbench.reference.anchors import sparse_convolution
-from splatbench.reference.rasterizer import rotation
-from splatbench.reference.types import mlp
-from splatbench.reference.types.mlp import Mlp
+from splatproof.reference.anchors import sparse_convolution
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.types import mlp
+from splatproof.reference.types.mlp import Mlp
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,9 +4,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.rasterizer import compositing, projection, rotation
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.rasterizer import compositing, projection, rotation
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.camera import Camera
 
 BAND = 2e-5
 """Relative half-width of a step: some ten times the float32 error of an alpha or a transmittance."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Float32, UInt8
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 STEPS = 255
 """Largest code; the lattice has one value more."""

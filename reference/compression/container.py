@@ -15,11 +15,11 @@ import torch
 import zstandard
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.compression.affine_codes import AffineCodes
-from splatbench.reference.compression.packing import PackedModel
+from splatproof.base.errors import DataError
+from splatproof.reference.compression.affine_codes import AffineCodes
+from splatproof.reference.compression.packing import PackedModel
 
-MAGIC = b"SBGS"
+MAGIC = b"SPGS"
 VERSION = 1
 HEADER = struct.Struct("<4sHBBQQ32s")
 LEVEL = 9

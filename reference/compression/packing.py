@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Float, Float16, Float32
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.compression import affine_codes, spectral
-from splatbench.reference.compression.affine_codes import AffineCodes, Rounding
-from splatbench.reference.compression.spectral import GATE, Weighting
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.reference.compression import affine_codes, spectral
+from splatproof.reference.compression.affine_codes import AffineCodes, Rounding
+from splatproof.reference.compression.spectral import GATE, Weighting
+from splatproof.reference.types.gaussians import Gaussians
 
 
 @dataclass(frozen=True, kw_only=True)

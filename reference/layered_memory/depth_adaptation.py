@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.reference.layered_memory import layered_depth
-from splatbench.reference.layered_memory.layered_depth import LayeredDepth
-from splatbench.reference.supervision.side_views import unproject
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory.layered_depth import LayeredDepth
+from splatproof.reference.supervision.side_views import unproject
+from splatproof.reference.types.camera import Camera, project_points
 
 
 @runtime_checkable

@@ -6,10 +6,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.rasterizer import rasterize, spherical_harmonics
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.render import RenderOutput
+from splatproof.reference.rasterizer import rasterize, spherical_harmonics
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.render import RenderOutput
 
 BIAS_NEAR, BIAS_FAR = -4.6, 1.4
 """Opacity logits added at a ray's nearest and farthest hit (paper, Sec. 4): 0.01 and 0.80."""

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 THINNEST = 1e-9
 """Share of the longest half-extent below which another one counts as zero."""

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.partition.frustum import image_share
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.base.errors import DataError
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.partition.frustum import image_share
+from splatproof.reference.types.camera import Camera, project_points
 
 MARGIN = 0.2
 """A cell is widened by this share of its width on each side before cameras and points are taken."""

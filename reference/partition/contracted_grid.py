@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition.boxes import Box
+from splatproof.base.errors import DataError
+from splatproof.reference.partition.boxes import Box
 
 GROWTH = 0.01
 """Step in contracted units by which a cell grows until it holds enough Gaussians."""

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int64
 from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition.boxes import OrientedBox
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition.boxes import OrientedBox
 
 HEIGHT_TRIM = 0.01
 """Share of the points that may lie below, and above, the vertical bounds."""

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError
 
-from splatbench.reference.partition.boxes import OrientedBox, corners
-from splatbench.reference.types.camera import Camera, transform_points
+from splatproof.reference.partition.boxes import OrientedBox, corners
+from splatproof.reference.types.camera import Camera, transform_points
 
 FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 """Corner indices around each face of a box (bit j of an index: positive end of axis j)."""

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatbench.reference.partition.boxes import Box, bounds, inside, widen
-from splatbench.reference.rasterizer import compositing
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.reference.partition.boxes import Box, bounds, inside, widen
+from splatproof.reference.rasterizer import compositing
+from splatproof.reference.types.gaussians import Gaussians
 
 RIM = 0.2
 """alpha of DPGS, Eq. 7: the auxiliary box is longer than the core box by this share of each axis."""

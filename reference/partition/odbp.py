@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float64, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition.metis import cut_graph, cut_size
-from splatbench.reference.partition.voxel_graph import (
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition.metis import cut_graph, cut_size
+from splatproof.reference.partition.voxel_graph import (
     DEEPEST,
     VoxelGraph,
     components,

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float64, Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError, UsageError
+from splatproof.base.errors import DataError, UsageError
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 """The stride is the number nearest to this share of the bins that visits them all."""

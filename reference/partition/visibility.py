@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Bool, Int
 from torch import Tensor
 
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.reference.types.scene import SparsePoints
 
 
 def track_lengths(points: SparsePoints) -> Int[Tensor, " n"]:

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from splatbench.base.errors import DataError, UsageError
+from splatproof.base.errors import DataError, UsageError
 
 DEEPEST = 20
 """A voxel is halved at most this often; points that then still share one count as coincident."""

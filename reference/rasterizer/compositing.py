@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference.rasterizer.projection import ALPHA_MIN
+from splatproof.reference.rasterizer.projection import ALPHA_MIN
 
 ALPHA_MAX = 0.99
 """No single contribution is more opaque than this."""

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.types.camera import Camera, transform_points
+from splatproof.reference.types.camera import Camera, transform_points
 
 BLUR = 0.3
 """Low-pass variance added to both image axes, in squared pixels."""

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference.rasterizer import compositing, projection, rotation, spherical_harmonics
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe, pixel_offsets
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.render import RenderOutput
+from splatproof.reference.rasterizer import compositing, projection, rotation, spherical_harmonics
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe, pixel_offsets
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
 
 Mode = Literal["classic", "antialiased"]
 PAIRS_AT_ONCE = 2**22

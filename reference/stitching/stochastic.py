@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Float64, Int64
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.partition.boxes import Region
+from splatproof.base.errors import UsageError
+from splatproof.reference.partition.boxes import Region
 
 RIM = 1.1
 """Normalised distance up to which primitives compete; beyond it they are dropped."""

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.types.camera import Camera, project_points
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.reference.rasterizer import rasterize
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.types.camera import Camera
 
 ANCHOR_OPACITY = 0.95
 """tau: fixed opacity of the anchor-level render."""

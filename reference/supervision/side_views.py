@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.reference.supervision.losses import photometric
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.supervision.losses import photometric
+from splatproof.reference.types.camera import Camera, project_points
 
 EVIDENCE = 2
 """A pixel seen by this many training views is judged by them, not by a refiner."""

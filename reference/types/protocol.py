@@ -64,7 +64,7 @@ class Protocol:
     appearance: Literal["none", "nearest", "half", "oracle"] = "none"
     """What a method may use of a test image to fit its appearance; "oracle" rows are not ranked."""
     metrics: tuple[str, ...] = ("psnr", "ssim_3dgs", "ssim_valid", "flip")
-    """Per-image metrics by their names in splatbench.metrics.registry; the first one ranks."""
+    """Per-image metrics by their names in splatproof.metrics.registry; the first one ranks."""
     parts: tuple[Literal["moving", "vehicles", "people", "still"], ...] = ()
     """Extra columns over these parts of an image alone, where it is known what moves; never the main
     column."""

@@ -8,9 +8,9 @@ import typing
 from collections.abc import Mapping
 from typing import Any
 
-from splatbench.base.errors import DataError
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import Result
+from splatproof.base.errors import DataError
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import Result
 
 VERSION = 1
 """Of the format; a reader refuses every other."""

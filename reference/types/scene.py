@@ -7,7 +7,7 @@ from pathlib import Path
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.types.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,16 +6,16 @@ import numpy as np
 import torch
 from matplotlib.patches import Circle
 
-from splatbench.reference.anchors import attention as anchor_attention
-from splatbench.reference.anchors import motion_hierarchy as mh
-from splatbench.reference.anchors import scaffold as anchors
-from splatbench.reference.anchors import support_network
-from splatbench.reference.anchors.sparse_convolution import neighbours, voxelise
-from splatbench.reference.supervision import dense_initialisation
-from splatbench.reference.supervision.dense_matching import match_by_flow, plane_between
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
+from splatproof.reference.anchors import attention as anchor_attention
+from splatproof.reference.anchors import motion_hierarchy as mh
+from splatproof.reference.anchors import scaffold as anchors
+from splatproof.reference.anchors import support_network
+from splatproof.reference.anchors.sparse_convolution import neighbours, voxelise
+from splatproof.reference.supervision import dense_initialisation
+from splatproof.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
 
 
 def _anchors_of(scene: Scene, count: int) -> tuple[torch.Tensor, float]:

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from splatbench.methods.city.ground import ground
-from splatbench.reference.compression import spectral
-from splatbench.reference.partition import boxes, view_sampling
-from splatbench.reference.partition import density_split as partition_density
-from splatbench.reference.partition.density_split import DensitySettings
-from splatbench.reference.partition.view_sampling import SamplingSettings
-from splatbench.reference.stitching import stochastic as stitching
-from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_plan
-from splatbench.suites.partition import partition_row, partitions
+from splatproof.methods.city.ground import ground
+from splatproof.reference.compression import spectral
+from splatproof.reference.partition import boxes, view_sampling
+from splatproof.reference.partition import density_split as partition_density
+from splatproof.reference.partition.density_split import DensitySettings
+from splatproof.reference.partition.view_sampling import SamplingSettings
+from splatproof.reference.stitching import stochastic as stitching
+from splatproof.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.gallery.drawing import COLOURS, panels, save, show_plan
+from splatproof.suites.partition import partition_row, partitions
 
 BLOCKS = 4
 

@@ -7,18 +7,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatbench.reference.layered_memory import (
+from splatproof.reference.layered_memory import (
     coordinate_field,
     depth_adaptation,
     layered_depth,
     multi_plane,
 )
-from splatbench.reference.layered_memory.edge_diffusion import EdgeDiffusion
-from splatbench.reference.layered_memory.layered_depth import LayeredDepth
-from splatbench.reference.supervision import side_views
-from splatbench.reference.supervision.spiral_path import SpiralSettings, spiral_path
-from splatbench.reference.types.scene import Scene, View
-from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
+from splatproof.reference.layered_memory.edge_diffusion import EdgeDiffusion
+from splatproof.reference.layered_memory.layered_depth import LayeredDepth
+from splatproof.reference.supervision import side_views
+from splatproof.reference.supervision.spiral_path import SpiralSettings, spiral_path
+from splatproof.reference.types.scene import Scene, View
+from splatproof.suites.gallery.drawing import COLOURS, panels, save, show_image, show_plan
 
 
 def _truth(view: View) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:

@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.gallery import anchoring, blocks, memory, trained
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.gallery import anchoring, blocks, memory, trained
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import torch
 
-from splatbench.methods.backends import get_backend
-from splatbench.methods.registry import METHODS
-from splatbench.methods.run import Run
-from splatbench.metrics.seam_render import render_seam_view
-from splatbench.reference.partition import boxes
-from splatbench.reference.partition import density_split as partition_density
-from splatbench.reference.partition.density_split import DensitySettings
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.gallery.blocks import draw_spectrum
-from splatbench.suites.gallery.drawing import COLOURS, panels, save, show_image
+from splatproof.methods.backends import get_backend
+from splatproof.methods.registry import METHODS
+from splatproof.methods.run import Run
+from splatproof.metrics.seam_render import render_seam_view
+from splatproof.reference.partition import boxes
+from splatproof.reference.partition import density_split as partition_density
+from splatproof.reference.partition.density_split import DensitySettings
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.gallery.blocks import draw_spectrum
+from splatproof.suites.gallery.drawing import COLOURS, panels, save, show_image
 
 STEPS = 600
 """Iterations of the model that is drawn: seconds on two cores."""

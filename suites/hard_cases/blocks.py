@@ -5,15 +5,15 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatbench.reference.compression import affine_codes, container
-from splatbench.reference.compression.packing import PackSettings, pack
-from splatbench.reference.partition import odbp
-from splatbench.reference.partition.boxes import OrientedBox, box_distance
-from splatbench.reference.partition.odbp import OdbpSettings
-from splatbench.reference.stitching import stochastic as stitching
-from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.suites.hard_cases.case import HardCase, drawn, fixed, joined
+from splatproof.reference.compression import affine_codes, container
+from splatproof.reference.compression.packing import PackSettings, pack
+from splatproof.reference.partition import odbp
+from splatproof.reference.partition.boxes import OrientedBox, box_distance
+from splatproof.reference.partition.odbp import OdbpSettings
+from splatproof.reference.stitching import stochastic as stitching
+from splatproof.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.hard_cases.case import HardCase, drawn, fixed, joined
 
 
 def _cut(k: int, voxel: float = 1.0) -> Callable[..., Tensor]:

@@ -3,13 +3,13 @@
 import torch
 from torch import Tensor
 
-from splatbench.reference.anchors import attention as anchor_attention
-from splatbench.reference.anchors import hvi, sparse_convolution, support_network, vibration
-from splatbench.reference.layered_memory import layered_depth, multi_plane
-from splatbench.reference.rasterizer import rotation, spherical_harmonics
-from splatbench.reference.supervision import depth_constraint, soft_rank
-from splatbench.reference.types.camera import Camera
-from splatbench.suites.hard_cases.case import HardCase, drawn, fixed, joined
+from splatproof.reference.anchors import attention as anchor_attention
+from splatproof.reference.anchors import hvi, sparse_convolution, support_network, vibration
+from splatproof.reference.layered_memory import layered_depth, multi_plane
+from splatproof.reference.rasterizer import rotation, spherical_harmonics
+from splatproof.reference.supervision import depth_constraint, soft_rank
+from splatproof.reference.types.camera import Camera
+from splatproof.suites.hard_cases.case import HardCase, drawn, fixed, joined
 
 ZERO = torch.zeros(1)
 

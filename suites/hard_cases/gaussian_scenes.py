@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.types.camera import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,12 +7,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.methods.backends import get_backend
-from splatbench.reference.checks.agreement import compare_gradients, largest_error
-from splatbench.reference.checks.discontinuities import step_pixels
-from splatbench.reference.rasterizer import rasterize as reference
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
+from splatproof.methods.backends import get_backend
+from splatproof.reference.checks.agreement import compare_gradients, largest_error
+from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.rasterizer import rasterize as reference
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
 
 
 def facing(count: int, *, width: int = 17, height: int = 33) -> GaussianScene:

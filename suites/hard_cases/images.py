@@ -5,8 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatbench.metrics.registry import METRICS
-from splatbench.suites.hard_cases.case import HardCase, fixed
+from splatproof.metrics.registry import METRICS
+from splatproof.suites.hard_cases.case import HardCase, fixed
 
 NAMES = ("psnr", "ssim_3dgs", "ssim_valid", "flip", "l1")
 

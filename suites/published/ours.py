@@ -6,8 +6,8 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatbench.reference.types.result import Result, row_name
-from splatbench.suites.records import read_finished
+from splatproof.reference.types.result import Result, row_name
+from splatproof.suites.records import read_finished
 
 MB = 2**20
 

@@ -10,8 +10,8 @@ import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.base.typed_toml import build, read_toml, unknown
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.typed_toml import build, read_toml, unknown
 
 FOLDER = Path(__file__).parent
 NUMBERS = FOLDER / "numbers.csv"

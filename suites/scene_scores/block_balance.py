@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatbench.methods.city.train_block import BlockFacts
-from splatbench.metrics.balance import spread
+from splatproof.methods.city.train_block import BlockFacts
+from splatproof.metrics.balance import spread
 
 FIELDS = {
     "load": "load",

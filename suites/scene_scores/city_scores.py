@@ -3,12 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
-from splatbench.methods.city.model import CityModel
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.scene_scores.block_balance import balance_metrics
-from splatbench.suites.scene_scores.seams import score_seams
+from splatproof.methods.city.model import CityModel
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.scene_scores.block_balance import balance_metrics
+from splatproof.suites.scene_scores.seams import score_seams
 
 
 def city_scores(

@@ -12,21 +12,21 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from splatbench.base.folders import new_folder
-from splatbench.methods.backends import get_backend
-from splatbench.methods.kernels import blocks as kernels
-from splatbench.metrics.scoring import round_to_8_bit
-from splatbench.metrics.seam import SeamView, seam_scores, seam_sums
-from splatbench.metrics.seam_partition import partition_seam_mask
-from splatbench.metrics.seam_render import render_seam_view
-from splatbench.reference.partition.boxes import Region
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import picture_name
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.held_out import write_png
-from splatbench.suites.scene_scores.surface import surface_depth
+from splatproof.base.folders import new_folder
+from splatproof.methods.backends import get_backend
+from splatproof.methods.kernels import blocks as kernels
+from splatproof.metrics.scoring import round_to_8_bit
+from splatproof.metrics.seam import SeamView, seam_scores, seam_sums
+from splatproof.metrics.seam_partition import partition_seam_mask
+from splatproof.metrics.seam_render import render_seam_view
+from splatproof.reference.partition.boxes import Region
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import picture_name
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.held_out import write_png
+from splatproof.suites.scene_scores.surface import surface_depth
 
 COLOURS = (
     (68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68),

@@ -7,8 +7,8 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import QhullError
 from torch import Tensor
 
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene
 
 LEAST_POINTS = 16
 """With fewer observed points a view takes all points that lie in its image."""

@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from splatbench.methods.models.explicit import Reconstruction
-from splatbench.metrics.geometry import geometry_scores
-from splatbench.metrics.seam_partition import surface_points
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene, View
+from splatproof.methods.models.explicit import Reconstruction
+from splatproof.metrics.geometry import geometry_scores
+from splatproof.metrics.seam_partition import surface_points
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, View
 
 THRESHOLD = 0.5
 """Scene units (metres in made worlds) up to which a surface point counts as found."""

@@ -12,16 +12,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatbench.base.errors import MissingError
-from splatbench.datasets.image_cache import ImageCache
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.training.dense_points import match, observed
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.layered_memory import layered_depth
-from splatbench.reference.layered_memory.layered_depth import LayeredDepth
-from splatbench.reference.supervision import dense_initialisation as dense
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import MissingError
+from splatproof.datasets.image_cache import ImageCache
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.training.dense_points import match, observed
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory.layered_depth import LayeredDepth
+from splatproof.reference.supervision import dense_initialisation as dense
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene
 
 SHARE = 0.01
 """eps_d as a share of the median depth of the sparse points in the reference view."""

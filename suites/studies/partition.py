@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
-from splatbench.base.errors import MissingError
-from splatbench.datasets.opening import open_scene
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.partition import partition_rows
+from splatproof.base.errors import MissingError
+from splatproof.datasets.opening import open_scene
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.partition import partition_rows
 
 
 def rows(*, quick: bool) -> Iterator[dict[str, Any]]:

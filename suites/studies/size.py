@@ -15,23 +15,23 @@ from typing import Any
 
 import torch
 
-from splatbench.base.errors import MissingError
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.models.explicit import ARRAYS, ExplicitModel, load_reconstruction
-from splatbench.methods.registry import get_method
-from splatbench.methods.run import Run
-from splatbench.methods.storage.packed.reader import read_packed
-from splatbench.methods.storage.packed.writer import PARTS, FileSettings, write_packed
-from splatbench.methods.storage.ply import read_ply, write_ply
-from splatbench.methods.storage.spz import read_spz, write_spz
-from splatbench.metrics.pixel import psnr
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scoring import scene_metrics, score_image
-from splatbench.reference.compression import container
-from splatbench.reference.compression import packing as reference
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import MissingError
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.models.explicit import ARRAYS, ExplicitModel, load_reconstruction
+from splatproof.methods.registry import get_method
+from splatproof.methods.run import Run
+from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.writer import PARTS, FileSettings, write_packed
+from splatproof.methods.storage.ply import read_ply, write_ply
+from splatproof.methods.storage.spz import read_spz, write_spz
+from splatproof.metrics.pixel import psnr
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scoring import scene_metrics, score_image
+from splatproof.reference.compression import container
+from splatproof.reference.compression import packing as reference
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 SCENES = ("brighton_beach", "courtyard")
 """The first that this machine has."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from splatbench.methods.storage.packed.writer import PARTS
-from splatbench.suites.gallery.drawing import COLOURS, panels, save
+from splatproof.methods.storage.packed.writer import PARTS
+from splatproof.suites.gallery.drawing import COLOURS, panels, save
 
 Row = dict[str, Any]
 

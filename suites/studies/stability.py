@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.base.errors import SplatbenchError
-from splatbench.reference.checks.agreement import compare_gradients
-from splatbench.suites.hard_cases import blocks, components, gaussians, images
-from splatbench.suites.hard_cases.case import HardCase
+from splatproof.base.errors import SplatproofError
+from splatproof.reference.checks.agreement import compare_gradients
+from splatproof.suites.hard_cases import blocks, components, gaussians, images
+from splatproof.suites.hard_cases.case import HardCase
 
 
 def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
@@ -57,7 +57,7 @@ def refusal(case: HardCase) -> dict[str, Any]:
     start = time.perf_counter()
     try:
         case.run(*case.inputs())
-    except (ValueError, SplatbenchError) as error:
+    except (ValueError, SplatproofError) as error:
         note, ok = str(error).splitlines()[0], True
     else:
         note, ok = "was not refused", False

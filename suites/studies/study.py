@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatbench.methods.storage.packed.writer import PARTS
-from splatbench.suites.studies import memory, partition, size, size_plot, stability
-from splatbench.suites.studies.speed import measure as speed
-from splatbench.suites.studies.speed import page as speed_page
+from splatproof.methods.storage.packed.writer import PARTS
+from splatproof.suites.studies import memory, partition, size, size_plot, stability
+from splatproof.suites.studies.speed import measure as speed
+from splatproof.suites.studies.speed import page as speed_page
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.methods import cuda_gsplat
-from splatbench.suites.twins.rasterizers import PIPELINE, RASTERIZER, draws, pipes
-from splatbench.suites.twins.twin import Component, Forward, Leaves, Problem, Twin, functional
+from splatproof.methods import cuda_gsplat
+from splatproof.suites.twins.rasterizers import PIPELINE, RASTERIZER, draws, pipes
+from splatproof.suites.twins.twin import Component, Forward, Leaves, Problem, Twin, functional
 
 GIVES_UP = "gsplat's own early stop, alpha cap and arithmetic"
 MEBIBYTE = 2**20

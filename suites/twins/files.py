@@ -8,12 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.methods.storage.packed.reader import read_packed
-from splatbench.methods.storage.packed.writer import FileSettings, write_packed
-from splatbench.reference.compression import container, packing
-from splatbench.reference.compression.packing import PackSettings
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.writer import FileSettings, write_packed
+from splatproof.reference.compression import container, packing
+from splatproof.reference.compression.packing import PackSettings
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 
 def model(size: Size) -> Problem:

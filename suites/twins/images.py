@@ -6,11 +6,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels import loss as native
-from splatbench.metrics import ssim as metrics
-from splatbench.reference.supervision import losses
-from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+from splatproof import _ext
+from splatproof.methods.kernels import loss as native
+from splatproof.metrics import ssim as metrics
+from splatproof.reference.supervision import losses
+from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 CASES = (Case(size=(320, 240), quick=True), Case(size=(1600, 1200)))
 REFLECTED = "images are mirrored at their borders, where the definition sees black"

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import torch
 
-from splatbench.methods.kernels import adam as native
-from splatbench.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
+from splatproof.methods.kernels import adam as native
+from splatproof.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
 
 NUMBERS = 59
 RATE = 1e-2

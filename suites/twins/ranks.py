@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.reference.supervision import soft_rank
-from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+from splatproof.reference.supervision import soft_rank
+from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 TEMPERATURE = 0.1
 """In the unit of the values, whose standard deviation is 1."""

@@ -6,14 +6,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.methods.kernels.roofline import count_pairs
-from splatbench.reference.checks.discontinuities import step_pixels
-from splatbench.reference.rasterizer import rasterize as reference
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.suites.studies.speed.scenes import speed_scene
-from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.methods.kernels.roofline import count_pairs
+from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.rasterizer import rasterize as reference
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.studies.speed.scenes import speed_scene
+from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 ACTIVATED = ("means", "quaternions", "scales", "opacities", "sh")
 Rasterize = Callable[..., Any]

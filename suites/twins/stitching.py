@@ -7,13 +7,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench.methods.city import stitch as fast
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.stitching import stochastic as stitching
-from splatbench.reference.stitching.stochastic import StitchSettings, TrainedBlock
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
+from splatproof.methods.city import stitch as fast
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.stitching import stochastic as stitching
+from splatproof.reference.stitching.stochastic import StitchSettings, TrainedBlock
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 CENTRES = ((0.0, 0.0), (2.0, 0.0), (0.0, 2.0), (2.0, 2.0))
 REACH = 1.25

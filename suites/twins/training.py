@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import torch
 
-from splatbench.base.errors import MissingError, SplatbenchError
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.registry import find_scene
-from splatbench.methods.backends import get_backend
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.loop import Trainer
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.scene import Scene
-from splatbench.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
+from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.registry import find_scene
+from splatproof.methods.backends import get_backend
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.loop import Trainer
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.scene import Scene
+from splatproof.suites.twins.twin import Case, Component, Forward, Leaves, Problem, Size, Twin
 
 SCENE = "brighton_beach"
 STAND_IN = "courtyard"
@@ -47,7 +47,7 @@ def iterates(problem: Problem, _: Leaves) -> Forward:
         trainer.advance()
     found = len(trainer.gaussians())
     if found < enough:
-        raise SplatbenchError(
+        raise SplatproofError(
             f"{found} Gaussians after {PATIENCE} steps, expected {given['gaussians']}: "
             "this scene does not grow so far"
         )

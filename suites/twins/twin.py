@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench import _ext
+from splatproof import _ext
 
 Size = tuple[int, ...]
 """What a problem is made from, e.g. Gaussians, width, height."""

@@ -9,10 +9,10 @@ import torch
 from safetensors import SafetensorError
 from sqlalchemy.exc import OperationalError
 
-from splatbench.base import files
-from splatbench.base.errors import MissingError
-from splatbench.cli import doctor, main
-from splatbench.reports import mlflow_client
+from splatproof.base import files
+from splatproof.base.errors import MissingError
+from splatproof.cli import doctor, main
+from splatproof.reports import mlflow_client
 
 
 @pytest.mark.parametrize(

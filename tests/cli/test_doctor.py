@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from helpers.random_weights import forget, write_weights
-from splatbench import _ext
-from splatbench.cli import main
-from splatbench.methods import backends
-from splatbench.reference.rasterizer import rasterize
+from splatproof import _ext
+from splatproof.cli import main
+from splatproof.methods import backends
+from splatproof.reference.rasterizer import rasterize
 
 
 def findings(capsys) -> dict[str, dict[str, str]]:
@@ -22,7 +22,7 @@ def test_everything_is_named_and_nothing_is_written(tmp_path, capsys, monkeypatc
     out = tmp_path / "runs"
     assert main(["doctor", "--json", "--out", str(out)]) == 0
     found = findings(capsys)
-    assert {"splatbench", "torch", "cpu", "reference", "cuda", "courtyard", "cache"} <= set(found)
+    assert {"splatproof", "torch", "cpu", "reference", "cuda", "courtyard", "cache"} <= set(found)
     assert found["simd"]["found"] == _ext.simd_level()
     assert found["torch"]["status"] == "ok"
     assert found["tracking store"]["found"].startswith("sqlite:///")
@@ -30,7 +30,7 @@ def test_everything_is_named_and_nothing_is_written(tmp_path, capsys, monkeypatc
 
 
 def test_what_is_absent_says_how_to_get_it(tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "nowhere"))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path / "nowhere"))
     assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
     found = findings(capsys)
     assert found["brighton_beach"]["status"] == "absent"
@@ -41,7 +41,7 @@ def test_what_is_absent_says_how_to_get_it(tmp_path, capsys, monkeypatch):
 def test_weights_are_looked_for_where_the_variable_says(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
     forget()
-    monkeypatch.setenv("SPLATBENCH_WEIGHTS", str(tmp_path / "mine"))
+    monkeypatch.setenv("SPLATPROOF_WEIGHTS", str(tmp_path / "mine"))
     sha = write_weights(tmp_path / "mine", "alex", monkeypatch)
     assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
     found = findings(capsys)
@@ -49,7 +49,7 @@ def test_weights_are_looked_for_where_the_variable_says(tmp_path, capsys, monkey
         found["lpips_alex_m11"] | {"found": f"sha256 {sha}", "fix": ""} == found["lpips_alex_m11"]
     )
     assert found["lpips_vgg_m11"]["status"] == "absent"
-    assert "SPLATBENCH_WEIGHTS" in found["lpips_vgg_m11"]["fix"]
+    assert "SPLATPROOF_WEIGHTS" in found["lpips_vgg_m11"]["fix"]
     forget()
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from helpers.aerial_photos import write_flight
 from helpers.colmap_scenes import Flight, write_scene
-from splatbench.base.processes import how_it_ended
+from splatproof.base.processes import how_it_ended
 
 BENCH = str(Path(sys.executable).with_name("bench"))
 SUITE = """

@@ -8,9 +8,9 @@ import pytest
 from plyfile import PlyData
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatbench.cli import main
-from splatbench.datasets import opening
-from splatbench.methods.models.explicit import load_reconstruction
+from splatproof.cli import main
+from splatproof.datasets import opening
+from splatproof.methods.models.explicit import load_reconstruction
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_export(fitted, tmp_path, capsys, inside):
 
 
 def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch, capsys):
-    packed, ply = tmp_path / "m.sbgs", tmp_path / "m.ply"
+    packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["bytes"] == packed.stat().st_size == sum(told["bytes_by_part"].values())
@@ -97,7 +97,7 @@ def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch
     capsys.readouterr()
     packed.write_bytes(packed.read_bytes()[:-1])
     assert main(["render", str(packed), "tiny", str(out)]) == 2
-    assert "m.sbgs" in capsys.readouterr().err
+    assert "m.spgs" in capsys.readouterr().err
     assert main(["export", str(fitted / "model")]) == 2
     assert "--packed" in capsys.readouterr().err
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from splatbench import cli
-from splatbench.base.errors import DataError, MissingError
-from splatbench.cli import COMMANDS, main, output
-from splatbench.methods.registry import METHODS
+from splatproof import cli
+from splatproof.base.errors import DataError, MissingError
+from splatproof.cli import COMMANDS, main, output
+from splatproof.methods.registry import METHODS
 
 BENCH = str(Path(sys.executable).with_name("bench"))
 
@@ -49,7 +49,7 @@ def test_help_of_a_group_has_a_line_for_each_and_help_of_one_tells_all(capsys):
 
 def test_help_starts_fast_and_imports_nothing_heavy():
     program = (
-        "import sys; from splatbench.cli import main; main(['--help']);"
+        "import sys; from splatproof.cli import main; main(['--help']);"
         "sys.exit(any(name in sys.modules for name in ('torch', 'mlflow', 'pycolmap', 'cv2')))"
     )
     before = os.times().children_user
@@ -99,7 +99,7 @@ def raising(error: BaseException):
 
 @pytest.fixture
 def doctor(monkeypatch):
-    from splatbench.cli import doctor as module
+    from splatproof.cli import doctor as module
 
     def install(action) -> None:
         monkeypatch.setattr(module, "doctor", command_that(action))
@@ -116,7 +116,7 @@ def test_errors_that_a_user_can_mend_are_one_line(doctor, capsys, monkeypatch, e
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err == f"bench: {' '.join(str(error).split())}\n"
-    monkeypatch.setenv("SPLATBENCH_DEBUG", "1")
+    monkeypatch.setenv("SPLATPROOF_DEBUG", "1")
     assert main(["doctor"]) == code
     assert "Traceback" in capsys.readouterr().err
 
@@ -150,8 +150,8 @@ def test_results_go_to_stdout_logs_to_stderr_and_quiet_silences_logs(doctor, cap
 
 def test_a_reader_that_leaves_is_no_error():
     program = (
-        "import sys; from splatbench import cli\n"
-        "from splatbench.cli import doctor, output\n"
+        "import sys; from splatproof import cli\n"
+        "from splatproof.cli import doctor, output\n"
         "def many(): [output.print_text('x' * 100) for _ in range(20000)]\n"
         "doctor.doctor = many; sys.exit(cli.main(['doctor']))"
     )

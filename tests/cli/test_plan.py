@@ -1,6 +1,6 @@
 import json
 
-from splatbench.cli import main
+from splatproof.cli import main
 
 
 def test_a_plan_for_people_and_for_machines(capsys):

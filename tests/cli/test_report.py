@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
-from splatbench.cli import main
+from splatproof.cli import main
 
 
 @pytest.fixture(scope="module")

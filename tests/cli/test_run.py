@@ -12,11 +12,11 @@ import pytest
 
 from helpers import fake_methods
 from helpers.fake_methods import fake_scene
-from splatbench.cli import main, report
-from splatbench.methods.registry import METHODS
-from splatbench.suites import estimate, runner
-from splatbench.suites import run_case as cases
-from splatbench.suites.workers import in_process
+from splatproof.cli import main, report
+from splatproof.methods.registry import METHODS
+from splatproof.suites import estimate, runner
+from splatproof.suites import run_case as cases
+from splatproof.suites.workers import in_process
 
 SUITE = """
 description = "For tests"
@@ -115,7 +115,7 @@ def test_a_store_that_is_away_does_not_stop_the_run(suite, capsys, monkeypatch):
 
 @pytest.mark.usefixtures("no_store")
 def test_an_optional_scene_that_is_not_here_is_left_out_with_a_reason(suite, capsys, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_DATA", str(suite.parent))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(suite.parent))
     two = SUITE.replace('"./town"', '"./town", "seneca"')
     suite.write_text('optional_scenes = ["seneca"]\n' + two)
     assert bench_run(suite, "--json") == 0
@@ -178,7 +178,7 @@ def test_bad_input_is_one_line_exit_2_and_leaves_nothing(suite, capsys, monkeypa
 
 def test_results_reach_a_pipe_while_a_bar_is_on_the_terminal():
     program = (
-        "from splatbench.cli import output\n"
+        "from splatproof.cli import output\n"
         "with output.progress() as bar:\n"
         "    bar.add_task('x', total=2, values='')\n"
         "    output.print_record({'psnr': 1.0})\n"

@@ -4,15 +4,15 @@ import json
 
 import pytest
 
-from splatbench import cli
-from splatbench.datasets import registry
-from splatbench.datasets.procedural import courtyard
+from splatproof import cli
+from splatproof.datasets import registry
+from splatproof.datasets.procedural import courtyard
 
 
 @pytest.fixture(autouse=True)
 def places(tmp_path, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "data"))
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     tiny = courtyard.Settings(width=48, height=36, oblique=3, nadir=(2, 1), samples=1)
     monkeypatch.setitem(courtyard.PRESETS, "small", tiny)
     return tmp_path

@@ -9,9 +9,9 @@ import torch
 from PIL import Image
 
 from helpers.images import noise_image, random_mask, spoiled
-from splatbench.cli import main
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scoring import scene_metrics, score_image
+from splatproof.cli import main
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scoring import scene_metrics, score_image
 
 
 def save(path, image):

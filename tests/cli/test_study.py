@@ -5,8 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from splatbench.cli import main
-from splatbench.suites.studies import study
+from splatproof.cli import main
+from splatproof.suites.studies import study
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatbench.base.errors import DataError
-from splatbench.datasets.added_views import with_tests
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.added_views import with_tests
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 RULES = Protocol(name="p", source="test")
 

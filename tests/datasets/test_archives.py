@@ -7,8 +7,8 @@ import zipfile
 
 import pytest
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets.archives import extract
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets.archives import extract
 
 
 def zip_of(path, members):

@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 
 from helpers.colmap_scenes import Flight, view_name, write_scene
-from splatbench.base.errors import SplatbenchError
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.photos import read_photo
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import SplatproofError
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.photos import read_photo
+from splatproof.reference.types.protocol import Protocol
 
 FLIGHT = Flight(views=3, points=30)
 MODEL = "sparse/0"
@@ -312,7 +312,7 @@ def test_a_broken_scene_is_refused_in_one_line(good, tmp_path, kind, edit, fault
     scene = tmp_path / "scene"
     shutil.copytree(good[kind], scene)
     edit(scene)
-    with pytest.raises(SplatbenchError, match=fault) as caught:
+    with pytest.raises(SplatproofError, match=fault) as caught:
         open_scene(scene, RULES)
     assert "\n" not in str(caught.value)
     assert "scene" in str(caught.value)
@@ -337,7 +337,7 @@ def test_the_unbroken_scene_opens(good, kind):
     ],
 )
 def test_a_protocol_that_does_not_fit_is_refused(good, rules, fault):
-    with pytest.raises(SplatbenchError, match=fault):
+    with pytest.raises(SplatproofError, match=fault):
         open_scene(good["bin"], dataclasses.replace(RULES, **rules))
 
 
@@ -350,7 +350,7 @@ def test_a_prescaled_folder_of_another_size_is_refused(good, tmp_path):
     for path in (scene / "images_2").iterdir():
         Image.new("RGB", (30, 36)).save(path)
     for name in ("images_2", "thirds"):
-        with pytest.raises(SplatbenchError, match=rf"{name}/photo_000.png: photo is 3"):
+        with pytest.raises(SplatproofError, match=rf"{name}/photo_000.png: photo is 3"):
             open_scene(scene, dataclasses.replace(RULES, images=name))
 
 
@@ -361,10 +361,10 @@ def test_a_photo_that_breaks_after_opening_is_named_when_it_is_loaded(good, tmp_
     path = scene / "photos" / view.name
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(SplatbenchError, match=r"photo_000.png: not a readable image"):
+    with pytest.raises(SplatproofError, match=r"photo_000.png: not a readable image"):
         view.load()
     Image.new("RGB", (10, 10)).save(path)
-    with pytest.raises(SplatbenchError, match=r"photo is 10 x 10, its camera says 96 x 72"):
+    with pytest.raises(SplatproofError, match=r"photo is 10 x 10, its camera says 96 x 72"):
         view.load()
 
 
@@ -375,7 +375,7 @@ def test_a_photo_that_breaks_after_opening_is_named_when_it_is_loaded(good, tmp_
 def test_photos_that_are_not_8_bit_rgb_are_refused(tmp_path, mode, fault):
     path = tmp_path / ("photo.tif" if mode == "F" else "photo.png")
     Image.new(mode, (4, 3)).save(path)
-    with pytest.raises(SplatbenchError, match=fault):
+    with pytest.raises(SplatproofError, match=fault):
         read_photo(path)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.depth_maps import depth_loader, depth_path
+from splatproof.base.errors import DataError
+from splatproof.datasets.depth_maps import depth_loader, depth_path
 
 DEPTH = np.arange(48, dtype=np.float32).reshape(6, 8)
 DEPTH[0, 0] = np.inf

@@ -5,9 +5,9 @@ import hashlib
 import pytest
 
 from helpers.file_server import served
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.datasets import download as module
-from splatbench.datasets.download import download
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.datasets import download as module
+from splatproof.datasets.download import download
 
 BODY = bytes(range(256)) * 4096  # 1 MiB
 DIGEST = hashlib.sha256(BODY).hexdigest()

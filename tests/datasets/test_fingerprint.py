@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from helpers.colmap_scenes import Flight, write_scene
-from splatbench.base.errors import DataError
-from splatbench.datasets import fingerprint
-from splatbench.datasets.depth_maps import depth_path
-from splatbench.datasets.fingerprint import Known, files_sha256
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.view_times import sky_path
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import DataError
+from splatproof.datasets import fingerprint
+from splatproof.datasets.depth_maps import depth_path
+from splatproof.datasets.fingerprint import Known, files_sha256
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.view_times import sky_path
+from splatproof.reference.types.protocol import Protocol
 
 RULES = Protocol(name="test", source="test")
 PHOTOS = [f"photo_{i:03d}.png" for i in range(6)]

@@ -5,10 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 import torch
 
-from splatbench.base.errors import UsageError
-from splatbench.datasets.image_cache import ImageCache, TensorCache
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.scene import View
+from splatproof.base.errors import UsageError
+from splatproof.datasets.image_cache import ImageCache, TensorCache
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.scene import View
 
 CAMERA = Camera(
     K=torch.eye(3, dtype=torch.float64),

@@ -8,12 +8,12 @@ import torch
 from PIL import Image
 
 from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.scene_file import SceneFile, write_scene_file
-from splatbench.datasets.splits import split_hash
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.scene_file import SceneFile, write_scene_file
+from splatproof.datasets.splits import split_hash
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 FLIGHT = Flight(views=6)
 

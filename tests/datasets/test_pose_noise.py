@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
-from splatbench.base.errors import UsageError
-from splatbench.datasets.pose_noise import LEVELS, disturbed
+from splatproof.base.errors import UsageError
+from splatproof.datasets.pose_noise import LEVELS, disturbed
 
 
 @pytest.mark.parametrize("level", LEVELS)

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from helpers.real_scenes import real_scene
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 pytestmark = pytest.mark.real
 FAILED_IN_SENECA = ["img_0482.jpg", "img_0498.jpg", "img_0579.jpg"]
@@ -80,7 +80,7 @@ def test_points_project_to_their_undistorted_observations(name, undistort):
 
 def test_a_registered_name_opens_the_same_scene(monkeypatch):
     folder = real_scene("brighton_beach")
-    monkeypatch.setenv("SPLATBENCH_DATA", str(folder.parent))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(folder.parent))
     named = open_scene("brighton_beach", Protocol(name="test", source="test"))
     assert named.root == folder
     assert named.facts == opened("brighton_beach").facts

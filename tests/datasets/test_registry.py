@@ -7,16 +7,16 @@ import zipfile
 import pytest
 
 from helpers.file_server import served
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.datasets import registry
-from splatbench.metrics.protocol_files import protocol_names
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.datasets import registry
+from splatproof.metrics.protocol_files import protocol_names
 
 
 @pytest.fixture
 def roots(tmp_path, monkeypatch):
     paths = [tmp_path / "one", tmp_path / "two"]
-    monkeypatch.setenv("SPLATBENCH_DATA", os.pathsep.join(map(str, paths)))
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_DATA", os.pathsep.join(map(str, paths)))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     for path in paths:
         path.mkdir()
     return paths
@@ -59,14 +59,14 @@ def test_a_scene_that_is_away_says_where_it_was_looked_for_and_how_to_get_it(roo
     with pytest.raises(MissingError) as caught:
         registry.find_scene("mill19/building")
     message = str(caught.value)
-    for part in (*map(str, roots), "building-pixsfm", "SPLATBENCH_DATA", "https://"):
+    for part in (*map(str, roots), "building-pixsfm", "SPLATPROOF_DATA", "https://"):
         assert part in message
     assert "\n" not in message
     assert caught.value.exit_code == 3
 
 
 def test_default_roots(monkeypatch):
-    monkeypatch.delenv("SPLATBENCH_DATA", raising=False)
+    monkeypatch.delenv("SPLATPROOF_DATA", raising=False)
     assert [str(root) for root in registry.data_roots()] == ["data", "../shared/data"]
 
 

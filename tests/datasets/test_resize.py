@@ -8,10 +8,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.base.errors import UsageError
-from splatbench.datasets.resize import resample, scale_intrinsics, scaled_size
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import UsageError
+from splatproof.datasets.resize import resample, scale_intrinsics, scaled_size
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.protocol import Protocol
 
 FILTERS = ("area", "lanczos", "bicubic", "bilinear")
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from splatbench.datasets.scene_frame import origin_shift, up_vector
+from splatproof.datasets.scene_frame import origin_shift, up_vector
 
 DOWN = np.diag([1.0, -1.0, -1.0])  # looks along -z, image y along -y
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # looks along +y, image y along -z

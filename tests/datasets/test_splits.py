@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets.splits import split_hash, split_views, spread_evenly
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets.splits import split_hash, split_views, spread_evenly
+from splatproof.reference.types.protocol import Protocol
 
 NAMES = [f"img_{i:02d}.jpg" for i in range(18)]
 

@@ -10,15 +10,15 @@ from scipy.spatial import KDTree
 
 from helpers.colmap_scenes import Flight, write_scene
 from helpers.tiny_scene import tiny_scene
-from splatbench.base.errors import DataError
-from splatbench.datasets import triangulation
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import aerial, exporting
-from splatbench.datasets.procedural import oracle as truth
-from splatbench.datasets.triangulation import with_triangulated
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets import triangulation
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.procedural import aerial, exporting
+from splatproof.datasets.procedural import oracle as truth
+from splatproof.datasets.triangulation import with_triangulated
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
 
 KIND = "church"
 RULES = Protocol(
@@ -28,7 +28,7 @@ RULES = Protocol(
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +104,7 @@ def test_held_out_photos_and_the_scenes_own_points_do_not_matter(folder, monkeyp
 
 def test_the_same_views_give_the_same_points_again(folder, monkeypatch, tmp_path):
     first = open_scene(folder, RULES)
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "empty"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "empty"))
     second = open_scene(folder, RULES)
     assert torch.equal(first.points.positions, second.points.positions)
     assert torch.equal(first.points.colours, second.points.colours)

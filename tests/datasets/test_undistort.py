@@ -19,16 +19,16 @@ from helpers.colmap_scenes import (
     view_name,
     write_scene,
 )
-from splatbench.base.errors import DataError
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.undistort import (
+from splatproof.base.errors import DataError
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.undistort import (
     is_pinhole,
     photo_positions,
     plan_undistortion,
     undistort_image,
 )
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
 
 DISTORTED = [name for name in MODELS if "PINHOLE" not in name]
 every_model = pytest.mark.parametrize("model", MODELS)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.view_times import Moment, read_moments, write_moments
+from splatproof.base.errors import DataError
+from splatproof.datasets.view_times import Moment, read_moments, write_moments
 
 MOMENTS = {"b.png": Moment(time=0.1, sensor="left"), "a.png": Moment(time=0.0, sensor="front")}
 

@@ -9,7 +9,7 @@ import pytest
 from city_expectations import expectations, named, suffix
 from city_page import PLY_NUMBERS, Picture, render_city, row_of
 
-from splatbench.reference.types.result import Result
+from splatproof.reference.types.result import Result
 
 DOCS = Path(__file__).parents[2] / "docs"
 

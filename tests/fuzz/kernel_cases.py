@@ -9,14 +9,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels import adam
-from splatbench.methods.kernels.blocks import block_weights, render_blocks
-from splatbench.methods.kernels.loss import photometric
-from splatbench.methods.kernels.rasterizer import native_camera, rasterize
-from splatbench.methods.kernels.step import ViewGradients, observe
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof import _ext
+from splatproof.methods.kernels import adam
+from splatproof.methods.kernels.blocks import block_weights, render_blocks
+from splatproof.methods.kernels.loss import photometric
+from splatproof.methods.kernels.rasterizer import native_camera, rasterize
+from splatproof.methods.kernels.step import ViewGradients, observe
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
 
 ODD = (0.0, -0.0, 1e-45, -1e-30, 1e-8, 1.0, -1.0, 88.0, -104.0, 1e10, -1e20, 3e38, -3e38,
        float("inf"), float("-inf"), float("nan"))  # fmt: skip

@@ -55,11 +55,11 @@ def under_sanitizers(module: Path, arguments: list[str]) -> int:
 
 def load(module: Path) -> ModuleType:
     """The sanitized module in place of the installed one."""
-    spec = importlib.util.spec_from_file_location("splatbench._ext", module)
+    spec = importlib.util.spec_from_file_location("splatproof._ext", module)
     assert spec is not None
     assert spec.loader is not None
     found = importlib.util.module_from_spec(spec)
-    sys.modules["splatbench._ext"] = found
+    sys.modules["splatproof._ext"] = found
     spec.loader.exec_module(found)
     return found
 

@@ -62,7 +62,7 @@ def save_photo(
 ) -> None:
     """Write a JPEG, with (east, north, up) metres from 46 N 91 W as its GPS position."""
     exif = Image.Exif()
-    exif[ExifTags.Base.Make] = "splatbench"
+    exif[ExifTags.Base.Make] = "splatproof"
     if gps is not None:
         east, north, up = gps
         latitude = 46 + north / METRES_PER_DEGREE

@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore, Result
-from splatbench.reference.types.result_json import result_to_json
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore, Result
+from splatproof.reference.types.result_json import result_to_json
 
 NAMES = ("dji_0001.jpg", "dji_0009.jpg", "dji_0017.jpg", "dji_0025.jpg")
 

@@ -6,8 +6,8 @@ import torch
 
 from helpers.clouds import tracked
 from helpers.tiny_scene import tiny_scene
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene
 
 
 def small_scene(points: int = 300) -> Scene:

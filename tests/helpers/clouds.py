@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from splatbench.reference.types.scene import SparsePoints
+from splatproof.reference.types.scene import SparsePoints
 
 
 def tracked(views_of_points: list[list[int]], positions: Tensor | None = None) -> SparsePoints:

@@ -11,10 +11,10 @@ from types import ModuleType
 import pytest
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import View
+from splatproof.base.errors import DataError
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import View
 
 DOORS = Path(__file__).parents[1] / "datasets" / "adapters"
 

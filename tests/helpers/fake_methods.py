@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
-from splatbench.base.errors import DataError, UsageError
-from splatbench.base.files import write_text
-from splatbench.methods.models.explicit import ExplicitModel
-from splatbench.methods.registry import METHODS, Method
-from splatbench.methods.run import Run
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
-from splatbench.suites import run_case as cases
-from splatbench.suites.run_case import Job, Tell, run_case
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.files import write_text
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.registry import METHODS, Method
+from splatproof.methods.run import Run
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
+from splatproof.suites import run_case as cases
+from splatproof.suites.run_case import Job, Tell, run_case
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.loop import fit
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.loop import fit
 
 
 class Killed(Exception):

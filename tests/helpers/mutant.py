@@ -1,6 +1,6 @@
 """A pytest plugin that replaces one module by a faulty copy: are the tests able to see it?
 
-Read by `pytest -p helpers.mutant` with SPLATBENCH_MUTANT="splatbench.reference.x=/path/to/x.py".
+Read by `pytest -p helpers.mutant` with SPLATPROOF_MUTANT="splatproof.reference.x=/path/to/x.py".
 """
 
 import importlib.abc
@@ -8,7 +8,7 @@ import importlib.util
 import os
 import sys
 
-NAME, _, PATH = os.environ.get("SPLATBENCH_MUTANT", "").partition("=")
+NAME, _, PATH = os.environ.get("SPLATPROOF_MUTANT", "").partition("=")
 
 
 class _Finder(importlib.abc.MetaPathFinder):

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene, View
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, View
 
 SIZE = (96, 72)
 POINTS = np.array([[0.1, -0.2, 0.3], [-0.4, 0.3, -0.1], [0.35, 0.4, 0.05]])

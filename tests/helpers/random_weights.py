@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from splatbench.metrics import lpips, weights
+from splatproof.metrics import lpips, weights
 
 MAKE = {"vgg": lpips.vgg16_features, "alex": lpips.alexnet_features}
 CACHES = (weights.weights_sha256, lpips._network)

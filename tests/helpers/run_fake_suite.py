@@ -5,10 +5,10 @@ from functools import partial
 from pathlib import Path
 
 from helpers.fake_methods import FakeSettings, run_fake_case
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites.runner import run_suite
-from splatbench.suites.suite_files import Case, Suite
-from splatbench.suites.workers import in_worker
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites.runner import run_suite
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import in_worker
 
 
 def fake_suite() -> Suite:

@@ -2,7 +2,7 @@
 
 import torch
 
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.reference.types.gaussians import Gaussians
 
 
 def model(count: int, degree: int, seed: int) -> Gaussians:

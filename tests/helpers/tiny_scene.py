@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench.reference.rasterizer import rasterize as rasterizer
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene, SparsePoints, View
+from splatproof.reference.rasterizer import rasterize as rasterizer
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 
 def random_gaussians(count: int, *, degree: int = 1, seed: int = 0) -> Gaussians:

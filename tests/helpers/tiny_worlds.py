@@ -3,7 +3,7 @@
 from dataclasses import replace
 from unittest.mock import patch
 
-from splatbench.datasets.procedural import aerial, city, courtyard, street, tunnel, worlds
+from splatproof.datasets.procedural import aerial, city, courtyard, street, tunnel, worlds
 
 SMALL = {"width": 64, "height": 48, "samples": 1}
 TINY = {

@@ -11,11 +11,11 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, random_gaussians
-from splatbench.base.errors import UsageError
-from splatbench.methods import cuda_gsplat
-from splatbench.reference.rasterizer import rasterize as rasterizer
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.camera import Camera
+from splatproof.base.errors import UsageError
+from splatproof.methods import cuda_gsplat
+from splatproof.reference.rasterizer import rasterize as rasterizer
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.camera import Camera
 
 
 def rasterization(

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.base.errors import DataError
-from splatbench.metrics.balance import spread
+from splatproof.base.errors import DataError
+from splatproof.metrics.balance import spread
 
 LOADS = st.lists(st.floats(0, 1e6), min_size=1, max_size=20).filter(lambda x: sum(x) > 1e-3)
 

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, spoiled
-from splatbench.base.errors import UsageError
-from splatbench.metrics.colour_fit import fit_colours
-from splatbench.metrics.pixel import psnr
+from splatproof.base.errors import UsageError
+from splatproof.metrics.colour_fit import fit_colours
+from splatproof.metrics.pixel import psnr
 
 KINDS = pytest.mark.parametrize("kind", ["cc_affine", "cc_quadratic"])
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, random_mask
-from splatbench.base.errors import DataError
-from splatbench.metrics.depth import depth_errors
+from splatproof.base.errors import DataError
+from splatproof.metrics.depth import depth_errors
 
 
 def depths(height: int, width: int, seed: int):

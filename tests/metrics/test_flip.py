@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from helpers.flip_formula import flip_formula
 from helpers.images import noise_image, pairs, photo, random_mask, spoiled
-from splatbench.metrics.flip import flip, flip_map
-from splatbench.metrics.pairs import check_pair
+from splatproof.metrics.flip import flip, flip_map
+from splatproof.metrics.pairs import check_pair
 
 FLOAT32 = 2e-4
 """flip-evaluator filters in float32 and takes roots of small differences; measured: 4e-5."""

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.metrics.geometry import GeometryScores, geometry_scores, vertical_faces
+from splatproof.base.errors import DataError, UsageError
+from splatproof.metrics.geometry import GeometryScores, geometry_scores, vertical_faces
 
 
 def cloud(count: int, seed: int):

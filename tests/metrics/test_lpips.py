@@ -12,9 +12,9 @@ import torch
 
 from helpers.images import noise_image, spoiled
 from helpers.random_weights import forget, random_features, write_weights
-from splatbench.base.errors import DataError, MissingError
-from splatbench.metrics import lpips, weights
-from splatbench.metrics.registry import METRICS, load_weights
+from splatproof.base.errors import DataError, MissingError
+from splatproof.metrics import lpips, weights
+from splatproof.metrics.registry import METRICS, load_weights
 
 NETWORKS = {"lpips_vgg_m11": "vgg", "lpips_alex_m11": "alex", "lpips_vgg_01": "vgg"}
 NAMES = pytest.mark.parametrize("name", NETWORKS)
@@ -46,7 +46,7 @@ def stored(request, tmp_path, monkeypatch):
 @NAMES
 def test_without_torchmetrics_it_says_what_to_install(name, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(MissingError, match=r"pip install 'splatbench\[weights\]'") as caught:
+    with pytest.raises(MissingError, match=r"pip install 'splatproof\[weights\]'") as caught:
         METRICS[name].function(IMAGE, IMAGE, None)
     assert "\n" not in str(caught.value)
 

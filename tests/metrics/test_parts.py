@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 
-from splatbench.metrics.parts import OVER, PARTS, part_key, parts_of, score_part
-from splatbench.metrics.pixel import psnr
-from splatbench.metrics.registry import METRICS
-from splatbench.metrics.scoring import scene_metrics, score_image
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reports.columns import score_column
+from splatproof.metrics.parts import OVER, PARTS, part_key, parts_of, score_part
+from splatproof.metrics.pixel import psnr
+from splatproof.metrics.registry import METRICS
+from splatproof.metrics.scoring import scene_metrics, score_image
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reports.columns import score_column
 
 RULES = Protocol(
     name="drive", source="test", rounding="float", metrics=("psnr", "ssim_skimage"), parts=PARTS

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from skimage.metrics import peak_signal_noise_ratio
 
 from helpers.images import noise_image, pairs, photo, random_mask, spoiled
-from splatbench.metrics.pixel import l1, psnr, psnr_of_mse
+from splatproof.metrics.pixel import l1, psnr, psnr_of_mse
 
 
 @given(pairs())

@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 
-from splatbench.base.errors import UsageError
-from splatbench.metrics.protocol_files import KEYS, load_protocol, protocol_names
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import UsageError
+from splatproof.metrics.protocol_files import KEYS, load_protocol, protocol_names
+from splatproof.reference.types.protocol import Protocol
 
 
 @pytest.mark.parametrize("name", protocol_names())

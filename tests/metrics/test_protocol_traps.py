@@ -8,8 +8,8 @@ import torch
 from skimage import data
 
 from helpers.images import photo, spoiled
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scoring import scene_metrics, score_image
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scoring import scene_metrics, score_image
 
 
 def psnrs(render, truth):

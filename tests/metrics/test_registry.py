@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, random_mask, spoiled
-from splatbench.base.errors import DataError, UsageError
-from splatbench.metrics.registry import METRICS, find_metric, load_weights
+from splatproof.base.errors import DataError, UsageError
+from splatproof.metrics.registry import METRICS, find_metric, load_weights
 
 WINDOWS = {"ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ms_ssim_kornia": 33}
 WITHOUT_WEIGHTS = [metric for metric in METRICS.values() if metric.load_weights is None]

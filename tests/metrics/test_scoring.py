@@ -11,18 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.images import noise_image, pairs, random_mask, spoiled
-from splatbench.base.errors import DataError
-from splatbench.metrics.pixel import psnr
-from splatbench.metrics.registry import METRICS
-from splatbench.metrics.scoring import (
+from splatproof.base.errors import DataError
+from splatproof.metrics.pixel import psnr
+from splatproof.metrics.registry import METRICS
+from splatproof.metrics.scoring import (
     prepare,
     region_columns,
     round_to_8_bit,
     scene_metrics,
     score_image,
 )
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore
 
 ROUND = Protocol(name="test", source="ours")
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from helpers.images import noise_image
 from helpers.tiny_scene import camera, random_gaussians
-from splatbench.base.errors import DataError, UsageError
-from splatbench.metrics.pixel import psnr
-from splatbench.metrics.seam import (
+from splatproof.base.errors import DataError, UsageError
+from splatproof.metrics.pixel import psnr
+from splatproof.metrics.seam import (
     SeamSums,
     SeamView,
     depth_gradient,
@@ -22,8 +22,8 @@ from splatbench.metrics.seam import (
     seam_scores,
     seam_sums,
 )
-from splatbench.metrics.seam_render import render_seam_view
-from splatbench.reference.rasterizer import rasterize
+from splatproof.metrics.seam_render import render_seam_view
+from splatproof.reference.rasterizer import rasterize
 
 
 def random_view(height: int, width: int, count: int, seed: int, share: float = 0.5) -> SeamView:

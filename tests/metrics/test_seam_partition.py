@@ -7,11 +7,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.metrics.seam_partition import partition_seam_mask, surface_points
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.rasterizer.rotation import rotation_matrix
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.metrics.seam_partition import partition_seam_mask, surface_points
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.rasterizer.rotation import rotation_matrix
+from splatproof.reference.types.camera import Camera, project_points
 
 WIDTH, HEIGHT, DEPTH = 80, 60, 10.0
 

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from helpers.images import noise_image, random_mask
 from helpers.tiny_scene import camera
-from splatbench.base.errors import DataError
-from splatbench.metrics.seam import SeamScores
-from splatbench.metrics.seam_released import (
+from splatproof.base.errors import DataError
+from splatproof.metrics.seam import SeamScores
+from splatproof.metrics.seam_released import (
     NAMES,
     back_project,
     seam_mask_released,
@@ -23,8 +23,8 @@ from splatbench.metrics.seam_released import (
     seam_view_released,
     sobel_magnitude,
 )
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.types.camera import project_points
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.types.camera import project_points
 
 
 def turned_camera(index, **size):

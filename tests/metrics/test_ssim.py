@@ -13,7 +13,7 @@ from kornia.metrics import ssim as kornia_ssim
 from skimage.metrics import structural_similarity
 
 from helpers.images import noise_image, pairs, photo, random_mask, spoiled
-from splatbench.metrics.ssim import (
+from splatproof.metrics.ssim import (
     SCALES_WINDOW,
     UNIFORM_WINDOW,
     WINDOW,

@@ -39,14 +39,14 @@ def test_every_fault_can_still_be_planted(module, tests, fault):
 def test_fault_is_seen(module, tests, fault, tmp_path):
     copy = tmp_path / Path(module).name
     copy.write_text(faulty(module, fault))
-    name = "splatbench." + module.removesuffix(".py").replace("/", ".")
+    name = "splatproof." + module.removesuffix(".py").replace("/", ".")
     # Without the type-checking import hook: it would load the module past ours, and the fault is
     # to be seen by the tests, not by the annotations.
     options = ["-x", "-q", "-o", "addopts=--import-mode=importlib", "-p", "helpers.mutant"]
     run = subprocess.run(
         [sys.executable, "-m", "pytest", *options, *tests],
         cwd=ROOT,
-        env={**os.environ, "SPLATBENCH_MUTANT": f"{name}={copy}", "PYTHONPATH": "tests",
+        env={**os.environ, "SPLATPROOF_MUTANT": f"{name}={copy}", "PYTHONPATH": "tests",
              "PYTHONSAFEPATH": "1"},
         capture_output=True,
         text=True,

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
-from splatbench.reports.mlflow_client import open_client
-from splatbench.reports.store import StoredResult, read_results, sync
+from splatproof.reports.mlflow_client import open_client
+from splatproof.reports.store import StoredResult, read_results, sync
 
 
 @pytest.fixture(scope="session")

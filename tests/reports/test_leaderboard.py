@@ -10,14 +10,14 @@ import pytest
 from rich.console import Console
 
 from helpers.case_folders import NAMES, result
-from splatbench.base.errors import DataError
-from splatbench.metrics.registry import METRICS
-from splatbench.metrics.scene_registry import SCENE_METRICS
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore, Result
-from splatbench.reports import text
-from splatbench.reports.leaderboard import build_tables
-from splatbench.reports.table import Row, Table
+from splatproof.base.errors import DataError
+from splatproof.metrics.registry import METRICS
+from splatproof.metrics.scene_registry import SCENE_METRICS
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore, Result
+from splatproof.reports import text
+from splatproof.reports.leaderboard import build_tables
+from splatproof.reports.table import Row, Table
 
 
 def seeds(count: int = 3, **named: object) -> list[Result]:

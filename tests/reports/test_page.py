@@ -15,14 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers import case_folders
-from splatbench.base.errors import DataError
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import Result
-from splatbench.reports import charts, pictures
-from splatbench.reports.leaderboard import build_tables
-from splatbench.reports.page import render_page
-from splatbench.reports.store import StoredResult
-from splatbench.reports.text import explained
+from splatproof.base.errors import DataError
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import Result
+from splatproof.reports import charts, pictures
+from splatproof.reports.leaderboard import build_tables
+from splatproof.reports.page import render_page
+from splatproof.reports.store import StoredResult
+from splatproof.reports.text import explained
 
 WHEN = datetime.datetime(2026, 1, 2, 3, 4, tzinfo=datetime.UTC)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from splatbench.reports.leaderboard import build_tables
-from splatbench.reports.page import render_page
-from splatbench.reports.store import StoredResult
+from splatproof.reports.leaderboard import build_tables
+from splatproof.reports.page import render_page
+from splatproof.reports.store import StoredResult
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from splatbench.reports.statistics import Difference, paired_difference, summarise
+from splatproof.reports.statistics import Difference, paired_difference, summarise
 
 finite = st.floats(-1e3, 1e3, allow_nan=False)
 

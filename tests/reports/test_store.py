@@ -17,11 +17,11 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.reference.types.result_json import result_to_json
-from splatbench.reports import run_data
-from splatbench.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
-from splatbench.reports.store import EXPERIMENTS, STATE, Picture, find_cases, read_results, sync
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.reference.types.result_json import result_to_json
+from splatproof.reports import run_data
+from splatproof.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
+from splatproof.reports.store import EXPERIMENTS, STATE, Picture, find_cases, read_results, sync
 
 KINDS: tuple[Picture, ...] = ("truth", "render", "error")
 REFUSING = "http://127.0.0.1:9"  # the discard port: nothing listens there
@@ -124,7 +124,7 @@ def test_other_settings_are_another_case(tmp_path: Path, uri: str):
 KILLED = """
     import os, signal, sys
     from pathlib import Path
-    from splatbench.reports import store
+    from splatproof.reports import store
     from mlflow.tracking import MlflowClient
 
     def die(*_, **__):
@@ -156,7 +156,7 @@ def test_a_case_half_logged_by_a_killed_process_is_replaced(moment: str, tmp_pat
 
 def test_a_case_that_another_process_logs_is_waited_for(tmp_path: Path, uri: str):
     folder = write(tmp_path)
-    command = "import sys, pathlib; from splatbench.reports.store import sync; "
+    command = "import sys, pathlib; from splatproof.reports.store import sync; "
     command += "assert sync([pathlib.Path(sys.argv[1])], sys.argv[2]) == []"
     both = [subprocess.Popen([sys.executable, "-c", command, folder, uri]) for _ in range(2)]
     assert [one.wait(60) for one in both] == [0, 0]
@@ -298,7 +298,7 @@ def test_no_network_no_warning_and_no_clash_with_the_package_named_datasets(
         import socket, sys, pathlib
         def refuse(*a, **k): raise SystemExit("a connection was tried: %r" % (a,))
         socket.socket.connect = socket.getaddrinfo = refuse
-        from splatbench.reports import store
+        from splatproof.reports import store
         assert store.sync([pathlib.Path(sys.argv[1])], sys.argv[2]) == []
         assert len(store.read_results(sys.argv[2])) == 1
     """
@@ -383,7 +383,7 @@ def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
     """Killed between two of its tables, MLflow's own file could never be opened again."""
     uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
     program = (
-        "import sys; from splatbench.reports.mlflow_client import open_client as o; o(sys.argv[1])"
+        "import sys; from splatproof.reports.mlflow_client import open_client as o; o(sys.argv[1])"
     )
     making = tmp_path / "mlflow.db.making"
     process = subprocess.Popen([sys.executable, "-c", program, uri])
@@ -402,7 +402,7 @@ def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
 def test_a_store_is_made_quietly_where_mlflow_was_imported_before(tmp_path: Path):
     code = (
         "import mlflow, sys\n"
-        "from splatbench.reports.mlflow_client import open_client\n"
+        "from splatproof.reports.mlflow_client import open_client\n"
         "open_client(sys.argv[1])\n"
     )
     quiet = {k: v for k, v in os.environ.items() if not k.startswith("MLFLOW_")}

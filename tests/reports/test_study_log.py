@@ -2,8 +2,8 @@
 
 import math
 
-from splatbench.reports.mlflow_client import open_client
-from splatbench.reports.study_log import log_study, metric_name
+from splatproof.reports.mlflow_client import open_client
+from splatproof.reports.study_log import log_study, metric_name
 
 ROW = {"component": "soft rank", "twin": "gsplat's own, 1", "case": "20 8x6", "ms": 1.5, "ok": True,
        "rms": math.inf, "pairs": 7, "none": None, "note": "text"}  # fmt: skip
@@ -19,7 +19,7 @@ def test_numbers_machine_and_files_arrive(tmp_path):
     files = [tmp_path / "speed.jsonl"]
     assert log_study("speed", {"cpu": "some", "gpu": ""}, [ROW], files, uri) == ""
     client = open_client(uri)
-    experiment = client.get_experiment_by_name("splatbench/speed")
+    experiment = client.get_experiment_by_name("splatproof/speed")
     assert experiment is not None
     (run,) = client.search_runs([experiment.experiment_id])
     assert run.data.metrics == {

@@ -5,22 +5,22 @@ import sys
 
 import pytest
 
-from splatbench.base.errors import DataError
-from splatbench.base.folders import new_folder
-from splatbench.base.memory import peak_memory_mb
-from splatbench.suites.case_costs import (
+from splatproof.base.errors import DataError
+from splatproof.base.folders import new_folder
+from splatproof.base.memory import peak_memory_mb
+from splatproof.suites.case_costs import (
     arrays_sha256,
     bytes_on_disk,
     cpu_seconds,
     timed,
 )
-from splatbench.suites.environment import environment, git_commit, package_version
-from splatbench.suites.records import read_record
+from splatproof.suites.environment import environment, git_commit, package_version
+from splatproof.suites.records import read_record
 
 
 def test_peak_memory_sees_an_allocation_and_not_the_parents():
     program = (
-        "from splatbench.base.memory import peak_memory_mb as peak\n"
+        "from splatproof.base.memory import peak_memory_mb as peak\n"
         "before = peak(); block = bytearray(200 * 2**20); print(before, peak())"
     )
     held = bytearray(600 * 2**20)  # a child's ru_maxrss would start at our peak
@@ -71,7 +71,7 @@ def test_a_folder_appears_whole_or_not_at_all(tmp_path):
 def test_environment_says_what_a_number_depends_on():
     said = environment("reference")
     assert said["torch"]
-    assert said["splatbench"]
+    assert said["splatproof"]
     assert int(said["threads"]) >= 1
     assert said["backend"] == "reference"
     assert package_version("no-such-package") == ""

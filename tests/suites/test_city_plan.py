@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.base.errors import UsageError
-from splatbench.suites.city_plan import (
+from splatproof.base.errors import UsageError
+from splatproof.suites.city_plan import (
     City,
     block_cpu_seconds,
     block_gaussians,
@@ -20,7 +20,7 @@ from splatbench.suites.city_plan import (
     plan,
     simulate,
 )
-from splatbench.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP
+from splatproof.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP
 
 CITY = City()
 TIMES = st.lists(st.floats(0.1, 9), min_size=1, max_size=6)

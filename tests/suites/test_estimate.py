@@ -9,16 +9,16 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
-from splatbench.methods.city.settings import CitySettings
-from splatbench.methods.registry import METHODS
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites import estimate
-from splatbench.suites import run_case as cases
-from splatbench.suites.environment import usable_cores
-from splatbench.suites.runner import run_suite
-from splatbench.suites.suite_files import Case, Suite
-from splatbench.suites.workers import in_process
+from splatproof.methods.city.settings import CitySettings
+from splatproof.methods.registry import METHODS
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites import estimate
+from splatproof.suites import run_case as cases
+from splatproof.suites.environment import usable_cores
+from splatproof.suites.runner import run_suite
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import in_process
 
 PROTOCOL = load_protocol("default")
 SCENE = fake_scene("town", PROTOCOL)

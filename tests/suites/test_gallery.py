@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from splatbench.suites.gallery import anchoring, memory, pictures
+from splatproof.suites.gallery import anchoring, memory, pictures
 
 ROOT = Path(__file__).parents[2]
 SHARED = {"__init__", "errors", "scene", "gaussians", "render", "protocol", "result", "result_json",
@@ -31,8 +31,8 @@ def test_every_picture_of_the_page_is_there():
 
 
 def test_pictures_show_something(tmp_path):
-    from splatbench.datasets.opening import open_scene
-    from splatbench.metrics.protocol_files import load_protocol
+    from splatproof.datasets.opening import open_scene
+    from splatproof.metrics.protocol_files import load_protocol
 
     scene = open_scene("courtyard", load_protocol("quick"))
     for draw in (anchoring.draw_hierarchy, memory.draw_spiral, anchoring.draw_support):

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from helpers.fake_methods import fake_scene, model_of
-from splatbench.base.errors import DataError
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.result import picture_name
-from splatbench.suites.held_out import error_picture, score_views, to_8_bit
+from splatproof.base.errors import DataError
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.result import picture_name
+from splatproof.suites.held_out import error_picture, score_views, to_8_bit
 
 PROTOCOL = load_protocol("default")
 MODEL = model_of(0.3, "reference")

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from helpers import run_fake_suite
-from splatbench.reference.types.result import Result
-from splatbench.reports.store import read_results
-from splatbench.suites.records import read_record
+from splatproof.reference.types.result import Result
+from splatproof.reports.store import read_results
+from splatproof.suites.records import read_record
 
 FAKE = [sys.executable, str(Path(run_fake_suite.__file__))]
 BENCH = [str(Path(sys.executable).with_name("bench")), "run", "quick", "--quiet", "--out"]

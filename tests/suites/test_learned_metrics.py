@@ -8,14 +8,14 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.random_weights import forget, write_weights
-from splatbench.cli import main
-from splatbench.methods.registry import METHODS
-from splatbench.metrics import weights
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites import run_case as cases
-from splatbench.suites.runner import run_suite
-from splatbench.suites.suite_files import Case, Suite
-from splatbench.suites.workers import in_process
+from splatproof.cli import main
+from splatproof.methods.registry import METHODS
+from splatproof.metrics import weights
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites import run_case as cases
+from splatproof.suites.runner import run_suite
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import in_process
 
 PROTOCOL = replace(load_protocol("default"), metrics=("psnr", "lpips_vgg_m11"))
 LEARNED = 'source = "me"\nmasked = false\nmetrics = ["psnr", "lpips_alex_m11"]\n'

@@ -9,9 +9,9 @@ import pytest
 
 from helpers.door_checks import fixtures, hard_links
 from helpers.posed_scenes import blob
-from splatbench.suites.runner import run_suite, select
-from splatbench.suites.suite_files import load_suite
-from splatbench.suites.workers import in_process
+from splatproof.suites.runner import run_suite, select
+from splatproof.suites.suite_files import load_suite
+from splatproof.suites.workers import in_process
 
 
 def kitti_0001(folder: Path) -> None:
@@ -60,8 +60,8 @@ def written(kind: str, folder: Path) -> None:
     ],
 )
 def test_a_case_of_a_paper(tmp_path, monkeypatch, suite, kind, only, held):
-    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path / "data"))
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     written(kind, tmp_path / "data")
     chosen = select(load_suite(suite), only=only)
     (case,) = chosen.cases

@@ -11,16 +11,16 @@ import torch
 from helpers.city_scene import small_scene
 from helpers.real_scenes import real_scene
 from helpers.tiny_scene import random_gaussians
-from splatbench.base.errors import DataError, UsageError
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.city import citygaussian_views as rule
-from splatbench.methods.city.ground import ground
-from splatbench.methods.city.partition import Partition, PartitionSettings, near_square
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.scene import Scene
-from splatbench.suites import partition
-from splatbench.suites.gallery import blocks as pictures
+from splatproof.base.errors import DataError, UsageError
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.city import citygaussian_views as rule
+from splatproof.methods.city.ground import ground
+from splatproof.methods.city.partition import Partition, PartitionSettings, near_square
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import Scene
+from splatproof.suites import partition
+from splatproof.suites.gallery import blocks as pictures
 
 COLUMNS = {
     "scene", "k", "method", "load_std_over_mean", "load_max_over_mean", "edge_cut", "views_mean",

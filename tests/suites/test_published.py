@@ -6,12 +6,12 @@ import statistics
 import pytest
 
 from helpers.case_folders import result
-from splatbench.base.errors import UsageError
-from splatbench.cli import main
-from splatbench.datasets.registry import get_entry
-from splatbench.suites.published import ours, rows
-from splatbench.suites.records import write_record
-from splatbench.suites.suite_files import load_suite
+from splatproof.base.errors import UsageError
+from splatproof.cli import main
+from splatproof.datasets.registry import get_entry
+from splatproof.suites.published import ours, rows
+from splatproof.suites.records import write_record
+from splatproof.suites.suite_files import load_suite
 
 KEY = ("paper", "table", "method", "variant", "dataset", "scene", "metric")
 
@@ -126,7 +126,7 @@ def test_ours_stand_beside_theirs(tmp_path, capsys):
 
 
 def test_a_paper_suite_plans_and_refuses(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     assert main(["run", "paper_dpgs", "--dry-run", "--only", "*/3dgs/*", "--json"]) == 0
     out, err = capsys.readouterr()

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from helpers.real_scenes import real_scene
-from splatbench.cli import main
-from splatbench.suites.suite_files import load_suite
+from splatproof.cli import main
+from splatproof.suites.suite_files import load_suite
 
 SEAMS = ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage")
 

@@ -17,18 +17,18 @@ from torch import Tensor
 
 from helpers.images import noise_image, random_mask
 from helpers.tiny_scene import camera, random_gaussians, tiny_scene
-from splatbench.cli import main
-from splatbench.cli.output import finite
-from splatbench.datasets.photos import read_photo
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scoring import scene_metrics
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.render import RenderOutput
-from splatbench.reference.types.result import ImageScore
-from splatbench.reference.types.scene import Scene, View
-from splatbench.suites.held_out import score_views
+from splatproof.cli import main
+from splatproof.cli.output import finite
+from splatproof.datasets.photos import read_photo
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scoring import scene_metrics
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.result import ImageScore
+from splatproof.reference.types.scene import Scene, View
+from splatproof.suites.held_out import score_views
 
 HEIGHT, WIDTH = 18, 24
 RULES = load_protocol("default")

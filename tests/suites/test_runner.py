@@ -13,16 +13,16 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
-from splatbench.base.errors import UsageError
-from splatbench.methods.registry import METHODS
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scoring import truth_sha256
-from splatbench.suites import run_case as cases
-from splatbench.suites.held_out import kept
-from splatbench.suites.records import read_record
-from splatbench.suites.runner import run_suite, select
-from splatbench.suites.suite_files import Case, Suite
-from splatbench.suites.workers import Lock, in_process, in_worker
+from splatproof.base.errors import UsageError
+from splatproof.methods.registry import METHODS
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scoring import truth_sha256
+from splatproof.suites import run_case as cases
+from splatproof.suites.held_out import kept
+from splatproof.suites.records import read_record
+from splatproof.suites.runner import run_suite, select
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import Lock, in_process, in_worker
 
 PROTOCOL = load_protocol("default")
 

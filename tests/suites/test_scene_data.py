@@ -10,19 +10,19 @@ import pytest
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
-from splatbench.base.errors import DataError
-from splatbench.methods.registry import METHODS
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import Result
-from splatbench.reference.types.scene import Scene
-from splatbench.reports.store import find_cases
-from splatbench.suites import run_case as cases
-from splatbench.suites import scene_data
-from splatbench.suites.records import read_finished, read_record, write_record
-from splatbench.suites.runner import Progress, run_suite
-from splatbench.suites.suite_files import Case, Suite
-from splatbench.suites.workers import in_process
+from splatproof.base.errors import DataError
+from splatproof.methods.registry import METHODS
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import Result
+from splatproof.reference.types.scene import Scene
+from splatproof.reports.store import find_cases
+from splatproof.suites import run_case as cases
+from splatproof.suites import scene_data
+from splatproof.suites.records import read_finished, read_record, write_record
+from splatproof.suites.runner import Progress, run_suite
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import in_process
 
 FOLDER = Path("tiny/town/fake/default/seed0")
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from splatbench.suites.hard_cases import blocks, components, images
-from splatbench.suites.hard_cases.case import HardCase, drawn, fixed
-from splatbench.suites.studies import memory, stability
-from splatbench.suites.studies.study import STUDIES
+from splatproof.suites.hard_cases import blocks, components, images
+from splatproof.suites.hard_cases.case import HardCase, drawn, fixed
+from splatproof.suites.studies import memory, stability
+from splatproof.suites.studies.study import STUDIES
 
 CASES = (*components.CASES, *blocks.CASES, *images.CASES)
 

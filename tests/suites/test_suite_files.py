@@ -7,10 +7,10 @@ import pytest
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
-from splatbench.base.errors import UsageError
-from splatbench.methods.registry import METHODS
-from splatbench.suites import run_case as cases
-from splatbench.suites.suite_files import FOLDER, case_key, load_suite, quick_form
+from splatproof.base.errors import UsageError
+from splatproof.methods.registry import METHODS
+from splatproof.suites import run_case as cases
+from splatproof.suites.suite_files import FOLDER, case_key, load_suite, quick_form
 
 GOOD = """
 description = "For tests"

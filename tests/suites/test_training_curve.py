@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.suites import training_curve as curve_module
-from splatbench.suites.training_curve import POINTS, Curve
+from splatproof.suites import training_curve as curve_module
+from splatproof.suites.training_curve import POINTS, Curve
 
 
 def log(curve: Curve, start: int, stop: int, total: int, every: int) -> None:

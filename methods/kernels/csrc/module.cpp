@@ -1,4 +1,4 @@
-// The compiled module splatbench._ext: what the machine offers, and the native kernels.
+// The compiled module splatproof._ext: what the machine offers, and the native kernels.
 //
 // Arrays come in through DLPack, float32, contiguous, on the CPU; the Python wrappers see to that and check
 // the shapes. Outputs are written into arrays that the caller allocated.
@@ -53,7 +53,7 @@ void set_simd_level(const std::string& name) {
 }
 
 const Kernels& from_environment() {
-  const char* name = std::getenv("SPLATBENCH_SIMD");
+  const char* name = std::getenv("SPLATPROOF_SIMD");
   if (name && *name) set_simd_level(name);
   else current = levels().back();
   return *current;
@@ -64,7 +64,7 @@ const Kernels& from_environment() {
 const Kernels& splat::kernels() { return *current; }
 
 NB_MODULE(_ext, m) {
-  m.doc() = "Native CPU kernels of splatbench.";
+  m.doc() = "Native CPU kernels of splatproof.";
   nb::set_leak_warnings(false);  // a result that lives until the interpreter ends is no leak
   from_environment();
   m.def("simd_level", [] { return std::string(current->name); }, "The SIMD level in use.");

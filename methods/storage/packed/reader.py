@@ -12,15 +12,15 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import ARRAYS, DESCRIPTION, write_description
-from splatbench.methods.storage.float_file import write_float_stream
-from splatbench.methods.storage.packed.records import VERSION, records, version_of
-from splatbench.methods.storage.packed.streams import expand
-from splatbench.methods.storage.packed.writer import FORMAT, PARTS, PackedFacts, in_order
-from splatbench.reference.compression import container, packing
-from splatbench.reference.compression.affine_codes import STEPS
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import ARRAYS, DESCRIPTION, write_description
+from splatproof.methods.storage.float_file import write_float_stream
+from splatproof.methods.storage.packed.records import VERSION, records, version_of
+from splatproof.methods.storage.packed.streams import expand
+from splatproof.methods.storage.packed.writer import FORMAT, PARTS, PackedFacts, in_order
+from splatproof.reference.compression import container, packing
+from splatproof.reference.compression.affine_codes import STEPS
+from splatproof.reference.types.gaussians import Gaussians
 
 MOST_BYTES = 2**35
 """Largest unpacked model that read_packed opens (145 million primitives of degree 3)."""
@@ -97,7 +97,7 @@ def _opened(
         return PackedFacts(), None, iter([model])
     if version != VERSION:
         raise DataError(
-            f"{path}: packed model of version {version}, this splatbench reads 1 and {VERSION}; use "
+            f"{path}: packed model of version {version}, this splatproof reads 1 and {VERSION}; use "
             "the version that wrote it"
         )
     stream = records(path)

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from splatbench.base.errors import DataError
-from splatbench.reference.compression.container import MAGIC
+from splatproof.base.errors import DataError
+from splatproof.reference.compression.container import MAGIC
 
 VERSION = 2
 """Version 1 is reference.compression.container's."""

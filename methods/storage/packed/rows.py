@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import sha256
-from splatbench.methods.models.explicit import ARRAYS, FIELDS, describe
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.base.files import sha256
+from splatproof.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatproof.reference.types.gaussians import Gaussians
 
 
 @runtime_checkable

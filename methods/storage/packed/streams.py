@@ -6,7 +6,7 @@ import numpy as np
 import zstandard
 from jaxtyping import Shaped
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 LEVEL = 3
 """zstd level; 9 gains 1 % and takes four times as long (bytes whose order is already good)."""

@@ -26,18 +26,18 @@ from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 from torch.nn import functional
 
-from splatbench.base.errors import DataError
-from splatbench.methods.storage.packed.morton import morton_codes
-from splatbench.methods.storage.packed.records import RecordWriter
-from splatbench.methods.storage.packed.rows import MemoryRows, Rows
-from splatbench.methods.storage.packed.streams import Entropy, squeeze
-from splatbench.reference.compression import spectral
-from splatbench.reference.compression.affine_codes import STEPS, lattice
-from splatbench.reference.compression.packing import PackSettings, half
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.methods.storage.packed.morton import morton_codes
+from splatproof.methods.storage.packed.records import RecordWriter
+from splatproof.methods.storage.packed.rows import MemoryRows, Rows
+from splatproof.methods.storage.packed.streams import Entropy, squeeze
+from splatproof.reference.compression import spectral
+from splatproof.reference.compression.affine_codes import STEPS, lattice
+from splatproof.reference.compression.packing import PackSettings, half
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.gaussians import Gaussians
 
-FORMAT = "splatbench packed model"
+FORMAT = "splatproof packed model"
 CHUNK = 2**17
 """Primitives of a chunk: 31 MB of degree 3 unpacked."""
 PARTS = ("positions", "opacity", "rotation", "scale", "dc", "kept", "rest")

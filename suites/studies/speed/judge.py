@@ -7,8 +7,8 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatbench.reference.checks.agreement import compare_gradients, largest_error
-from splatbench.suites.twins.twin import Component, Problem, Twin, leaves_of, running
+from splatproof.reference.checks.agreement import compare_gradients, largest_error
+from splatproof.suites.twins.twin import Component, Problem, Twin, leaves_of, running
 
 Judgement = dict[str, Any]
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import SplatbenchError, UsageError
-from splatbench.suites.studies.speed import roofline as speed_roofline
-from splatbench.suites.studies.speed.idle import SHARE, Patience, undisturbed
-from splatbench.suites.studies.speed.session import Open, Process, Session, Task, with_backend
-from splatbench.suites.twins.registry import COMPONENTS
-from splatbench.suites.twins.twin import Case, Component, Twin
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.suites.studies.speed import roofline as speed_roofline
+from splatproof.suites.studies.speed.idle import SHARE, Patience, undisturbed
+from splatproof.suites.studies.speed.session import Open, Process, Session, Task, with_backend
+from splatproof.suites.twins.registry import COMPONENTS
+from splatproof.suites.twins.twin import Case, Component, Twin
 
 Row = dict[str, Any]
 Run = tuple[float, float]
@@ -98,7 +98,7 @@ class Timer:
                 )  # fmt: skip
                 try:
                     sessions[twin.name] = self.open(task)
-                except SplatbenchError as error:
+                except SplatproofError as error:
                     failed[twin.name] = str(error)
             runs, percent = self.rounds(sessions)
             memory = {name: session.ask("memory") for name, session in sessions.items()}
@@ -158,6 +158,6 @@ def median(values: list[float]) -> float | None:
 
 def pictures(rows: Sequence[Row], folder: Path) -> list[Path]:
     """Draw the study's pictures into the folder."""
-    from splatbench.suites.studies.speed.plot import draw  # matplotlib is slow to import
+    from splatproof.suites.studies.speed.plot import draw  # matplotlib is slow to import
 
     return draw(rows, folder)

@@ -11,7 +11,7 @@ PEERS = Path(__file__).with_name("peers.csv")
 MACHINE = {
     "cpu": "processor", "cores": "cores", "threads": "threads", "simd": "SIMD level",
     "memory": "memory", "gpu": "GPU", "platform": "system", "compiler": "compiler",
-    "python": "Python", "torch": "torch", "numpy": "numpy", "splatbench": "splatbench",
+    "python": "Python", "torch": "torch", "numpy": "numpy", "splatproof": "splatproof",
     "commit": "commit",
 }  # fmt: skip
 """What the page says of where the rows were measured, in this order."""

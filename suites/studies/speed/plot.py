@@ -8,8 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from splatbench.suites.gallery.drawing import COLOURS, save
-from splatbench.suites.studies.speed.page import total_ms
+from splatproof.suites.gallery.drawing import COLOURS, save
+from splatproof.suites.studies.speed.page import total_ms
 
 LEAST_ERROR = 1e-16
 """Errors below are drawn here: a logarithmic axis has no zero."""

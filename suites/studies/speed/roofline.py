@@ -9,13 +9,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatbench import _ext
-from splatbench.methods.kernels import adam, loss, rasterizer
-from splatbench.methods.kernels.roofline import Pairs, Peak, count_pairs, measure_peak
-from splatbench.suites.case_costs import timed
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene
-from splatbench.suites.studies.speed.idle import SHARE, Patience, undisturbed
-from splatbench.suites.studies.speed.scenes import speed_scene
+from splatproof import _ext
+from splatproof.methods.kernels import adam, loss, rasterizer
+from splatproof.methods.kernels.roofline import Pairs, Peak, count_pairs, measure_peak
+from splatproof.suites.case_costs import timed
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
+from splatproof.suites.studies.speed.idle import SHARE, Patience, undisturbed
+from splatproof.suites.studies.speed.scenes import speed_scene
 
 SIZE, QUICK_SIZE = (100_000, 800, 600), (2_000, 160, 120)
 NUMBERS = 59

@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatbench.reference.types.camera import Camera
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene
+from splatproof.reference.types.camera import Camera
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
 
 SH_C0 = 0.28209479177387814
 TURN = 0.3

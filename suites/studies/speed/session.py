@@ -13,11 +13,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import torch
 
-from splatbench.base.errors import SplatbenchError
-from splatbench.base.memory import peak_memory_mb
-from splatbench.suites.studies.speed.judge import judge
-from splatbench.suites.twins.registry import COMPONENTS
-from splatbench.suites.twins.twin import Component, Size, leaves_of, running
+from splatproof.base.errors import SplatproofError
+from splatproof.base.memory import peak_memory_mb
+from splatproof.suites.studies.speed.judge import judge
+from splatproof.suites.twins.registry import COMPONENTS
+from splatproof.suites.twins.twin import Component, Size, leaves_of, running
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +132,7 @@ class Process:
     def __init__(self, task: Task) -> None:
         """Start it.
 
-        Raises: SplatbenchError if it ends before it is ready, e.g. for lack of memory.
+        Raises: SplatproofError if it ends before it is ready, e.g. for lack of memory.
         """
         self._task = task
         context = multiprocessing.get_context("forkserver")
@@ -155,7 +155,7 @@ class Process:
             answer = self._pipe.recv()
         except EOFError:
             self._process.join()
-            raise SplatbenchError(
+            raise SplatproofError(
                 f"{self._task}: its process ended with exit code {self._process.exitcode}; -9 is "
                 "what running out of memory looks like"
             ) from None
@@ -184,7 +184,7 @@ def _serve(task: Task, pipe: Connection) -> None:
     except (EOFError, BrokenPipeError):
         return
     except (
-        SplatbenchError,
+        SplatproofError,
         ValueError,
         RuntimeError,
         MemoryError,
@@ -196,7 +196,7 @@ def with_backend(name: str, backend: str) -> Component:
     """A component of the registry, with the twins of a further backend where one is asked for."""
     if not backend:
         return COMPONENTS[name]
-    from splatbench.suites.twins.cuda import with_cuda
+    from splatproof.suites.twins.cuda import with_cuda
 
     return with_cuda(COMPONENTS[name])
 

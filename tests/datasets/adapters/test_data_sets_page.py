@@ -3,10 +3,10 @@
 import re
 from pathlib import Path
 
-from splatbench.datasets.opening import ADAPTERS
-from splatbench.datasets.registry import list_scenes
-from splatbench.metrics.protocol_files import protocol_names
-from splatbench.suites.published.rows import published_suites
+from splatproof.datasets.opening import ADAPTERS
+from splatproof.datasets.registry import list_scenes
+from splatproof.metrics.protocol_files import protocol_names
+from splatproof.suites.published.rows import published_suites
 
 PAGE = (Path(__file__).parents[3] / "docs" / "data_sets.md").read_text(encoding="utf-8")
 ROWS = [

@@ -16,9 +16,9 @@ from plyfile import PlyData, PlyElement
 from helpers.colmap_scenes import Flight, write_scene
 from helpers.door_checks import fixtures, protocol
 from helpers.posed_scenes import POINTS
-from splatbench.base.errors import DataError
-from splatbench.cli import main
-from splatbench.datasets.opening import ADAPTERS, open_scene
+from splatproof.base.errors import DataError
+from splatproof.cli import main
+from splatproof.datasets.opening import ADAPTERS, open_scene
 
 
 @dataclass(frozen=True)

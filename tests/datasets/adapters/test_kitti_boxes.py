@@ -11,10 +11,10 @@ from matplotlib.path import Path as Outline
 from scipy.spatial import ConvexHull
 
 from helpers.door_checks import fixtures, moving, protocol, refused
-from splatbench.datasets.adapters.kitti_boxes import read_labels, read_tracklets
-from splatbench.datasets.boxes import Box, box_outline, covered, in_motion
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.camera import project_points
+from splatproof.datasets.adapters.kitti_boxes import read_labels, read_tracklets
+from splatproof.datasets.boxes import Box, box_outline, covered, in_motion
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.camera import project_points
 
 KITTI = fixtures("kitti")
 SIZE = (1.6, 1.8, 4.0)

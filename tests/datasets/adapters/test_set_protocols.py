@@ -8,10 +8,10 @@ import pytest
 
 from helpers.door_checks import fixtures, tenths
 from helpers.posed_scenes import blob
-from splatbench.base.errors import DataError
-from splatbench.datasets.opening import open_scene
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError
+from splatproof.datasets.opening import open_scene
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.scene import Scene
 
 
 def sizes(scene: Scene) -> set[tuple[int, int]]:
@@ -81,7 +81,7 @@ def test_matrix_city(tmp_path):
 
 
 def test_levir_nvs_has_three_training_views(tmp_path, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     fixtures("doors").levir_nvs(tmp_path, views=21)
     scene = open_scene(tmp_path, load_protocol("levir_nvs_3"))
     assert [view.name for view in scene.train_views] == ["000.png", "010.png", "020.png"]
@@ -91,8 +91,8 @@ def test_levir_nvs_has_three_training_views(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("layout", ["colmap", "nerfstudio"])
 def test_3das_has_seven_training_views(tmp_path, monkeypatch, layout):
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setenv("SPLATBENCH_DATA", str(tmp_path))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path))
     folder = tmp_path / "3das" / "port_2"
     if layout == "colmap":  # poses alone
         made = fixtures("photo_tourism")
@@ -112,7 +112,7 @@ def test_3das_has_seven_training_views(tmp_path, monkeypatch, layout):
 
 @pytest.mark.parametrize(("count", "train"), [(3, "048"), (5, "02468"), (9, "012345678")])
 def test_aerial_sparse_keeps_its_tests(tmp_path, monkeypatch, count, train):
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     made = fixtures("photo_tourism")
     made.write_scene(tmp_path, replace(made.FLIGHT, views=12))
     model = pycolmap.Reconstruction(tmp_path / "sparse/0")

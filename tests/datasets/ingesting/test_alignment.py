@@ -3,7 +3,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from splatbench.datasets.ingesting.alignment import Alignment, align, local_metres
+from splatproof.datasets.ingesting.alignment import Alignment, align, local_metres
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 

@@ -21,12 +21,12 @@ from helpers.aerial_photos import (
     write_flight,
 )
 from helpers.real_scenes import real_scene
-from splatbench.base.errors import DataError
-from splatbench.cli.ingest import ingest
-from splatbench.datasets.ingesting.ingest import Ingested, ingest_photos
-from splatbench.datasets.opening import open_scene
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import DataError
+from splatproof.cli.ingest import ingest
+from splatproof.datasets.ingesting.ingest import Ingested, ingest_photos
+from splatproof.datasets.opening import open_scene
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="test", hold=3)
 
@@ -188,7 +188,7 @@ def pose_table(folder: Path) -> dict[str, np.ndarray]:
 COMMAND = """
 import sys
 from pathlib import Path
-from splatbench.cli.ingest import ingest
+from splatproof.cli.ingest import ingest
 ingest(Path(sys.argv[1]), Path(sys.argv[2]), threads=2)
 """
 

@@ -4,7 +4,7 @@ import pytest
 from PIL import ExifTags
 
 from helpers.aerial_photos import save_photo, texture
-from splatbench.datasets.ingesting.survey import gps_position, survey_photos
+from splatproof.datasets.ingesting.survey import gps_position, survey_photos
 
 TAGS = ExifTags.GPS
 
@@ -66,8 +66,8 @@ def test_sizes_makers_subfolders_and_blanks_in_names(tmp_path):
     survey = survey_photos(tmp_path, lambda done, total: told.append((done, total)))
     assert [photo.name for photo in survey.photos] == ["a.JPG", "b/two_words.jpg"]
     assert [photo.lens for photo in survey.photos] == [
-        (60, 40, "splatbench"),
-        (60, 60, "splatbench"),
+        (60, 40, "splatproof"),
+        (60, 60, "splatproof"),
     ]
     assert len(survey.lenses) == 2
     assert survey.photos[0].gps is None

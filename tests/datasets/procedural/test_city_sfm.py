@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from splatbench.datasets.procedural import worlds
+from splatproof.datasets.procedural import worlds
 
 
 @pytest.mark.slow

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from splatbench.base.errors import UsageError
-from splatbench.datasets import registry
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import courtyard, exporting, worlds
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.protocol import Protocol
+from splatproof.base.errors import UsageError
+from splatproof.datasets import registry
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.procedural import courtyard, exporting, worlds
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.protocol import Protocol
 
 TINY = courtyard.Settings(width=64, height=48, oblique=4, nadir=(2, 1), samples=2)
 PROTOCOL = Protocol(name="test", source="ours", hold=4)
@@ -134,7 +134,7 @@ def test_a_scene_that_is_there_is_left_alone_and_others_are_refused(folder, tmp_
 
 
 def test_the_registry_makes_it_once(tmp_path, monkeypatch):
-    monkeypatch.setenv("SPLATBENCH_CACHE", str(tmp_path))
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path))
     monkeypatch.setitem(courtyard.PRESETS, "small", TINY)
     first = registry.find_scene("courtyard", lambda done, total: None)
     assert first.name == "courtyard"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from splatbench.datasets.procedural import courtyard, street, tunnel
-from splatbench.datasets.procedural import ray_images as frames
+from splatproof.datasets.procedural import courtyard, street, tunnel
+from splatproof.datasets.procedural import ray_images as frames
 
 GOLDEN = {
     "courtyard": [34.25373, 0.36343, -0.01316, 0.6807, 5.62943],

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from helpers import tiny_worlds
-from splatbench.datasets.procedural import exporting
+from splatproof.datasets.procedural import exporting
 
 KILLED_AT = {"courtyard": 4, "city": 5, "aerial-sparse": 7, "tunnel": 30, "street": 9}
 """Steps done when the process dies: views for most, all of them and some points for the tunnel."""
@@ -17,7 +17,7 @@ import os, signal, sys
 from pathlib import Path
 import torch
 from helpers import tiny_worlds
-from splatbench.datasets.procedural import exporting
+from splatproof.datasets.procedural import exporting
 
 torch.set_num_threads(1)
 for world, step in zip(sys.argv[2::2], map(int, sys.argv[3::2])):

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.datasets.procedural.noise import cell_random, fbm, value_noise
+from splatproof.datasets.procedural.noise import cell_random, fbm, value_noise
 
 
 def places(count, dims, seed=0, scale=100.0):

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from splatbench.datasets.procedural import lidar, shapes, traffic
-from splatbench.datasets.procedural import oracle as truth
-from splatbench.datasets.procedural.facades import Solid
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import lidar, shapes, traffic
+from splatproof.datasets.procedural import oracle as truth
+from splatproof.datasets.procedural.facades import Solid
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.world import Builder
 
 GREY = Solid(tone="808080", dirt=0.0)
 

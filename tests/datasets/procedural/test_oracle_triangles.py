@@ -5,11 +5,11 @@ import pycolmap
 import pytest
 
 from helpers import brute_rays, tiny_worlds
-from splatbench.datasets.procedural import exporting, shapes
-from splatbench.datasets.procedural import oracle as truth
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.things import METAL
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import exporting, shapes
+from splatproof.datasets.procedural import oracle as truth
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.things import METAL
+from splatproof.datasets.procedural.world import Builder
 
 SAMPLE = 25
 """Points of each kind that are looked at from every camera."""

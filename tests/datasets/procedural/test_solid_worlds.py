@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from splatbench.datasets.procedural import aerial, courtyard, shapes, street, traffic, tunnel
-from splatbench.datasets.procedural import ray_images as frames
-from splatbench.datasets.procedural.things import METAL
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import aerial, courtyard, shapes, street, traffic, tunnel
+from splatproof.datasets.procedural import ray_images as frames
+from splatproof.datasets.procedural.things import METAL
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.world import Builder
 
 LANDS = ("ground", "water", "rock", "floor")
 """What things stand on, and what stands on nothing."""

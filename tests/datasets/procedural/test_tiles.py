@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from splatbench.datasets.procedural import city, exporting, tiles
-from splatbench.datasets.procedural import ray_images as frames
-from splatbench.datasets.procedural.plan import Shot
-from splatbench.datasets.procedural.world import Builder
+from splatproof.datasets.procedural import city, exporting, tiles
+from splatproof.datasets.procedural import ray_images as frames
+from splatproof.datasets.procedural.plan import Shot
+from splatproof.datasets.procedural.world import Builder
 
 BLOCKS = replace(
     city.PRESETS["small"], blocks=(2, 2), width=64, height=48, oblique=1, facade=1, cell=8.0,

@@ -6,13 +6,13 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.datasets.procedural import ray_images as frames
-from splatbench.datasets.procedural import shapes
-from splatbench.datasets.procedural.facades import Solid
-from splatbench.datasets.procedural.flights import looking
-from splatbench.datasets.procedural.tracing import Caster
-from splatbench.datasets.procedural.world import Builder
-from splatbench.reference.types.camera import project_points
+from splatproof.datasets.procedural import ray_images as frames
+from splatproof.datasets.procedural import shapes
+from splatproof.datasets.procedural.facades import Solid
+from splatproof.datasets.procedural.flights import looking
+from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.world import Builder
+from splatproof.reference.types.camera import project_points
 
 GREY = Solid(tone="808080", dirt=0.0)
 

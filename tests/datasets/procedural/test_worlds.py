@@ -8,11 +8,11 @@ import pytest
 import torch
 
 from helpers import tiny_worlds
-from splatbench.cli import main
-from splatbench.datasets.opening import open_scene
-from splatbench.datasets.procedural import aerial, city, exporting, street, tracing, tunnel, worlds
-from splatbench.datasets.procedural import ray_images as frames
-from splatbench.reference.types.protocol import Protocol
+from splatproof.cli import main
+from splatproof.datasets.opening import open_scene
+from splatproof.datasets.procedural import aerial, city, exporting, street, tracing, tunnel, worlds
+from splatproof.datasets.procedural import ray_images as frames
+from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
 
@@ -53,7 +53,7 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
     assert len(unseen.points) > 10
     assert not set(names) & {v.name for v in open_scene(folder, PROTOCOL).views}
     stage = plan.stage(plan.shots[0])
-    from splatbench.datasets.procedural import oracle as truth
+    from splatproof.datasets.procedural import oracle as truth
 
     cloud = truth.surface_cloud(stage.caster.world, 2.0, 0)
     train = [s.camera for s in plan.shots if not s.group]
@@ -78,7 +78,7 @@ def test_the_city_has_facades_that_no_training_view_sees(made):
 
 def on_surface(cloud, camera, depth, tolerance):
     """Which points a depth map shows, at angles at which a view tells something of them."""
-    from splatbench.datasets.procedural.oracle import STEEP
+    from splatproof.datasets.procedural.oracle import STEEP
 
     local = cloud.points @ camera.rotation.numpy().T + camera.translation.numpy()
     pixel = local @ camera.K.numpy().T
@@ -118,11 +118,11 @@ def test_the_relit_tunnel_has_the_same_depth_and_other_light(made):
 
 
 def test_light_falls_off_with_the_square_of_the_distance():
-    from splatbench.datasets.procedural.lamps import Lamps
-    from splatbench.datasets.procedural.shapes import polygon
-    from splatbench.datasets.procedural.things import METAL
-    from splatbench.datasets.procedural.tracing import Caster
-    from splatbench.datasets.procedural.world import Builder
+    from splatproof.datasets.procedural.lamps import Lamps
+    from splatproof.datasets.procedural.shapes import polygon
+    from splatproof.datasets.procedural.things import METAL
+    from splatproof.datasets.procedural.tracing import Caster
+    from splatproof.datasets.procedural.world import Builder
 
     world = Builder()
     wall = polygon([[-9, -9, -5], [9, -9, -5], [9, 9, -5], [-9, 9, -5]])

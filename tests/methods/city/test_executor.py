@@ -10,15 +10,15 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.base.errors import DataError, SplatbenchError, UsageError
-from splatbench.methods.city.executor import run_blocks
-from splatbench.methods.city.jobs import block_jobs
-from splatbench.methods.city.partition import PartitionSettings, partition
-from splatbench.methods.city.train_block import BlockJob
-from splatbench.methods.models.explicit import load_reconstruction
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
+from splatproof.base.errors import DataError, SplatproofError, UsageError
+from splatproof.methods.city.executor import run_blocks
+from splatproof.methods.city.jobs import block_jobs
+from splatproof.methods.city.partition import PartitionSettings, partition
+from splatproof.methods.city.train_block import BlockJob
+from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
 
 SETTINGS = Settings(iterations=20, sh_degree=0, density=Density(stop=0))
 
@@ -63,7 +63,7 @@ def test_a_killed_worker_is_named_and_its_block_goes_on_from_its_checkpoint(tmp_
             assert worker.pid is not None
             os.kill(worker.pid, signal.SIGKILL)
 
-    with pytest.raises(SplatbenchError, match=r"block 1.*SIGKILL.*continues"):
+    with pytest.raises(SplatproofError, match=r"block 1.*SIGKILL.*continues"):
         run_blocks(killed, threads=1, report=kill)
     steps: list[tuple[int, int]] = []
     run_blocks(killed, threads=1, report=lambda i, step, *_: steps.append((i, step)))

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.base.errors import DataError, UsageError
-from splatbench.methods.city.partition import MethodName, PartitionSettings, partition
-from splatbench.methods.city.point_roles import CONTEXT, GHOST, LEFT_OUT, OWN, roles_of
-from splatbench.methods.city.regions import nearest_region
+from splatproof.base.errors import DataError, UsageError
+from splatproof.methods.city.partition import MethodName, PartitionSettings, partition
+from splatproof.methods.city.point_roles import CONTEXT, GHOST, LEFT_OUT, OWN, roles_of
+from splatproof.methods.city.regions import nearest_region
 
 SCENE = small_scene(120)
 METHODS: tuple[MethodName, ...] = ("odbp", "blockgaussian", "vastgaussian", "citygaussian")

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.methods.city.model import CONTAINER, CityModel
-from splatbench.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
-from splatbench.methods.registry import METHODS
-from splatbench.methods.run import Run
-from splatbench.methods.training import loop as training
-from splatbench.methods.training.density import Density
-from splatbench.reference.stitching.stochastic import RIM, StitchSettings
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.methods.city.model import CONTAINER, CityModel
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
+from splatproof.methods.registry import METHODS
+from splatproof.methods.run import Run
+from splatproof.methods.training import loop as training
+from splatproof.methods.training.density import Density
+from splatproof.reference.stitching.stochastic import RIM, StitchSettings
 
 SHORT = {
     "iterations": 20,
@@ -246,12 +246,12 @@ def test_many_blocks_still_end_in_a_model(tmp_path):
 
 
 def test_what_cannot_fit_into_memory_is_refused_with_a_number_of_blocks(monkeypatch):
-    monkeypatch.setattr("splatbench.methods.city.memory_plan.available_mb", lambda: 450.2)
+    monkeypatch.setattr("splatproof.methods.city.memory_plan.available_mb", lambda: 450.2)
     with pytest.raises(MissingError, match=r"450 MB are free; .*blocks") as refusal:
         fit("stitchgs", run())
     enough = int(str(refusal.value).split("at least ")[1].split()[0])
     assert enough > 2
-    monkeypatch.setattr("splatbench.methods.city.memory_plan.available_mb", lambda: 100.0)
+    monkeypatch.setattr("splatproof.methods.city.memory_plan.available_mb", lambda: 100.0)
     with pytest.raises(MissingError, match="use smaller images"):
         fit("stitchgs", run())
 

@@ -10,16 +10,16 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.base.errors import DataError, MissingError
-from splatbench.methods.city import ray_executor
-from splatbench.methods.city.executor import run_blocks
-from splatbench.methods.city.jobs import block_jobs
-from splatbench.methods.city.partition import PartitionSettings, partition
-from splatbench.methods.city.train_block import BlockJob
-from splatbench.methods.models.explicit import load_reconstruction
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
+from splatproof.base.errors import DataError, MissingError
+from splatproof.methods.city import ray_executor
+from splatproof.methods.city.executor import run_blocks
+from splatproof.methods.city.jobs import block_jobs
+from splatproof.methods.city.partition import PartitionSettings, partition
+from splatproof.methods.city.train_block import BlockJob
+from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
 
 STEPS = 300
 SETTINGS = Settings(iterations=STEPS, sh_degree=0, density=Density(stop=0))
@@ -107,5 +107,5 @@ def test_a_blocks_own_error_names_it(tmp_path, cluster):
 
 def test_without_the_package_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MissingError, match=r"pip install splatbench\[distributed\]"):
+    with pytest.raises(MissingError, match=r"pip install splatproof\[distributed\]"):
         ray_executor.run_on_ray(jobs(tmp_path), 1, 1, nothing)

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
-from splatbench.base.errors import UsageError
-from splatbench.methods.city.refine import Refiner, RefineSettings, clean, refine
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.reference.stitching.preclean import CleanSettings
+from splatproof.base.errors import UsageError
+from splatproof.methods.city.refine import Refiner, RefineSettings, clean, refine
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.reference.stitching.preclean import CleanSettings
 
 SCENE = tiny_scene(views=5)
 BASE = Settings(iterations=200, sh_degree=1)

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError
-from splatbench.base.files import write_tensors
-from splatbench.methods.city import partition_regions as blocks
-from splatbench.methods.city import regions
-from splatbench.methods.city.regions import GroundRegion, OrientedRegion
-from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.reference.partition import camera_cells as partition_cameras
-from splatbench.reference.partition import contracted_grid as partition_grid
-from splatbench.reference.partition import density_split as partition_density
-from splatbench.reference.partition import odbp
-from splatbench.reference.partition.boxes import OrientedBox, Region, box_distance
-from splatbench.reference.partition.odbp import OdbpSettings
+from splatproof.base.errors import DataError
+from splatproof.base.files import write_tensors
+from splatproof.methods.city import partition_regions as blocks
+from splatproof.methods.city import regions
+from splatproof.methods.city.regions import GroundRegion, OrientedRegion
+from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.reference.partition import camera_cells as partition_cameras
+from splatproof.reference.partition import contracted_grid as partition_grid
+from splatproof.reference.partition import density_split as partition_density
+from splatproof.reference.partition import odbp
+from splatproof.reference.partition.boxes import OrientedBox, Region, box_distance
+from splatproof.reference.partition.odbp import OdbpSettings
 
 D = torch.float64
 SEEDS = st.integers(0, 2**16)

@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.torch import load_file
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.methods.city import block_model, merge, regions
-from splatbench.methods.city import stitch as fast
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.city.voxel_region import VoxelRegion
-from splatbench.methods.models.explicit import ExplicitModel, load_reconstruction
-from splatbench.methods.storage.float_file import write_float_stream
-from splatbench.reference.partition.boxes import OrientedBox, Region
-from splatbench.reference.stitching import stochastic as stitching
-from splatbench.reference.stitching.stochastic import AS_RELEASED, StitchSettings, TrainedBlock
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError, UsageError
+from splatproof.methods.city import block_model, merge, regions
+from splatproof.methods.city import stitch as fast
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+from splatproof.methods.storage.float_file import write_float_stream
+from splatproof.reference.partition.boxes import OrientedBox, Region
+from splatproof.reference.stitching import stochastic as stitching
+from splatproof.reference.stitching.stochastic import AS_RELEASED, StitchSettings, TrainedBlock
+from splatproof.reference.types.gaussians import Gaussians
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

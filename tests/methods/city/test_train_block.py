@@ -7,16 +7,16 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatbench.methods.city.jobs import block_jobs
-from splatbench.methods.city.partition import PartitionSettings, partition
-from splatbench.methods.city.point_roles import CONTEXT, GHOST, OWN, Auxiliary
-from splatbench.methods.city.train_block import BlockJob, BlockTrainer, train_block
-from splatbench.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.reference.partition.view_sampling import SamplingSettings
-from splatbench.reference.types.scene import Scene
+from splatproof.methods.city.jobs import block_jobs
+from splatproof.methods.city.partition import PartitionSettings, partition
+from splatproof.methods.city.point_roles import CONTEXT, GHOST, OWN, Auxiliary
+from splatproof.methods.city.train_block import BlockJob, BlockTrainer, train_block
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.reference.partition.view_sampling import SamplingSettings
+from splatproof.reference.types.scene import Scene
 
 SHORT = Settings(
     iterations=30,
@@ -143,8 +143,8 @@ def test_a_block_without_views_or_points_is_left_empty_and_says_so(tmp_path):
 
 
 def loaded_means(job: BlockJob):
-    from splatbench.methods.city.block_model import BlockModel
-    from splatbench.methods.city.partition import partition as cut
+    from splatproof.methods.city.block_model import BlockModel
+    from splatproof.methods.city.partition import partition as cut
 
     region = cut(small_scene(60), 1, PartitionSettings()).regions[0]
     return BlockModel(region=region, model=job.model)

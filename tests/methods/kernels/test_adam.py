@@ -5,8 +5,8 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.methods.kernels import adam
+from splatproof import _ext
+from splatproof.methods.kernels import adam
 
 SHAPES = [(37, 3), (37,), (37, 15, 3), (37, 4)]
 RATES = [1e-2, 3e-3, 1e-4, 5e-2]

@@ -5,12 +5,12 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.methods.kernels.blocks import block_weights, render_blocks
-from splatbench.methods.kernels.rasterizer import rasterize
-from splatbench.reference.rasterizer import rasterize as reference
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.suites.hard_cases.gaussian_scenes import random_scene
+from splatproof import _ext
+from splatproof.methods.kernels.blocks import block_weights, render_blocks
+from splatproof.methods.kernels.rasterizer import rasterize
+from splatproof.reference.rasterizer import rasterize as reference
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.hard_cases.gaussian_scenes import random_scene
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
 

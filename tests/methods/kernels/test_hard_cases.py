@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 import torch
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.suites.hard_cases.gaussian_scenes import camera_at, random_scene
-from splatbench.suites.hard_cases.gaussians import CASES, LONG, judge, put, render
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.suites.hard_cases.gaussian_scenes import camera_at, random_scene
+from splatproof.suites.hard_cases.gaussians import CASES, LONG, judge, put, render
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])

@@ -7,10 +7,10 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.methods.kernels import loss as native
-from splatbench.reference.checks.agreement import compare_gradients
-from splatbench.reference.supervision import losses as reference
+from splatproof import _ext
+from splatproof.methods.kernels import loss as native
+from splatproof.reference.checks.agreement import compare_gradients
+from splatproof.reference.supervision import losses as reference
 
 # Worst of six whole runs with different seeds at every SIMD level: value 2.1e-7, relative L2 of the gradient
 # 1.3e-6. A single window may lose more: SSIM subtracts squares of order 1 and divides by C2 = 9e-4.

@@ -6,9 +6,9 @@ import sys
 import pytest
 import torch
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 ALL_ROWS = 2**22
 """The default of set_backward_rows."""
@@ -64,8 +64,8 @@ def test_scratch_is_given_back():
 
 LARGE = """
 import resource, torch
-from splatbench.methods.kernels import rasterizer
-from splatbench.reference.types.camera import Camera
+from splatproof.methods.kernels import rasterizer
+from splatproof.reference.types.camera import Camera
 n, g = 5_000_000, torch.Generator().manual_seed(1)
 z = 2 + 8 * torch.rand(n, generator=g)
 means = torch.stack([(torch.rand(n, generator=g) - 0.5) * z, 0.75 * (torch.rand(n, generator=g) - 0.5) * z, z], 1)

@@ -9,9 +9,9 @@ import pytest
 PRELUDE = """
 import os, sys, torch
 sys.path.insert(0, sys.argv[1])
-from splatbench import _ext
-from splatbench.methods.kernels.rasterizer import rasterize
-from splatbench.suites.hard_cases.gaussian_scenes import random_scene
+from splatproof import _ext
+from splatproof.methods.kernels.rasterizer import rasterize
+from splatproof.suites.hard_cases.gaussian_scenes import random_scene
 scene = random_scene(600, 3, width=130, height=70)
 values = [v.detach() for v in scene.arguments(torch.float32)]
 def draw():

@@ -7,14 +7,14 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.reference.checks.agreement import compare_gradients, largest_error
-from splatbench.reference.checks.discontinuities import step_pixels
-from splatbench.reference.rasterizer import rasterize as reference
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.render import RenderOutput
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.reference.checks.agreement import compare_gradients, largest_error
+from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.rasterizer import rasterize as reference
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.render import RenderOutput
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 # Worst of six whole runs with different seeds at every SIMD level: colour 7e-7, alpha 8e-7, depth 3.0e-6,
 # distance 3.4e-6 (of about 5 units), median depth 2.4e-7.

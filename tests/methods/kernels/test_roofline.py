@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.methods.kernels.roofline import count_pairs, measure_peak
-from splatbench.reference.rasterizer import compositing, projection, rotation
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.methods.kernels.roofline import count_pairs, measure_peak
+from splatproof.reference.rasterizer import compositing, projection, rotation
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 
 def brute_force(scene: GaussianScene) -> tuple[int, int]:

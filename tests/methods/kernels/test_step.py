@@ -5,16 +5,16 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.methods.kernels import rasterizer as native
-from splatbench.methods.kernels.loss import photometric
-from splatbench.methods.kernels.step import ViewGradients, observe
-from splatbench.methods.training.loop import assemble
-from splatbench.reference.checks.agreement import compare_gradients
-from splatbench.reference.rasterizer import rasterize as reference
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.supervision import losses
-from splatbench.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
+from splatproof import _ext
+from splatproof.methods.kernels import rasterizer as native
+from splatproof.methods.kernels.loss import photometric
+from splatproof.methods.kernels.step import ViewGradients, observe
+from splatproof.methods.training.loop import assemble
+from splatproof.reference.checks.agreement import compare_gradients
+from splatproof.reference.rasterizer import rasterize as reference
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.supervision import losses
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, random_scene
 
 BACKGROUND = (0.2, 0.5, 0.7)
 NATIVE_TOLERANCE = 1e-5

@@ -8,14 +8,14 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, random_gaussians
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import (
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import (
     FIELDS,
     ExplicitModel,
     Reconstruction,
     load_reconstruction,
 )
-from splatbench.reference.rasterizer import rasterize as rasterizer
+from splatproof.reference.rasterizer import rasterize as rasterizer
 
 
 @pytest.fixture
@@ -94,8 +94,8 @@ def cut(folder):
 
 SPOILERS = {
     "model.json: not JSON": lambda f: (f / "model.json").write_text("{"),
-    "model.json: not a model of splatbench": lambda f: (f / "model.json").write_text("[1]"),
-    "version 2, this splatbench reads 1": lambda f: edit(f, version=2),
+    "model.json: not a model of splatproof": lambda f: (f / "model.json").write_text("[1]"),
+    "version 2, this splatproof reads 1": lambda f: edit(f, version=2),
     "kind 'anchors', expected explicit or city": lambda f: edit(f, kind="anchors"),
     "shift has shape": lambda f: edit(f, shift=[1.0]),
     "mode 'blurred'": lambda f: edit(f, mode="blurred"),

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera
-from splatbench.base.errors import DataError
-from splatbench.methods.storage.camera_files import read_cameras
+from splatproof.base.errors import DataError
+from splatproof.methods.storage.camera_files import read_cameras
 
 
 def entry(index: int, **change):

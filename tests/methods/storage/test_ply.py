@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 
 from helpers.tiny_scene import random_gaussians
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import FIELDS
-from splatbench.methods.storage.ply import properties, read_ply, write_ply
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.storage.ply import properties, read_ply, write_ply
 
 
 @pytest.fixture(scope="module")

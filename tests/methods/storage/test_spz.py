@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import random_gaussians
-from splatbench.base.errors import DataError, MissingError
-from splatbench.methods.storage import spz
+from splatproof.base.errors import DataError, MissingError
+from splatproof.methods.storage import spz
 
 
 @settings(max_examples=15)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench.base.errors import MissingError, UsageError
-from splatbench.methods.backends import CONTRACT, describe_backends, get_backend
-from splatbench.methods.registry import METHODS, get_method
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.schedules import Rates, active_degree, means_rate, settling, shrink
+from splatproof.base.errors import MissingError, UsageError
+from splatproof.methods.backends import CONTRACT, describe_backends, get_backend
+from splatproof.methods.registry import METHODS, get_method
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.schedules import Rates, active_degree, means_rate, settling, shrink
 
 
 @pytest.mark.parametrize(

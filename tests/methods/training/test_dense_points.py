@@ -12,17 +12,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial import KDTree
 
 from helpers.tiny_scene import sparse_points, tiny_scene
-from splatbench.base.errors import UsageError
-from splatbench.datasets.opening import open_scene
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training import dense_points
-from splatbench.methods.training.dense_points import Voxels, extended, observed, with_dense_points
-from splatbench.methods.training.initialise import with_points
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.reference.supervision.dense_initialisation import DensePoints, merge_in_voxels
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene, SparsePoints
+from splatproof.base.errors import UsageError
+from splatproof.datasets.opening import open_scene
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import dense_points
+from splatproof.methods.training.dense_points import Voxels, extended, observed, with_dense_points
+from splatproof.methods.training.initialise import with_points
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.supervision.dense_initialisation import DensePoints, merge_in_voxels
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, SparsePoints
 
 CELL = 4.0
 

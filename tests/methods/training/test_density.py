@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, random_gaussians
-from splatbench.methods.training.density import Density, DensityControl, densify, reset_opacity
-from splatbench.methods.training.optimizer import Adam
-from splatbench.reference.rasterizer.rotation import covariance
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.methods.training.density import Density, DensityControl, densify, reset_opacity
+from splatproof.methods.training.optimizer import Adam
+from splatproof.reference.rasterizer.rotation import covariance
+from splatproof.reference.types.gaussians import Gaussians
 
 
 def drawn(count: int, seed: int) -> tuple[Gaussians, torch.Tensor]:

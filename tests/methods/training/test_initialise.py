@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
-from splatbench.base.errors import DataError
-from splatbench.methods.training import initialise
-from splatbench.reference.rasterizer.spherical_harmonics import C0
-from splatbench.reference.types.camera import project_points
+from splatproof.base.errors import DataError
+from splatproof.methods.training import initialise
+from splatproof.reference.rasterizer.spherical_harmonics import C0
+from splatproof.reference.types.camera import project_points
 
 
 def brute_force(points: np.ndarray) -> np.ndarray:

@@ -11,14 +11,14 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
-from splatbench.base.errors import DataError, SplatbenchError, UsageError
-from splatbench.methods.backends import get_backend
-from splatbench.methods.models.explicit import FIELDS, load_reconstruction
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.loop import Trainer, fit
-from splatbench.reference.types.scene import Scene
+from splatproof.base.errors import DataError, SplatproofError, UsageError
+from splatproof.methods.backends import get_backend
+from splatproof.methods.models.explicit import FIELDS, load_reconstruction
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.loop import Trainer, fit
+from splatproof.reference.types.scene import Scene
 
 SHORT = Settings(
     iterations=60,
@@ -177,7 +177,7 @@ def test_masked_pixels_teach_nothing():
 def test_a_loss_that_is_not_finite_stops_with_the_view():
     scene = tiny_scene(views=2)
     bad = replace(scene.views[1], load=lambda: torch.full((18, 24, 3), torch.nan))
-    with pytest.raises(SplatbenchError, match=r"step 1, view 1.png: the loss is nan"):
+    with pytest.raises(SplatproofError, match=r"step 1, view 1.png: the loss is nan"):
         fit(replace(scene, views=(scene.views[0], bad)), SHORT, ON_REFERENCE)
 
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.loop import fit
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.loop import fit
 
 SETTINGS = Settings(
     iterations=60, sh_degree=1, random_background=True,

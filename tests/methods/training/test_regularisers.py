@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
-from splatbench.base.errors import UsageError
-from splatbench.methods.backends import get_backend
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.loop import Trainer, fit
-from splatbench.methods.training.regularisers import (
+from splatproof.base.errors import UsageError
+from splatproof.methods.backends import get_backend
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.loop import Trainer, fit
+from splatproof.methods.training.regularisers import (
     HIDDEN,
     OPAQUEST,
     draw_shown,

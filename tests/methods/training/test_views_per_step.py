@@ -7,13 +7,13 @@ import torch
 
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
-from splatbench.base.errors import UsageError
-from splatbench.methods.backends import get_backend
-from splatbench.methods.run import Run
-from splatbench.methods.threedgs.settings import Settings
-from splatbench.methods.training.density import Density
-from splatbench.methods.training.loop import Trainer
-from splatbench.methods.training.optimizer import Adam
+from splatproof.base.errors import UsageError
+from splatproof.methods.backends import get_backend
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.optimizer import Adam
 
 SETTINGS = Settings(
     iterations=40, sh_degree=1, views_per_step=3, dropout=0.2, random_background=True,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from torch.nn import functional
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import attention as aa
+from splatproof.reference.anchors import attention as aa
 
 D = torch.float64
 

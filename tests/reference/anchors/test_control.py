@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import control as ac
+from splatproof.reference.anchors import control as ac
 
 D = torch.float64
 S = ac.GrowthSettings(gradient=1.0, density=3.0)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from skimage.metrics import structural_similarity
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import hvi
-from splatbench.reference.anchors import lighting_appearance as la
-from splatbench.reference.types import mlp
+from splatproof.reference.anchors import hvi
+from splatproof.reference.anchors import lighting_appearance as la
+from splatproof.reference.types import mlp
 
 D = torch.float64
 level = st.floats(0, 1)

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import motion_hierarchy as mh
-from splatbench.reference.types import mlp
+from splatproof.reference.anchors import motion_hierarchy as mh
+from splatproof.reference.types import mlp
 
 D = torch.float64
 EYE = torch.tensor([0.0, -6.0, 1.0], dtype=D)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import scaffold as an
-from splatbench.reference.types import mlp
+from splatproof.reference.anchors import scaffold as an
+from splatproof.reference.types import mlp
 
 D = torch.float64
 EYE = torch.tensor([0.3, -0.2, 5.0], dtype=D)

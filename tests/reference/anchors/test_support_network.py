@@ -8,8 +8,8 @@ from torch import Tensor
 from torch.nn import functional
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import sparse_convolution, support_network
-from splatbench.reference.types import mlp
+from splatproof.reference.anchors import sparse_convolution, support_network
+from splatproof.reference.types import mlp
 
 D = torch.float64
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.anchors import vibration
+from splatproof.reference.anchors import vibration
 
 D = torch.float64
 times = st.floats(-100, 100)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError
-from splatbench.reference.compression import affine_codes as ac
+from splatproof.base.errors import DataError
+from splatproof.reference.compression import affine_codes as ac
 
 SEEDS = st.integers(0, 2**16)
 EPS = torch.finfo(torch.float32).eps

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from helpers.sh_models import model
-from splatbench.base.errors import DataError
-from splatbench.reference.compression import container, packing, spectral
-from splatbench.reference.compression.packing import AS_RELEASED, PackedModel, PackSettings
+from splatproof.base.errors import DataError
+from splatproof.reference.compression import container, packing, spectral
+from splatproof.reference.compression.packing import AS_RELEASED, PackedModel, PackSettings
 
 SEEDS = st.integers(0, 2**16)
 DEGREES = st.integers(0, 3)
@@ -107,14 +107,14 @@ def test_a_flipped_bit_anywhere_is_refused(place, bit):
 @given(data=st.binary(max_size=200), head=st.booleans())
 def test_random_bytes_are_refused(data, head):
     with pytest.raises(DataError):
-        container.decode((b"SBGS" if head else b"") + data)
+        container.decode((b"SPGS" if head else b"") + data)
 
 
 def forged(payload: bytes, *, version: int = 1, degree: int = 2, packed: int = 1, count: int = 20,
            size: int | None = None) -> bytes:  # fmt: skip
     """A file with a right checksum whatever it claims, as an attacker would write it."""
     size = len(payload) if size is None else size
-    head = struct.pack("<4sHBBQQ", b"SBGS", version, degree, packed, count, size)
+    head = struct.pack("<4sHBBQQ", b"SPGS", version, degree, packed, count, size)
     return head + hashlib.sha256(head + payload).digest() + payload
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.compression import spectral
+from splatproof.reference.compression import spectral
 
 DEGREES = st.integers(0, 3)
 SEEDS = st.integers(0, 2**16)

@@ -5,10 +5,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.layered_memory import depth_adaptation as adaptation
-from splatbench.reference.layered_memory import layered_depth
-from splatbench.reference.layered_memory.edge_diffusion import EdgeDiffusion
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.layered_memory import depth_adaptation as adaptation
+from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory.edge_diffusion import EdgeDiffusion
+from splatproof.reference.types.camera import Camera
 
 D = torch.float64
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.layered_memory import layered_depth as ldi
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.layered_memory import layered_depth as ldi
+from splatproof.reference.types.camera import Camera, project_points
 
 D = torch.float64
 

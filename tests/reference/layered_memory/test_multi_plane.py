@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.layered_memory import coordinate_field, multi_plane
-from splatbench.reference.rasterizer import rasterize, rotation
-from splatbench.reference.types.camera import Camera, project_points
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.reference.layered_memory import coordinate_field, multi_plane
+from splatproof.reference.rasterizer import rasterize, rotation
+from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.gaussians import Gaussians
 
 D = torch.float64
 UP = torch.tensor([0.0, 0, 1], dtype=D)

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition import boxes
-from splatbench.reference.partition.boxes import Box, OrientedBox
-from splatbench.reference.rasterizer.rotation import rotation_matrix
+from splatproof.base.errors import DataError
+from splatproof.reference.partition import boxes
+from splatproof.reference.partition.boxes import Box, OrientedBox
+from splatproof.reference.rasterizer.rotation import rotation_matrix
 
 SEEDS = st.integers(0, 2**16)
 

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition import camera_cells as cameras
-from splatbench.reference.partition import frustum, ground_frame
-from splatbench.reference.partition.boxes import OrientedBox, box_distance
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.base.errors import DataError
+from splatproof.reference.partition import camera_cells as cameras
+from splatproof.reference.partition import frustum, ground_frame
+from splatproof.reference.partition.boxes import OrientedBox, box_distance
+from splatproof.reference.types.camera import Camera, project_points
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError
-from splatbench.reference.partition import contracted_grid as grid
-from splatbench.reference.partition.boxes import Box
+from splatproof.base.errors import DataError
+from splatproof.reference.partition import contracted_grid as grid
+from splatproof.reference.partition.boxes import Box
 
 SEEDS = st.integers(0, 2**16)
 CELLS = st.tuples(st.integers(1, 4), st.integers(1, 3), st.integers(1, 2))

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition import density_split as density
-from splatbench.reference.partition.boxes import box_distance
-from splatbench.reference.partition.density_split import DensitySettings
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition import density_split as density
+from splatproof.reference.partition.boxes import box_distance
+from splatproof.reference.partition.density_split import DensitySettings
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.partition import ghosts
-from splatbench.reference.partition.boxes import inside
-from splatbench.reference.rasterizer import compositing
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.reference.partition import ghosts
+from splatproof.reference.partition.boxes import inside
+from splatproof.reference.rasterizer import compositing
+from splatproof.reference.types.gaussians import Gaussians
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from helpers.clouds import cloud
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition import metis, odbp
-from splatbench.reference.partition.odbp import OdbpPartition, OdbpSettings
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition import metis, odbp
+from splatproof.reference.partition.odbp import OdbpPartition, OdbpSettings
 
 SEEDS = st.integers(0, 2**16)
 

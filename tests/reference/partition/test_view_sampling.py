@@ -9,9 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition import view_sampling as sampling
-from splatbench.reference.partition.view_sampling import SamplingSettings
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition import view_sampling as sampling
+from splatproof.reference.partition.view_sampling import SamplingSettings
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

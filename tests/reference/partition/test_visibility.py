@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.clouds import tracked
-from splatbench.reference.partition import visibility
+from splatproof.reference.partition import visibility
 
 TRACKS = st.lists(st.lists(st.integers(0, 6), unique=True), max_size=30)
 SHARES = st.floats(0, 1)

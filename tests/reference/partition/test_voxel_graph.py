@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.clouds import cloud
-from splatbench.base.errors import DataError, UsageError
-from splatbench.reference.partition import voxel_graph as vg
+from splatproof.base.errors import DataError, UsageError
+from splatproof.reference.partition import voxel_graph as vg
 
 CLOUDS = {"count": st.integers(0, 60), "seed": st.integers(0, 2**16), "halved": st.booleans()}
 

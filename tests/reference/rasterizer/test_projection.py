@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.rasterizer import projection, rotation
-from splatbench.reference.types.camera import Camera, project_points, transform_points
+from splatproof.reference.rasterizer import projection, rotation
+from splatproof.reference.types.camera import Camera, project_points, transform_points
 
 D = torch.float64
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.rasterizer import rasterize, rotation
-from splatbench.reference.rasterizer.screen_gradient import ScreenProbe
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.rasterizer import rasterize, rotation
+from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
+from splatproof.reference.types.camera import Camera
 
 D = torch.float64
 
@@ -215,7 +215,7 @@ def test_image_does_not_depend_on_how_pixels_are_split(monkeypatch):
     camera = view()
     s = scene(10, 3, camera)
     whole = rasterize(camera, **s)
-    monkeypatch.setattr("splatbench.reference.rasterizer.rasterize.PAIRS_AT_ONCE", 30)
+    monkeypatch.setattr("splatproof.reference.rasterizer.rasterize.PAIRS_AT_ONCE", 30)
     assert_close(rasterize(camera, **s).colour, whole.colour, atol=1e-14, rtol=0)
 
 

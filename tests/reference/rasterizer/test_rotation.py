@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch.testing import assert_close
 
-from splatbench.reference.rasterizer import rotation
+from splatproof.reference.rasterizer import rotation
 
 D = torch.float64
 

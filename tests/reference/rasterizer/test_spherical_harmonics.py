@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.special import sph_harm_y
 from torch.testing import assert_close
 
-from splatbench.reference.rasterizer import spherical_harmonics as sh
+from splatproof.reference.rasterizer import spherical_harmonics as sh
 
 D = torch.float64
 

@@ -8,8 +8,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.reference.stitching import preclean
-from splatbench.reference.stitching.preclean import AS_RELEASED, CleanSettings
+from splatproof.reference.stitching import preclean
+from splatproof.reference.stitching.preclean import AS_RELEASED, CleanSettings
 
 OURS = CleanSettings()
 ALL = replace(OURS, volume_quantile=1.0)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.base.errors import UsageError
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.stitching import stochastic as stitching
-from splatbench.reference.stitching.stochastic import AS_RELEASED, StitchSettings, TrainedBlock
+from splatproof.base.errors import UsageError
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.stitching import stochastic as stitching
+from splatproof.reference.stitching.stochastic import AS_RELEASED, StitchSettings, TrainedBlock
 
 SEEDS = st.integers(0, 2**16)
 D = torch.float64

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.supervision import dense_initialisation as dense
-from splatbench.reference.supervision.dense_matching import match_by_flow, plane_between
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.supervision import dense_initialisation as dense
+from splatproof.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatproof.reference.types.camera import Camera, project_points
 
 D = torch.float64
 SETTINGS = dense.DenseSettings()

@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatbench.reference.rasterizer import rasterize
-from splatbench.reference.supervision import depth_constraint as dc
-from splatbench.reference.types.camera import Camera
+from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.supervision import depth_constraint as dc
+from splatproof.reference.types.camera import Camera
 
 D = torch.float64
 

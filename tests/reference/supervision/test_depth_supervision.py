@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.supervision import depth_supervision as ds
+from splatproof.reference.supervision import depth_supervision as ds
 
 D = torch.float64
 

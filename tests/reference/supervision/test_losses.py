@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import correlate1d
 
-from splatbench.reference.supervision import losses
+from splatproof.reference.supervision import losses
 
 
 def pair(height: int, width: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:

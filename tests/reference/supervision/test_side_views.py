@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.supervision import losses, side_views
-from splatbench.reference.supervision.spiral_path import SpiralSettings, look_at, spiral_path
-from splatbench.reference.types.camera import Camera, project_points
+from splatproof.reference.supervision import losses, side_views
+from splatproof.reference.supervision.spiral_path import SpiralSettings, look_at, spiral_path
+from splatproof.reference.types.camera import Camera, project_points
 
 D = torch.float64
 UP = torch.tensor([0.0, 0, 1], dtype=D)

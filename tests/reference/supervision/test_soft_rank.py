@@ -6,7 +6,7 @@ from scipy import stats
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatbench.reference.supervision import soft_rank as sr
+from splatproof.reference.supervision import soft_rank as sr
 
 D = torch.float64
 
@@ -78,7 +78,7 @@ def test_ties_share_their_rank():
 def test_rows_are_only_split_for_memory(monkeypatch):
     z = distinct(25, 3)
     whole = sr.soft_rank(z, 0.3)
-    monkeypatch.setattr("splatbench.reference.supervision.soft_rank.ROWS_AT_ONCE", 4)
+    monkeypatch.setattr("splatproof.reference.supervision.soft_rank.ROWS_AT_ONCE", 4)
     assert_close(sr.soft_rank(z, 0.3), whole)
 
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from splatbench.base.errors import DataError
-from splatbench.reference.types.protocol import Protocol
-from splatbench.reference.types.result import ImageScore, Result
-from splatbench.reference.types.result_json import (
+from splatproof.base.errors import DataError
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.result import ImageScore, Result
+from splatproof.reference.types.result_json import (
     NON_FINITE,
     RULES,
     result_from_json,

@@ -1,8 +1,8 @@
 import pytest
 
-from splatbench.methods.city.train_block import BlockFacts
-from splatbench.metrics.scene_registry import BLOCKS, SCENE_METRICS
-from splatbench.suites.scene_scores.block_balance import FIELDS, balance_metrics
+from splatproof.methods.city.train_block import BlockFacts
+from splatproof.metrics.scene_registry import BLOCKS, SCENE_METRICS
+from splatproof.suites.scene_scores.block_balance import FIELDS, balance_metrics
 
 
 def test_by_hand():

@@ -9,19 +9,19 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, sparse_points
-from splatbench.methods.city.model import CityModel
-from splatbench.methods.city.regions import OrientedRegion
-from splatbench.methods.city.train_block import BlockFacts
-from splatbench.methods.kernels.rasterizer import rasterize
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.metrics.scene_registry import SCENE_METRICS
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.rasterizer.rasterize import Mode
-from splatbench.reference.types.gaussians import Gaussians
-from splatbench.reference.types.scene import Scene, View
-from splatbench.suites.held_out import score_views
-from splatbench.suites.scene_scores.city_scores import city_scores
-from splatbench.suites.scene_scores.seams import block_picture, mask_picture, score_seams
+from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.regions import OrientedRegion
+from splatproof.methods.city.train_block import BlockFacts
+from splatproof.methods.kernels.rasterizer import rasterize
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.scene_registry import SCENE_METRICS
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene, View
+from splatproof.suites.held_out import score_views
+from splatproof.suites.scene_scores.city_scores import city_scores
+from splatproof.suites.scene_scores.seams import block_picture, mask_picture, score_seams
 
 PROTOCOL = replace(load_protocol("default"), rounding="float")
 BOXES = tuple(
@@ -199,8 +199,8 @@ def test_pictures(tmp_path):
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_one_pass_over_all_blocks_sees_what_a_pass_each_sees(mode: Mode):
     """The kernels' passes against metrics' own, with more blocks than one pass has channels."""
-    from splatbench.methods.kernels.blocks import block_weights, render_blocks
-    from splatbench.metrics.seam_render import render_seam_view
+    from splatproof.methods.kernels.blocks import block_weights, render_blocks
+    from splatproof.metrics.seam_render import render_seam_view
 
     held = wall(step=0.1)
     blocks = torch.arange(len(held.model)) % 20

@@ -5,9 +5,9 @@ from dataclasses import replace
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatbench.reference.types.camera import project_points
-from splatbench.reference.types.scene import Scene, SparsePoints
-from splatbench.suites.scene_scores.surface import surface_depth
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, SparsePoints
+from splatproof.suites.scene_scores.surface import surface_depth
 
 
 def scene_of(positions: torch.Tensor, seen_by: int | None) -> Scene:

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatbench.reference.types.camera import Camera
-from splatbench.reference.types.render import RenderOutput
-from splatbench.reference.types.scene import Scene, View
-from splatbench.suites.scene_scores.true_geometry import geometry_metrics, seen_by
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import Scene, View
+from splatproof.suites.scene_scores.true_geometry import geometry_metrics, seen_by
 
 
 def flat(depth: float) -> torch.Tensor:

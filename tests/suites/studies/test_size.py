@@ -4,12 +4,12 @@ import pytest
 import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
-from splatbench.base.errors import MissingError
-from splatbench.methods.models.explicit import ExplicitModel
-from splatbench.methods.storage.packed.writer import PARTS
-from splatbench.metrics.protocol_files import load_protocol
-from splatbench.suites.studies import size, size_plot
-from splatbench.suites.studies.study import STUDIES
+from splatproof.base.errors import MissingError
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.storage.packed.writer import PARTS
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites.studies import size, size_plot
+from splatproof.suites.studies.study import STUDIES
 
 
 @pytest.fixture(scope="module")

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import torch
 
-from splatbench.methods.city.block_model import BlockModel
-from splatbench.methods.city.merge import write_merged
-from splatbench.methods.city.stitch import stitch
-from splatbench.methods.models.explicit import ARRAYS, write_description
-from splatbench.methods.storage.float_file import write_float_stream
-from splatbench.methods.storage.packed.reader import unpack_packed
-from splatbench.methods.storage.packed.rows import FolderRows
-from splatbench.methods.storage.packed.writer import write_packed
-from splatbench.reference.partition.boxes import OrientedBox
-from splatbench.reference.stitching.stochastic import StitchSettings
+from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.merge import write_merged
+from splatproof.methods.city.stitch import stitch
+from splatproof.methods.models.explicit import ARRAYS, write_description
+from splatproof.methods.storage.float_file import write_float_stream
+from splatproof.methods.storage.packed.reader import unpack_packed
+from splatproof.methods.storage.packed.rows import FolderRows
+from splatproof.methods.storage.packed.writer import write_packed
+from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.stitching.stochastic import StitchSettings
 
 BLOCKS, EACH, SLICE = 8, 2_500_000, 250_000
 SHAPES = {
@@ -65,11 +65,11 @@ def main(folder: Path) -> dict[str, float]:
     for block in blocks:
         assert isinstance(block.model, Path)
         shutil.rmtree(block.model)
-    report = write_packed(folder / "model.sbgs", FolderRows(folder / "merged"))
+    report = write_packed(folder / "model.spgs", FolderRows(folder / "merged"))
     seconds["pack"] = report.seconds
     shutil.rmtree(folder / "merged")
     start = time.perf_counter()
-    unpacked = unpack_packed(folder / "model.sbgs", folder / "unpacked")
+    unpacked = unpack_packed(folder / "model.spgs", folder / "unpacked")
     seconds["unpack"] = time.perf_counter() - start
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {

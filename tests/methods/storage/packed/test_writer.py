@@ -16,19 +16,19 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from helpers.sh_models import model
-from splatbench.base.errors import DataError
-from splatbench.methods.models.explicit import ExplicitModel, load_reconstruction
-from splatbench.methods.storage.packed import records as packing_records
-from splatbench.methods.storage.packed import streams as packing_streams
-from splatbench.methods.storage.packed import writer as packing
-from splatbench.methods.storage.packed.morton import morton_codes, morton_order
-from splatbench.methods.storage.packed.reader import read_packed, unpack_packed
-from splatbench.methods.storage.packed.records import RecordWriter
-from splatbench.methods.storage.packed.rows import FolderRows
-from splatbench.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
-from splatbench.reference.compression import container, spectral
-from splatbench.reference.compression import packing as reference
-from splatbench.reference.types.gaussians import Gaussians
+from splatproof.base.errors import DataError
+from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+from splatproof.methods.storage.packed import records as packing_records
+from splatproof.methods.storage.packed import streams as packing_streams
+from splatproof.methods.storage.packed import writer as packing
+from splatproof.methods.storage.packed.morton import morton_codes, morton_order
+from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
+from splatproof.methods.storage.packed.records import RecordWriter
+from splatproof.methods.storage.packed.rows import FolderRows
+from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
+from splatproof.reference.compression import container, spectral
+from splatproof.reference.compression import packing as reference
+from splatproof.reference.types.gaussians import Gaussians
 
 SEEDS = st.integers(0, 2**16)
 DEGREES = st.integers(0, 3)
@@ -60,7 +60,7 @@ def test_a_packed_file_holds_what_the_reference_packs(
 ):
     whole = model(count, degree, seed)
     kept = FileSettings(gate=gate, rounding=rounding, sort=sort, planes=planes, entropy=entropy)
-    path = folder / "m.sbgs"
+    path = folder / "m.spgs"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(packing, "CHUNK", chunk)
         report = write_packed(path, whole, settings=kept, threads=2)
@@ -102,7 +102,7 @@ def test_facts_come_back_and_the_harness_opens_the_file(folder):
         mode="antialiased", shift=torch.tensor([5e5, 4.2e6, 0.1], dtype=D), units="metres",
         method="3dgs", settings={"iterations": 5},
     )  # fmt: skip
-    path = folder / "f.sbgs"
+    path = folder / "f.spgs"
     write_packed(path, model(20, 2, 0), facts=facts)
     back = load_reconstruction(path, backend="reference")
     assert isinstance(back, ExplicitModel)
@@ -237,7 +237,7 @@ def test_joined_reordered_and_shortened_files_are_refused(folder):
 
 
 @settings(max_examples=60)
-@given(data=st.binary(max_size=200), head=st.sampled_from([b"", b"SBGS", b"SBGS\2\0"]))
+@given(data=st.binary(max_size=200), head=st.sampled_from([b"", b"SPGS", b"SPGS\2\0"]))
 def test_random_bytes_are_refused(folder, data, head):
     refused(folder, head + data)
 

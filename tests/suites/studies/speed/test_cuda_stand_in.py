@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from splatbench.cli import main
-from splatbench.methods import cuda_gsplat
-from splatbench.reference.rasterizer import rasterize as rasterizer
-from splatbench.reference.types.camera import Camera
-from splatbench.suites.studies.speed import judge as speed_judge
-from splatbench.suites.studies.speed.idle import Patience
-from splatbench.suites.studies.speed.measure import Timer
-from splatbench.suites.studies.speed.session import Here, with_backend
-from splatbench.suites.twins import cuda
-from splatbench.suites.twins.registry import COMPONENTS
-from splatbench.suites.twins.twin import Case
+from splatproof.cli import main
+from splatproof.methods import cuda_gsplat
+from splatproof.reference.rasterizer import rasterize as rasterizer
+from splatproof.reference.types.camera import Camera
+from splatproof.suites.studies.speed import judge as speed_judge
+from splatproof.suites.studies.speed.idle import Patience
+from splatproof.suites.studies.speed.measure import Timer
+from splatproof.suites.studies.speed.session import Here, with_backend
+from splatproof.suites.twins import cuda
+from splatproof.suites.twins.registry import COMPONENTS
+from splatproof.suites.twins.twin import Case
 
 NAMES = ("cuda adapter", "gsplat's own call")
 

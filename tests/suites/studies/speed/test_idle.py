@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from splatbench.suites.studies.speed import idle
+from splatproof.suites.studies.speed import idle
 
 
 def test_the_machine_tells_its_busy_time_or_nan():

@@ -9,19 +9,19 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatbench import _ext
-from splatbench.base.errors import SplatbenchError, UsageError
-from splatbench.suites.studies.speed import idle
-from splatbench.suites.studies.speed import judge as speed_judge
-from splatbench.suites.studies.speed import measure as speed
-from splatbench.suites.studies.speed import plot as speed_plot
-from splatbench.suites.studies.speed import roofline as speed_roofline
-from splatbench.suites.studies.speed.measure import Timer
-from splatbench.suites.studies.speed.scenes import speed_scene
-from splatbench.suites.studies.speed.session import Here, Process, Task
-from splatbench.suites.studies.study import STUDIES
-from splatbench.suites.twins.registry import COMPONENTS
-from splatbench.suites.twins.twin import Case, Component, Problem, Twin, functional
+from splatproof import _ext
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.suites.studies.speed import idle
+from splatproof.suites.studies.speed import judge as speed_judge
+from splatproof.suites.studies.speed import measure as speed
+from splatproof.suites.studies.speed import plot as speed_plot
+from splatproof.suites.studies.speed import roofline as speed_roofline
+from splatproof.suites.studies.speed.measure import Timer
+from splatproof.suites.studies.speed.scenes import speed_scene
+from splatproof.suites.studies.speed.session import Here, Process, Task
+from splatproof.suites.studies.study import STUDIES
+from splatproof.suites.twins.registry import COMPONENTS
+from splatproof.suites.twins.twin import Case, Component, Problem, Twin, functional
 
 TWINS = [
     pytest.param(component, twin, id=f"{name}: {twin.name}")
@@ -152,7 +152,7 @@ def test_quiet_rounds_count_though_others_were_disturbed(only_line, monkeypatch)
 
 def test_a_twin_that_cannot_start_is_a_row_and_the_others_are_timed(only_line):
     def broken(problem, leaves):
-        raise SplatbenchError("it is too large")
+        raise SplatproofError("it is too large")
 
     component = COMPONENTS["line"]
     large = Twin(name="large", start=broken, approximates="x", most=0)

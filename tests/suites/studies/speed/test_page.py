@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from splatbench.base.errors import DataError, MissingError
-from splatbench.cli import main
-from splatbench.cli.study import read_rows
-from splatbench.suites.studies.speed import page as speed_page
+from splatproof.base.errors import DataError, MissingError
+from splatproof.cli import main
+from splatproof.cli.study import read_rows
+from splatproof.suites.studies.speed import page as speed_page
 
 DOCS = Path(__file__).parents[4] / "docs"
 MACHINE = {"cpu": "Some CPU", "cores": "2", "simd": "avx512", "gpu": ""}

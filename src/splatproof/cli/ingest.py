@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 
 def ingest(
@@ -29,7 +29,7 @@ def ingest(
         threads: CPU threads; all of them if not given. The result does not depend on it.
         seed: Equal seeds give equal scenes.
     """
-    from splatbench.datasets.ingesting.ingest import ingest_photos
+    from splatproof.datasets.ingesting.ingest import ingest_photos
 
     with output.progress() as bar:
         tasks = {}

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from splatbench.cli import output
-from splatbench.cli.models import model_path
+from splatproof.cli import output
+from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
-    from splatbench.reference.types.camera import Camera
+    from splatproof.reference.types.camera import Camera
 
 
 def render(
@@ -34,12 +34,12 @@ def render(
     """
     import torch
 
-    from splatbench.base.errors import DataError
-    from splatbench.methods.models.explicit import load_reconstruction
-    from splatbench.methods.storage.camera_files import read_cameras
-    from splatbench.metrics.protocol_files import load_protocol
-    from splatbench.reference.types.result import picture_name
-    from splatbench.suites.held_out import to_8_bit, write_png
+    from splatproof.base.errors import DataError
+    from splatproof.methods.models.explicit import load_reconstruction
+    from splatproof.methods.storage.camera_files import read_cameras
+    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.reference.types.result import picture_name
+    from splatproof.suites.held_out import to_8_bit, write_png
 
     rules = load_protocol(protocol)
     loaded = load_reconstruction(model_path(model), backend=backend)
@@ -66,8 +66,8 @@ def render(
 
 def _scene_cameras(scene: str, protocol: str, views: str) -> "dict[str, Camera]":
     """Cameras of a scene's views by name."""
-    from splatbench.datasets.opening import open_scene
-    from splatbench.metrics.protocol_files import load_protocol
+    from splatproof.datasets.opening import open_scene
+    from splatproof.metrics.protocol_files import load_protocol
 
     opened = open_scene(scene, load_protocol(protocol))
     chosen = {"test": opened.test_views, "train": opened.train_views, "all": opened.views}[views]

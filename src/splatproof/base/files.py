@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from splatbench.base.errors import DataError
+from splatproof.base.errors import DataError
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = None) -> None:

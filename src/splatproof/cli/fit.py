@@ -8,12 +8,12 @@ from typing import Annotated, Any, get_type_hints
 
 import tyro
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 
 def subcommands() -> dict[str, Callable[..., int]]:
     """One command a method, so that each shows and takes its own settings."""
-    from splatbench.methods.registry import METHODS
+    from splatproof.methods.registry import METHODS
 
     return {name: _command(name) for name in METHODS}
 
@@ -52,14 +52,14 @@ def fit(
         engine: Where the blocks of a city are trained: processes, inline or ray.
         workers: Blocks of a city that are trained at the same time.
     """
-    from splatbench.datasets.opening import open_scene
-    from splatbench.methods.backends import get_backend
-    from splatbench.methods.registry import get_method
-    from splatbench.methods.run import Run
-    from splatbench.metrics.protocol_files import load_protocol
-    from splatbench.metrics.registry import load_weights
-    from splatbench.metrics.scoring import scene_metrics
-    from splatbench.suites.held_out import score_views, scored_views
+    from splatproof.datasets.opening import open_scene
+    from splatproof.methods.backends import get_backend
+    from splatproof.methods.registry import get_method
+    from splatproof.methods.run import Run
+    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.metrics.registry import load_weights
+    from splatproof.metrics.scoring import scene_metrics
+    from splatproof.suites.held_out import score_views, scored_views
 
     row, rules = get_method(method), load_protocol(protocol)
     get_backend(backend)
@@ -110,7 +110,7 @@ def _line(name: str, metrics: dict[str, float]) -> str:
 
 def _command(method: str) -> Callable[..., int]:
     """The function `fit` for one method, with its settings as flags."""
-    from splatbench.methods.registry import get_method
+    from splatproof.methods.registry import get_method
 
     kind = get_method(method).settings
     hints = get_type_hints(fit) | {

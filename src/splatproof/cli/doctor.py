@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from splatbench.base.errors import SplatbenchError
-from splatbench.cli import output
+from splatproof.base.errors import SplatproofError
+from splatproof.cli import output
 
 LEAST_FREE_GB = 2.0
 """Free disk below which results and made scenes may not fit; in 2^30 bytes."""
@@ -60,17 +60,17 @@ def findings(out: Path) -> Iterator[Finding]:
 
 
 def _versions() -> Iterator[Finding]:
-    from splatbench.suites.environment import environment
+    from splatproof.suites.environment import environment
 
     said = environment("")
-    for name in ("splatbench", "commit", "python", "torch", "numpy", "pycolmap", "platform"):
+    for name in ("splatproof", "commit", "python", "torch", "numpy", "pycolmap", "platform"):
         yield Finding(topic="versions", name=name, status="ok", found=said[name] or "unknown")
 
 
 def _processor() -> Iterator[Finding]:
     import torch
 
-    from splatbench.suites.environment import cpu_model, simd_level, usable_cores
+    from splatproof.suites.environment import cpu_model, simd_level, usable_cores
 
     said = {"cpu": cpu_model(), "cores": usable_cores(), "threads": torch.get_num_threads()}
     for name, value in said.items():
@@ -86,7 +86,7 @@ def _processor() -> Iterator[Finding]:
 
 
 def _backends() -> Iterator[Finding]:
-    from splatbench.methods.backends import describe_backends
+    from splatproof.methods.backends import describe_backends
 
     for backend in describe_backends():
         absent = "fault" if backend.name == "cpu" else "absent"
@@ -100,21 +100,21 @@ def _backends() -> Iterator[Finding]:
 
 
 def _weights() -> Iterator[Finding]:
-    from splatbench.metrics.registry import METRICS
+    from splatproof.metrics.registry import METRICS
 
     for metric in METRICS.values():
         if metric.load_weights is None:
             continue
         try:
             found, fix = f"sha256 {metric.load_weights()}", ""
-        except SplatbenchError as error:
+        except SplatproofError as error:
             found, fix = "missing", str(error)
         status = "absent" if fix else "ok"
         yield Finding(topic="weights", name=metric.name, status=status, found=found, fix=fix)
 
 
 def _scenes() -> Iterator[Finding]:
-    from splatbench.datasets.registry import data_roots, list_scenes, locate
+    from splatproof.datasets.registry import data_roots, list_scenes, locate
 
     for root in data_roots():
         there = root.is_dir()
@@ -123,7 +123,7 @@ def _scenes() -> Iterator[Finding]:
             name=str(root),
             status="ok" if there else "absent",
             found=str(root.resolve()) if there else "no such folder",
-            fix="" if there else "set SPLATBENCH_DATA to the folders that hold your data",
+            fix="" if there else "set SPLATPROOF_DATA to the folders that hold your data",
         )
     for entry in list_scenes():
         path = locate(entry)
@@ -140,9 +140,9 @@ def _scenes() -> Iterator[Finding]:
 
 
 def _folders(out: Path) -> Iterator[Finding]:
-    from splatbench.datasets.cache_folder import cache_folder
+    from splatproof.datasets.cache_folder import cache_folder
 
-    yield _writable("cache", cache_folder(), "set SPLATBENCH_CACHE to a folder that can be written")
+    yield _writable("cache", cache_folder(), "set SPLATPROOF_CACHE to a folder that can be written")
     yield _writable("runs", out, "use --out with a folder that can be written")
     yield _store(out)
 
@@ -161,14 +161,14 @@ def _writable(name: str, folder: Path, fix: str) -> Finding:
 
 def _store(out: Path) -> Finding:
     """Whether the tracking store answers; a file that is not there yet is made by the first run."""
-    from splatbench.reports.mlflow_client import default_uri, open_client, shown_uri, sqlite_file
+    from splatproof.reports.mlflow_client import default_uri, open_client, shown_uri, sqlite_file
 
     try:
         uri = default_uri(out)
         file = sqlite_file(uri)
         if file is None or file.exists():
             open_client(uri)
-    except SplatbenchError as error:
+    except SplatproofError as error:
         # Runs go on without it and keep their records on disk, so this is no fault.
         return Finding(
             topic="folders", name="tracking store", status="absent", found=str(error),

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from splatbench.base.errors import UsageError
-from splatbench.cli import output
+from splatproof.base.errors import UsageError
+from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatbench.reports.table import Table
+    from splatproof.reports.table import Table
 
 PIPED_WIDTH = 160
 """Characters a line where stdout is no terminal."""
@@ -37,13 +37,13 @@ def report(
         markdown: Also write the leaderboard as Markdown to this file.
         html: Where the page is written (default: OUT/report.html).
     """
-    from splatbench.base.files import write_text
-    from splatbench.reports.leaderboard import build_tables
-    from splatbench.reports.mlflow_client import check_uri, default_uri, shown_uri
-    from splatbench.reports.page import render_page
-    from splatbench.reports.store import read_results
-    from splatbench.reports.text import markdown as as_markdown
-    from splatbench.reports.text import record
+    from splatproof.base.files import write_text
+    from splatproof.reports.leaderboard import build_tables
+    from splatproof.reports.mlflow_client import check_uri, default_uri, shown_uri
+    from splatproof.reports.page import render_page
+    from splatproof.reports.store import read_results
+    from splatproof.reports.text import markdown as as_markdown
+    from splatproof.reports.text import record
 
     uri = default_uri(out) if uri is None else uri
     check_uri(uri)
@@ -73,7 +73,7 @@ def report(
 
 def print_tables(tables: "list[Table]") -> None:
     """Print the leaderboard on stdout."""
-    from splatbench.reports.text import terminal
+    from splatproof.reports.text import terminal
 
     width = None if sys.stdout.isatty() else PIPED_WIDTH
     console = Console(width=width, highlight=False)
@@ -82,7 +82,7 @@ def print_tables(tables: "list[Table]") -> None:
 
 def sync_cases(out: Path, uri: str) -> bool:
     """Log the cases below `out` that are not in the store yet; whether any could not be."""
-    from splatbench.reports.store import find_cases, sync
+    from splatproof.reports.store import find_cases, sync
 
     with output.progress() as bar:
         task = bar.add_task("tracking store", total=None, values="")

@@ -8,10 +8,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatbench.datasets.registry import SceneEntry
+    from splatproof.datasets.registry import SceneEntry
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
@@ -21,7 +21,7 @@ def list_scenes() -> None:
 
     With --json, an object a line: name, kind, licence, present, path.
     """
-    from splatbench.datasets import registry
+    from splatproof.datasets import registry
 
     rows = [(entry, registry.locate(entry)) for entry in registry.list_scenes()]
     if output.wants_json():
@@ -45,7 +45,7 @@ def show(name: Name) -> None:
     Args:
         name: As in `bench scenes list`.
     """
-    from splatbench.datasets import registry
+    from splatproof.datasets import registry
 
     entry = registry.get_entry(name)
     path = registry.locate(entry)
@@ -78,7 +78,7 @@ def get(name: Name) -> None:
     Args:
         name: As in `bench scenes list`.
     """
-    from splatbench.datasets import registry
+    from splatproof.datasets import registry
 
     entry = registry.get_entry(name)
     path = registry.locate(entry)
@@ -111,7 +111,7 @@ def make(
         preset: How large.
         seed: Of everything random in it.
     """
-    from splatbench.datasets.procedural import worlds
+    from splatproof.datasets.procedural import worlds
 
     with output.progress() as progress:
         task = progress.add_task(f"making {world}", total=None, values="")

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from splatbench.base.errors import UsageError
-from splatbench.cli import output
+from splatproof.base.errors import UsageError
+from splatproof.cli import output
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from splatbench.suites.runner import Outcome, Progress
-    from splatbench.suites.suite_files import Suite
+    from splatproof.suites.runner import Outcome, Progress
+    from splatproof.suites.suite_files import Suite
 
 
 def run(
@@ -60,26 +60,26 @@ def run(
         workers: Blocks of a city that are trained at the same time; None: one a core.
         engine: Where the blocks of a city are trained: processes, inline or ray.
     """
-    from splatbench.suites.studies.study import STUDIES
+    from splatproof.suites.studies.study import STUDIES
 
     if suite in STUDIES:
-        from splatbench.cli.study import run_study
+        from splatproof.cli.study import run_study
 
         return run_study(
             suite, out, quick=quick, wait=wait, backend=backend, page=page, recorded=rows
         )
     if page is not None or rows is not None:
         raise UsageError(f"--page and --rows are for the studies {', '.join(STUDIES)}")
-    from splatbench.base.typed_toml import unknown
-    from splatbench.cli.report import print_tables, sync_cases
-    from splatbench.methods.backends import get_backend
-    from splatbench.metrics.registry import load_weights
-    from splatbench.reports.leaderboard import build_tables
-    from splatbench.reports.mlflow_client import default_uri
-    from splatbench.suites.environment import usable_cores
-    from splatbench.suites.runner import run_suite, select
-    from splatbench.suites.scenes import absences, make_scenes, without_absent
-    from splatbench.suites.suite_files import load_suite, quick_form, suite_names
+    from splatproof.base.typed_toml import unknown
+    from splatproof.cli.report import print_tables, sync_cases
+    from splatproof.methods.backends import get_backend
+    from splatproof.metrics.registry import load_weights
+    from splatproof.reports.leaderboard import build_tables
+    from splatproof.reports.mlflow_client import default_uri
+    from splatproof.suites.environment import usable_cores
+    from splatproof.suites.runner import run_suite, select
+    from splatproof.suites.scenes import absences, make_scenes, without_absent
+    from splatproof.suites.suite_files import load_suite, quick_form, suite_names
 
     uri = default_uri(out)
     if suite not in suite_names() and not suite.endswith(".toml"):
@@ -179,7 +179,7 @@ def _record(outcome: "Outcome") -> dict[str, object]:
 
 def _print_plan(suite: "Suite", missing: dict[str, str], out: Path, backend: str) -> int:
     """Print each case with its estimates, and what has to be got for those that cannot run."""
-    from splatbench.suites.estimate import estimate_suite
+    from splatproof.suites.estimate import estimate_suite
 
     here = replace(suite, cases=tuple(c for c in suite.cases if c.scene not in missing))
     guesses = iter(estimate_suite(here, out, backend))

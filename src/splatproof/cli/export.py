@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from splatbench.cli import output
-from splatbench.cli.models import model_path
+from splatproof.cli import output
+from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
-    from splatbench.methods.models.explicit import Reconstruction
+    from splatproof.methods.models.explicit import Reconstruction
 
 
 def export(
@@ -34,9 +34,9 @@ def export(
             dropped; 0 keeps all.
         local: Keep the scene's local frame, with all properties in float32, for any viewer.
     """
-    from splatbench.base.errors import UsageError
-    from splatbench.methods.models.explicit import ExplicitModel, load_reconstruction
-    from splatbench.methods.storage.ply import write_ply
+    from splatproof.base.errors import UsageError
+    from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+    from splatproof.methods.storage.ply import write_ply
 
     if ply is None and packed is None:
         raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
@@ -56,8 +56,8 @@ def export(
 
 def _pack(model: "Reconstruction", path: Path, gate: float) -> None:
     """Write a packed file and say how small it is."""
-    from splatbench.methods.models.explicit import ExplicitModel
-    from splatbench.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
+    from splatproof.methods.models.explicit import ExplicitModel
+    from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 
     names = ("mode", "shift", "units", "method", "settings")
     known = (

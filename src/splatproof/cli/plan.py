@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatbench.suites.city_plan import City, Plan
+    from splatproof.suites.city_plan import City, Plan
 
 HEADING = "blocks machines workers  block GB  block h  blocks h  serial h   wall h"
 
@@ -54,7 +54,7 @@ def plan(
         spread: Of the simulated times: standard deviation of their logarithm.
         seed: Of the simulation.
     """
-    from splatbench.suites import city_plan
+    from splatproof.suites import city_plan
 
     city = city_plan.City(
         views=views, gaussians=gaussians, pixels=width * height, iterations=iterations,
@@ -93,7 +93,7 @@ def _line(found: "Plan") -> str:
 
 def _notes(city: "City", fewest: int, chosen: tuple[int, ...]) -> None:
     """Where it stops scaling, in words, on stderr."""
-    from splatbench.suites import city_plan
+    from splatproof.suites import city_plan
 
     useful = city_plan.most_useful_blocks(city)
     output.log(f"fewest blocks that fit: {fewest}; beyond {useful} blocks most work is pixels that "

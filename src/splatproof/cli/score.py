@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from splatbench.reference.types.protocol import Protocol
-    from splatbench.reference.types.result import ImageScore
+    from splatproof.reference.types.protocol import Protocol
+    from splatproof.reference.types.result import ImageScore
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +60,10 @@ def score(
         method: Name for the output.
         seed: Number for the output.
     """
-    from splatbench.base.errors import UsageError
-    from splatbench.metrics.protocol_files import load_protocol
-    from splatbench.metrics.registry import load_weights
-    from splatbench.metrics.scoring import scene_metrics
+    from splatproof.base.errors import UsageError
+    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.metrics.registry import load_weights
+    from splatproof.metrics.scoring import scene_metrics
 
     names = [name.strip() for name in protocol.split(",")]
     rules = [load_protocol(name) for name in names]
@@ -88,7 +88,7 @@ def _trios(renders: Path, truth: Path, masks: Path | None) -> list[Trio]:
 
     Raises: DataError after naming on stderr, one line each, every file that does not fit.
     """
-    from splatbench.base.errors import DataError
+    from splatproof.base.errors import DataError
 
     shown, true = _by_key(renders), _by_key(truth)
     valid = None if masks is None else _by_key(masks)
@@ -118,8 +118,8 @@ def _trios(renders: Path, truth: Path, masks: Path | None) -> list[Trio]:
 
 def _by_key(folder: Path) -> dict[str, str]:
     """Relative path without suffix -> relative path, of every image below the folder."""
-    from splatbench.base.errors import DataError
-    from splatbench.datasets.photos import list_photos
+    from splatproof.base.errors import DataError
+    from splatproof.datasets.photos import list_photos
 
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder, expected one of images")
@@ -137,8 +137,8 @@ def _by_key(folder: Path) -> dict[str, str]:
 
 def _problems(trio: Trio) -> Iterator[str]:
     """What is wrong with the files of a view; decodes each of them."""
-    from splatbench.base.errors import DataError
-    from splatbench.datasets.photos import read_photo
+    from splatproof.base.errors import DataError
+    from splatproof.datasets.photos import read_photo
 
     sizes: dict[Path, Sequence[int]] = {}
     for path in (trio.truth, trio.render, trio.mask):
@@ -162,9 +162,9 @@ def _score_all(trios: Sequence[Trio], rules: "Sequence[Protocol]") -> "dict[str,
 
     Raises: DataError after naming on stderr, one line each, every view that cannot be scored.
     """
-    from splatbench.base.errors import DataError
-    from splatbench.datasets.photos import read_photo
-    from splatbench.metrics.scoring import score_image
+    from splatproof.base.errors import DataError
+    from splatproof.datasets.photos import read_photo
+    from splatproof.metrics.scoring import score_image
 
     scores: dict[str, list[ImageScore]] = {rule.name: [] for rule in rules}
     failed = 0
@@ -188,7 +188,7 @@ def _score_all(trios: Sequence[Trio], rules: "Sequence[Protocol]") -> "dict[str,
 
 def _read_mask(path: Path) -> "Tensor":
     """True where the mask is white: at least half of full brightness."""
-    from splatbench.datasets.photos import read_photo
+    from splatproof.datasets.photos import read_photo
 
     return read_photo(path).mean(dim=2) >= 0.5
 

@@ -8,11 +8,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatbench.suites.published.ours import OurRow
-    from splatbench.suites.published.rows import Published
+    from splatproof.suites.published.ours import OurRow
+    from splatproof.suites.published.rows import Published
 
 METRICS = {
     "psnr": "PSNR [dB]",
@@ -47,8 +47,8 @@ def published(
         scene: Only this scene of it.
         out: Folder of our runs.
     """
-    from splatbench.suites.published.ours import our_rows
-    from splatbench.suites.published.rows import load_published, published_suites, rows_of
+    from splatproof.suites.published.ours import our_rows
+    from splatproof.suites.published.rows import load_published, published_suites, rows_of
 
     if suite is None:
         for name in published_suites():
@@ -76,7 +76,7 @@ def published(
 
 def _show(suite: str, paper: "Published", scene: str, ours: "list[OurRow]") -> None:
     """Print the rows of one scene: theirs, then ours."""
-    from splatbench.suites.published.rows import reasons, rows_of
+    from splatproof.suites.published.rows import reasons, rows_of
 
     why = reasons(paper, scene)
     rows: list[tuple[str, dict[str, str], str]] = []

@@ -1,4 +1,4 @@
-"""Folders that exist whole or not at all. (Files: splatbench.base.files.)"""
+"""Folders that exist whole or not at all. (Files: splatproof.base.files.)"""
 
 import shutil
 from collections.abc import Iterator

@@ -6,11 +6,11 @@ import os
 from pathlib import Path
 from typing import Any
 
-from splatbench.base.errors import DataError, MissingError, UsageError
-from splatbench.base.files import write_text
-from splatbench.cli import output
-from splatbench.methods.backends import get_backend
-from splatbench.suites.studies.study import STUDIES, Study
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.base.files import write_text
+from splatproof.cli import output
+from splatproof.methods.backends import get_backend
+from splatproof.suites.studies.study import STUDIES, Study
 
 Row = dict[str, Any]
 
@@ -101,7 +101,7 @@ def _machine(study: Study, backend: str) -> dict[str, str]:
     """Where the rows are measured, for studies that say it."""
     if study.page is None and not study.logged:
         return {}
-    from splatbench.suites.environment import machine
+    from splatproof.suites.environment import machine
 
     return machine(backend)
 
@@ -146,8 +146,8 @@ def _short(value: object) -> object:
 
 
 def _log(name: str, out: Path, machine: dict[str, str], rows: list[Row], files: list[Path]) -> None:
-    from splatbench.reports.mlflow_client import default_uri
-    from splatbench.reports.study_log import log_study
+    from splatproof.reports.mlflow_client import default_uri
+    from splatproof.reports.study_log import log_study
 
     reason = log_study(name, machine, rows, files, default_uri(out))
     if reason:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from splatbench.base.errors import SplatbenchError, UsageError
+from splatproof.base.errors import SplatproofError, UsageError
 
 T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=True)
@@ -49,7 +49,7 @@ def build(kind: type[T], table: Mapping[str, object], where: str) -> T:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise UsageError(_told(kind, first["loc"][1:], dict(first), where)) from None
-    except SplatbenchError as error:  # the dataclass checks its own values
+    except SplatproofError as error:  # the dataclass checks its own values
         raise UsageError(f"{where}: {error}") from None
 
 

@@ -1,4 +1,4 @@
-"""Native CPU kernels of splatbench."""
+"""Native CPU kernels of splatproof."""
 
 from torch import Tensor
 

@@ -1,7 +1,7 @@
 """The `bench` command: one module a command, joined here by tyro.
 
-A command is a plain typed function in splatbench.cli.<command>; its docstring's Args are the help, what
-it returns (an int, or None for 0) is the exit code, and it prints through splatbench.cli.output. It is
+A command is a plain typed function in splatproof.cli.<command>; its docstring's Args are the help, what
+it returns (an int, or None for 0) is the exit code, and it prints through splatproof.cli.output. It is
 imported only when it is chosen, and imports what is heavy (torch, mlflow, pycolmap) when it is called.
 """
 
@@ -21,8 +21,8 @@ from typing import Annotated, Any, get_type_hints
 import tyro
 from tyro.extras import SubcommandApp
 
-from splatbench.base.errors import MissingError, SplatbenchError
-from splatbench.cli import output
+from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.cli import output
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
@@ -35,7 +35,7 @@ class Command:
     """One subcommand: where its function lives, and the line that `bench --help` shows."""
 
     module: str
-    """Module of splatbench.cli."""
+    """Module of splatproof.cli."""
     functions: dict[str, str]
     """Subcommand name to function name; "" for a command without subcommands. Empty: the module's
     function subcommands() returns subcommand name to function (they depend on a registry)."""
@@ -151,15 +151,15 @@ def _told(action: Callable[[], int]) -> int:
     """The exit code of `action`; errors that a user can mend become one line on stderr."""
     try:
         return action()
-    except SplatbenchError as error:
-        if os.environ.get("SPLATBENCH_DEBUG"):
+    except SplatproofError as error:
+        if os.environ.get("SPLATPROOF_DEBUG"):
             traceback.print_exc()
         print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
     except OSError as error:
         if error.errno not in OF_THE_MACHINE:
             raise
-        if os.environ.get("SPLATBENCH_DEBUG"):
+        if os.environ.get("SPLATPROOF_DEBUG"):
             traceback.print_exc()
         where = f"{error.filename2 or error.filename}: " if error.filename else ""
         said, advice = os.strerror(error.errno), OF_THE_MACHINE[error.errno]
@@ -197,7 +197,7 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
     Help shows the whole docstring of the command that is chosen (`below`, in a group) and the first
     line of its neighbours.
     """
-    module = importlib.import_module(f"splatbench.cli.{command.module}")
+    module = importlib.import_module(f"splatproof.cli.{command.module}")
     named = {key: getattr(module, f) for key, f in command.functions.items()}
     functions = {key: _with_style(f) for key, f in (named or module.subcommands()).items()}
     if "" in functions:
@@ -223,7 +223,7 @@ QuietFlag = Annotated[
 
 
 def _with_style(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with `--json` and `--quiet` added: how splatbench.cli.output speaks."""
+    """The command with `--json` and `--quiet` added: how splatproof.cli.output speaks."""
 
     def command(*args: Any, json: bool, quiet: bool, **named: Any) -> Any:
         with output.speaking(output.Style(json=json, quiet=quiet)):

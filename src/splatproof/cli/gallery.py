@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from splatbench.cli import output
+from splatproof.cli import output
 
 
 def gallery(
@@ -22,10 +22,10 @@ def gallery(
         scene: Scene to draw them on; some pictures need one with true depth.
         page: Also write the Markdown page of all components to this file.
     """
-    from splatbench.base.files import write_text
-    from splatbench.datasets.opening import open_scene
-    from splatbench.metrics.protocol_files import load_protocol
-    from splatbench.suites.gallery import pictures
+    from splatproof.base.files import write_text
+    from splatproof.datasets.opening import open_scene
+    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.suites.gallery import pictures
 
     opened = open_scene(scene, load_protocol("quick"))
     for path in pictures.draw(opened, out, lambda name: output.log(f"drawn: {name}")):

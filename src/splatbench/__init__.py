@@ -1,5 +1,0 @@
-"""splatbench: a test-first evaluation and benchmark harness for large-scale Gaussian splatting."""
-
-from importlib.metadata import version
-
-__version__ = version("splatbench")
