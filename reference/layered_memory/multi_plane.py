@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatproof.reference.rasterizer import rasterize, spherical_harmonics
+from splatproof.reference.rasterizer import spherical_harmonics
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 
 ANCHOR_OPACITY = 0.95

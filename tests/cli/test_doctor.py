@@ -9,7 +9,7 @@ from helpers.random_weights import forget, write_weights
 from splatproof import _ext
 from splatproof.cli import main
 from splatproof.methods import backends
-from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.rasterizer.rasterize import rasterize
 
 
 def findings(capsys) -> dict[str, dict[str, str]]:

@@ -23,7 +23,7 @@ from splatproof.metrics.seam import (
     seam_sums,
 )
 from splatproof.metrics.seam_render import render_seam_view
-from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.rasterizer.rasterize import rasterize
 
 
 def random_view(height: int, width: int, count: int, seed: int, share: float = 0.5) -> SeamView:

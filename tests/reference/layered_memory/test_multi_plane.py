@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from splatproof.reference.layered_memory import coordinate_field, multi_plane
-from splatproof.reference.rasterizer import rasterize, rotation
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.gaussians import Gaussians
 

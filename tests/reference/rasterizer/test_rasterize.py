@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatproof.reference.rasterizer import rasterize, rotation
+from splatproof.reference.rasterizer import rotation
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
 from splatproof.reference.types.camera import Camera
 

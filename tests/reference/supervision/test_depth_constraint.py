@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatproof.reference.rasterizer import rasterize
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.supervision import depth_constraint as dc
 from splatproof.reference.types.camera import Camera
 
