@@ -50,10 +50,10 @@ class MotionAnchors:
     """Orientation of the base covariance that the support network reads; decoding does not."""
     log_scales: Float[Tensor, "n 3"]
     peaks: Float[Tensor, " n"]
-    """tau."""
+    """tau: the time at which an anchor is most visible and stands at its centre."""
     velocities: Float[Tensor, "n 3"]
     log_spans: Float[Tensor, " n"]
-    """Logarithm of beta."""
+    """Logarithm of beta, how long an anchor stays visible around its peak."""
     offsets: tuple[Float[Tensor, "n _ 3"], ...]
     """For layers 1 to N - 1: o_i in units of the scale, k^i rows (the last: K rows) an anchor."""
 
@@ -107,6 +107,11 @@ def create_networks(
 ) -> HierarchyNetworks:
     """Networks with one hidden layer; residual ones start at zero, so that motion starts rigid.
 
+    Args:
+        settings: Sizes of the hierarchy, which fix the networks' inputs and outputs.
+        generator: Source of the random weights.
+        dtype: Dtype of the parameters.
+
     Raises: ValueError if there are fewer than 2 layers or K is not a multiple of k^(N - 2).
     """
     if settings.layers < 2 or settings.gaussians % settings.leaves:
@@ -155,8 +160,8 @@ def decode(
         anchors: The stored layer 0 and offsets.
         networks: From `create_networks` with the same settings.
         settings: Sizes; the offsets must fit them.
-        time: t, unit of time.
-        camera_centre: Where it is seen from.
+        time: t, in the unit of the peaks and of the period.
+        camera_centre: Camera centre in the world, scene units; all but position depends on it.
 
     Source: HDGS, Eqs. 1 to 6.
     """
@@ -224,7 +229,12 @@ def _leaves(
 
 
 def stored_numbers(anchors: MotionAnchors, networks: HierarchyNetworks) -> int:
-    """Numbers that are saved: anchors and networks, not the decoded Gaussians."""
+    """Numbers that are saved: anchors and networks, not the decoded Gaussians.
+
+    Args:
+        anchors: Layer 0 and the offsets of all layers.
+        networks: All networks, biases included.
+    """
     stored = [value for value in vars(anchors).values() if isinstance(value, Tensor)]
     stored += anchors.offsets
     nets = [networks.leaf_position, networks.colour, networks.opacity, networks.shape]

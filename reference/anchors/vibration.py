@@ -39,7 +39,9 @@ def life(
     """F(t) = exp(-((t - tau) / beta)^2 / 2), the factor on opacity; 1 at the peak.
 
     Args:
-        spans: beta > 0, unit of time.
+        peaks: tau, the time of each life peak.
+        spans: beta > 0, in the unit of time.
+        time: t, in the same unit.
 
     Raises: ValueError if a span is not positive.
 
