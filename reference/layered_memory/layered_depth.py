@@ -71,8 +71,9 @@ def insert(
     outside the reference image or not in front of it are ignored.
 
     Args:
-        positions: World positions of the new samples.
-        colours: Their sRGB colours in [0, 1].
+        memory: The LDI so far; it is left as it is.
+        positions: World positions of the new samples, scene units.
+        colours: sRGB colours of the new samples, in [0, 1].
 
     Source: StratoSplat, Sec. 3.2, "Layered Memory".
     """
@@ -174,6 +175,10 @@ def render(
     Every layer is drawn as a square as wide as its reference pixel's footprint (at least one
     pixel), nearest first, so that a surface sampled at every reference pixel has no gaps through
     which hidden layers could be seen.
+
+    Args:
+        memory: The layers to be drawn.
+        camera: Camera of the view that they are drawn in; its image has the result's size.
 
     Returns: z-depth in scene units (0 where nothing was drawn) and where something was drawn.
 
