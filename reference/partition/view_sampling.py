@@ -61,7 +61,7 @@ def view_bins(
 def stride(bins: int) -> int:
     """Step that visits all bins before it repeats one: coprime with their number.
 
-    Of those, the nearest to the golden share of the number, the smaller one on a tie.
+    Among these steps it is the one nearest to GOLDEN times `bins`; of two, the smaller.
 
     Source: StitchGS, Sec. 3.2.2 (fixed stride); coprime, its release; golden share, ours.
     """
