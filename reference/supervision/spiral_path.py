@@ -32,6 +32,11 @@ def look_at(
     Where the view direction is parallel to up (nadir), the world axis least parallel to it takes
     the place of up.
 
+    Args:
+        eye: Camera centre in the world, scene units.
+        target: World position in the middle of the image, scene units.
+        up: Direction of the image's top in the world, any length > 0.
+
     Raises: ValueError if eye and target coincide.
 
     Source: DPGS, Eq. 2 (its argument order is target, eye, up).
@@ -65,10 +70,11 @@ def spiral_path(
     view, as in the training views) to `look_up` of the orbit's own height (facades in view).
 
     Args:
-        centre: Scene centre on the ground.
+        centre: Scene centre on the ground, scene units.
         up: Unit vector against gravity.
         footprint: Radius of the scene's footprint, > 0, scene units.
         flight_height: H_max above the ground, > 0, scene units.
+        settings: Numbers of orbits and views, radius of the orbits and height they look at.
 
     Raises: ValueError if a length is not positive, or an orbit has no views.
 
