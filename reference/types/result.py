@@ -9,7 +9,12 @@ AROUND = ("load", "init", "save", "score")
 
 
 def row_name(method: str, variant: str) -> str:
-    """method@variant, or the method alone where it has no variant."""
+    """method@variant, or the method alone where it has no variant.
+
+    Args:
+        method: Name of the method.
+        variant: What a suite calls the method's settings; "": they have no name of their own.
+    """
     return f"{method}@{variant}" if variant else method
 
 
