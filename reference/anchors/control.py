@@ -20,7 +20,7 @@ class GrowthSettings:
     temporal_share: float = 0.25
     """Share of the voxels above temporal_gradient that do grow in time, drawn at random."""
     fine: int = 2
-    """Subdivision of a dense voxel's edge."""
+    """Number of parts into which the edge of a dense voxel is cut."""
     opacity: float = 0.005
     """Mean opacity of an anchor's Gaussians below which it is pruned."""
     unvisited: int = 500
@@ -98,7 +98,7 @@ def temporal_growth(
 
     Args:
         gradient: Mean |d loss / d tau| of each voxel, >= 0.
-        settings: Temporal threshold and share.
+        settings: Gradient from which a voxel may grow in time, and the share that does.
         generator: Source of the random share.
 
     Source: HDGS, Sec. 3.5.

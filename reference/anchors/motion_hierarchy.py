@@ -23,13 +23,13 @@ class HierarchySettings:
     layers: int = 3
     """N: layers 0 to N - 2 hold anchors, layer N - 1 the Gaussians."""
     children: int = 2
-    """k: children of an anchor in the anchor layers."""
+    """k: number of children of an anchor in the anchor layers."""
     gaussians: int = 12
-    """K: Gaussians of one initial anchor; a multiple of k^(N - 2)."""
+    """K: number of Gaussians of one initial anchor; a multiple of k^(N - 2)."""
     features: int = 32
     instance: int = 8
     period: float = 1.0
-    """p of the vibration, unit of time."""
+    """p: after this time the vibration repeats. In the unit of the scene's times."""
 
     @property
     def leaves(self) -> int:
@@ -42,10 +42,10 @@ class MotionAnchors:
     """What is stored: layer 0 and every layer's offsets. Deeper anchors are decoded, never saved."""
 
     centres: Float[Tensor, "n 3"]
-    """mu_0, at the life peak."""
+    """mu_0: positions at the life peak, scene units."""
     features: Float[Tensor, "n f"]
     instances: Float[Tensor, "n h"]
-    """h: inherited by all descendants."""
+    """h: instance features; all descendants of an anchor inherit them."""
     quaternions: Float[Tensor, "n 4"]
     """Orientation of the base covariance that the support network reads; decoding does not."""
     log_scales: Float[Tensor, "n 3"]
@@ -72,7 +72,7 @@ class HierarchyNetworks:
     """All networks; shared by all anchors."""
 
     layers: tuple[LayerNetworks, ...]
-    """One for each anchor layer 1 to N - 2."""
+    """Residual networks of the anchor layers 1 to N - 2."""
     leaf_position: Mlp
     """Residual of the Gaussians' positions, layer N - 1."""
     colour: Mlp

@@ -20,9 +20,9 @@ class SupportNetwork:
     modulation: Mlp
     """MLP_gamma: 4 numbers (alignment, three eigenvalue shares) to c."""
     residual: Mlp
-    """One linear layer, c to c."""
+    """Linear layer of the residual that is added to the features, c to c."""
     gate: Mlp
-    """MLP_g: c to 1, before the sigmoid."""
+    """MLP_g: how much of the residual is added; c to 1, before the sigmoid."""
 
 
 def create(channels: int, generator: torch.Generator, dtype: torch.dtype) -> SupportNetwork:
@@ -93,7 +93,7 @@ def support(
 
     Args:
         network: Parameters of the step.
-        features: Anchor features f.
+        features: Features f of the anchors, one row each.
         centres: Anchor positions in the world, scene units; at most one anchor a voxel.
         quaternions: Orientation (w, x, y, z) of each anchor's base covariance, any norm.
         scales: Standard deviations of the base covariance in scene units, > 0.

@@ -19,9 +19,9 @@ def vibrate(
     Args:
         centres: Positions mu_0 at the life peak, scene units.
         velocities: v at the life peak, scene units a unit of time.
-        peaks: tau, unit of time.
-        time: t, any value; the motion repeats with the period.
-        period: p > 0, unit of time.
+        peaks: tau, the time of each life peak.
+        time: t in the unit of the peaks, any value; the motion repeats with the period.
+        period: p > 0, in the same unit.
 
     Raises: ValueError if the period is not positive.
 
