@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 GATE = 0.02
-"""gamma of StitchGS, Sec. 4.1.2."""
+"""gamma: energy from which harmonics are kept (StitchGS, Sec. 4.1.2)."""
 Weighting = Literal["coefficients", "orders"]
 
 
