@@ -53,7 +53,7 @@ class AdaptationSettings:
     """How strongly and how long the geometry pulls on the prediction."""
 
     visible_weight: float = 0.1
-    """lambda_vis (paper, Sec. 4)."""
+    """lambda_vis: weight of the memory's guide depth in the loss (paper, Sec. 4)."""
     guidance_steps: int = 20
     """Optimiser steps at each denoising step (ours; the paper names none)."""
     learning_rate: float = 0.2
@@ -135,7 +135,7 @@ def guidance_loss(
         sparse: Depths of SfM points in the view, scene units.
         guide: Guide depth of the memory in scene units; only read where visible.
         visible: Pixels where the memory has a depth.
-        visible_weight: lambda_vis >= 0.
+        visible_weight: Weight lambda_vis >= 0 of the guide depth.
 
     Source: StratoSplat, Eqs. 3 and 4.
     """

@@ -18,8 +18,8 @@ class EdgeDiffusion:
         """Choose how far values travel.
 
         Args:
-            steps: Denoising steps.
-            sweeps: Smoothing sweeps a step; values travel about sqrt(sweeps) pixels.
+            steps: Number of denoising steps.
+            sweeps: Number of smoothing sweeps a step; values travel about sqrt(sweeps) pixels.
             contrast: Colour difference (of 1) at which the exchange falls to 1/e.
 
         Raises: ValueError if one of them is not positive.
@@ -67,7 +67,7 @@ class EdgeDiffusion:
         return latent
 
     def decode(self, latent: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-        """Depth in (0, 1)."""
+        """Depth in (0, 1): the sigmoid of the latent."""
         return torch.sigmoid(latent)
 
     def _weights(self, difference: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w"]:

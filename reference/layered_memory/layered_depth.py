@@ -26,9 +26,9 @@ class LayeredDepth:
     depths: Float[Tensor, " n"]
     """z-depth in the reference camera, strictly increasing within a pixel."""
     positions: Float[Tensor, "n 3"]
-    """World positions."""
+    """World positions of the layers, scene units."""
     colours: Float[Tensor, "n 3"]
-    """sRGB in [0, 1]."""
+    """sRGB colours of the layers, in [0, 1]."""
     counts: Int[Tensor, " n"]
     """How many samples each layer holds."""
     forced: int = 0

@@ -25,9 +25,9 @@ class PlaneStack:
     """K parallel planes n . p + d_k = 0, fixed, shared by all views."""
 
     normal: Float[Tensor, "3"]
-    """Unit vector, on the side of up."""
+    """n: unit normal of all planes, on the side of up."""
     offsets: Float[Tensor, " k"]
-    """d_k in scene units."""
+    """d_k of each plane in scene units."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,13 +36,13 @@ class Hits:
 
     positions: Float[Tensor, "r k 3"]
     distances: Float[Tensor, "r k"]
-    """t_k along the unit ray, scene units."""
+    """t_k: distance of each hit from the ray's origin, scene units."""
     valid: Bool[Tensor, "r k"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VirtualGaussians:
-    """Activated values, as a rasterizer takes them."""
+    """Virtual Gaussians of one view, with activated values as a rasterizer takes them."""
 
     means: Float[Tensor, "n 3"]
     quaternions: Float[Tensor, "n 4"]
