@@ -79,7 +79,7 @@ def widen(box: Box, share: float) -> Box:
     """Box longer by `share` of each axis: [low - share/2 (high - low), high + share/2 (high - low)].
 
     Args:
-        box: The core box.
+        box: The core box: bounds of the points that a block owns.
         share: alpha >= 0; the paper's 0.2 adds a tenth of the size on each side.
 
     Source: DPGS, Sec. 3.3, Eq. 7.

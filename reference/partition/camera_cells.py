@@ -49,8 +49,8 @@ def camera_grid(centres: Float[Tensor, "v 2"], columns: int, rows: int) -> Camer
 
     Args:
         centres: Camera centres on the ground (x, y).
-        columns: m >= 1.
-        rows: n >= 1.
+        columns: Number m >= 1 of columns along x.
+        rows: Number n >= 1 of cells that each column is cut into along y.
 
     Raises: DataError for fewer cameras than cells.
 

@@ -96,7 +96,7 @@ def split(ground: Float[Tensor, "n 2"], settings: DensitySettings) -> Rectangles
 
     Args:
         ground: Points on the ground (x, y), not filtered.
-        settings: When to stop.
+        settings: Number of points, halvings and blocks at which to stop.
 
     Raises: DataError without points; UsageError for settings that allow no block.
 

@@ -26,7 +26,7 @@ def block_boxes(
     Args:
         points: Points of the whole scene, scene units.
         labels: Block that owns each point.
-        block: Number of the block.
+        block: Number of the block whose boxes are wanted.
         rim: alpha >= 0: the auxiliary box is longer by this share of each axis.
 
     Raises: DataError for a block that owns nothing.

@@ -29,7 +29,7 @@ class OdbpSettings:
     """How a scene is cut into blocks of equal rendering load."""
 
     blocks: int
-    """K, at least 1."""
+    """K, the number of blocks, at least 1."""
     voxel_size: float
     """Side of a voxel in scene units."""
     imbalance: float = 0.05
@@ -125,7 +125,7 @@ def halve(
     A voxel with one point, or with points that coincide, stays as heavy as it is.
 
     Args:
-        grid: Positions in voxels.
+        grid: Positions in voxels, >= 0 (grid_coordinates).
         loads: Load of each point.
         levels: How often the voxel around each point has been halved so far.
         limit: Heaviest voxel allowed.
