@@ -25,11 +25,11 @@ class Projected:
     depths: Float[Tensor, " n"]
     """Camera-space z in scene units; the drawing order."""
     covariances: Float[Tensor, "n 2 2"]
-    """Squared pixels, low-pass included."""
+    """2D covariances in squared pixels, low-pass included."""
     compensation: Float[Tensor, " n"]
     """Factor in [0, 1] that mode "antialiased" puts on opacity."""
     in_front: Bool[Tensor, " n"]
-    """Camera-space z > near."""
+    """Whether camera-space z > near; only these Gaussians are drawn."""
 
 
 def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:

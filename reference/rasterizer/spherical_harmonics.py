@@ -18,8 +18,8 @@ def basis(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n k"]
     Signs and order are those of the 3DGS release and its .ply files.
 
     Args:
-        directions: Unit vectors.
-        degree: 0 to 3.
+        directions: Unit vectors along which the functions are evaluated.
+        degree: Highest degree of the basis, 0 to 3.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4; constants from its release.
     """
