@@ -28,9 +28,9 @@ class StitchSettings:
     normalise: bool = True
     """Divide Q, which has unit 1/length, by its median over all that competes."""
     from_logits: bool = False
-    """Take the opacity LOGIT for alpha in Q."""
+    """Take the opacity LOGIT where Q has the opacity."""
     epsilon: float = 1e-12
-    """Added to the mean scale, in scene units."""
+    """Added to the mean scale in Q, in scene units: no division by 0."""
     keep_unopposed: bool = True
     """Keep what no other block reaches; else it competes with a score of 0."""
 
@@ -124,7 +124,7 @@ def keep_probabilities(
 
     Args:
         blocks: All blocks; their order does not matter.
-        settings: How they compete.
+        settings: Number of neighbours, sharpness and the choices in Q.
 
     Raises: UsageError for K < 1 or a sharpness that is negative or not finite.
 
@@ -175,8 +175,8 @@ def stitch(
     blocks are given does not matter.
 
     Args:
-        blocks: All trained blocks.
-        settings: How they compete.
+        blocks: All trained blocks, before their overlaps are cut away.
+        settings: Number of neighbours, sharpness and the choices in Q.
         generator: Source of the draws.
 
     Returns: One mask a block, in the order in which the blocks are given.
