@@ -43,8 +43,8 @@ def match_by_flow(
     pixels in squared 8-bit steps: a flat patch proves nothing. It is 0 where B does not reach.
 
     Args:
-        image_a: sRGB in [0, 1].
-        image_b: sRGB in [0, 1]; any size if the homography is given, else the size of image_a.
+        image_a: The image that is matched at every pixel, sRGB in [0, 1].
+        image_b: The other image, sRGB in [0, 1]; as large as image_a, or of any size with a plane.
         plane: Homography from pixels of A to pixels of B (centres at .5); None: the identity.
 
     Source: flow: Kroeger et al. 2016, "Fast Optical Flow using Dense Inverse Search" (OpenCV);

@@ -15,9 +15,9 @@ class SpiralSettings:
     """Shape of the spiral. The paper gives no numbers: these are ours."""
 
     layers: int = 4
-    """L: orbits, from the flight height down."""
+    """L: number of orbits, from the flight height down."""
     views: int = 12
-    """Views an orbit."""
+    """Number of views on each orbit."""
     radius: float = 1.0
     """Orbit radius in footprint radii; at least 1, so that the orbit encloses the scene."""
     look_up: float = 0.6
