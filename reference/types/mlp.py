@@ -14,7 +14,7 @@ class Mlp:
     """Weights and biases, first layer first; ReLU between layers, nothing after the last."""
 
     weights: tuple[Float[Tensor, "_ _"], ...]
-    """Each of shape (inputs, outputs)."""
+    """Weight matrix of each layer, of shape (inputs, outputs)."""
     biases: tuple[Float[Tensor, " _"], ...]
 
 
@@ -44,7 +44,7 @@ def evaluate(network: Mlp, inputs: Float[Tensor, "n a"]) -> Float[Tensor, "n b"]
     """Outputs of the network.
 
     Args:
-        network: Weights and biases.
+        network: Layers to apply, first to last, with ReLU between them.
         inputs: One row a sample, as many columns as the first layer has inputs.
     """
     values = inputs
