@@ -68,7 +68,7 @@ def check_values(
     """Refuse valid pixels that are not finite or, if `bounded`, outside [0, 1].
 
     Args:
-        image: Any image.
+        image: The image to be checked.
         valid: True where a pixel is looked at.
         what: Name of the image, for errors.
         bounded: Whether values must be in [0, 1]; else they need only be finite.

@@ -33,9 +33,9 @@ class Prepared:
     """What is scored, after the protocol's rules were applied."""
 
     render: Float[Tensor, "h w 3"]
-    """Clamped to [0, 1] and rounded; float32."""
+    """What the method shows, clamped to [0, 1] and rounded; float32."""
     truth: Float[Tensor, "h w 3"]
-    """As it came, in [0, 1]; float32."""
+    """What the camera saw, unaltered, in [0, 1]; float32."""
     mask: Bool[Tensor, "h w"] | None
     """True where a pixel counts; None: everywhere."""
 

@@ -15,7 +15,7 @@ from splatproof.reference.types.render import RenderOutput
 
 
 class BlockPictures(Protocol):
-    """Each block's Gaussians alone."""
+    """Pictures of each block's Gaussians alone, as `render_blocks` returns them."""
 
     @property
     def colours(self) -> Float[Tensor, "b h w 3"]:
@@ -46,7 +46,7 @@ def render_seam_view(
         rasterize: Rasterizer of any backend, with the signature of
             splatproof.reference.rasterizer.rasterize.
         camera: Camera of the test view.
-        gaussians: The merged model.
+        gaussians: The merged model, all blocks together.
         blocks: Block of each Gaussian, 0 to b - 1.
         distances: Normalised distance of each Gaussian to the oriented box of its own block.
         truth: The test image, in [0, 1].
