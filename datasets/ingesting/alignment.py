@@ -1,4 +1,4 @@
-"""From the frame of structure from motion to metres east, north, up, by the photos' GPS."""
+"""The photos' GPS takes a model from its own frame to metres east, north and up."""
 
 import math
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ def align(
         rotations: World to camera of the registered photos with GPS.
         centres: Their camera centres.
         metres: Their GPS positions from `local_metres`; altitudes may be nan.
-        seed: Of RANSAC.
+        seed: Decides which samples RANSAC draws.
 
     Returns: The alignment, or in words why there is none.
     """
