@@ -183,7 +183,7 @@ class Pinhole:
     """What a photo's camera becomes under a protocol."""
 
     K: Float[Tensor, "3 3"]
-    """Of the truth image."""
+    """Intrinsics of the truth image, in its pixels."""
     size: tuple[int, int]
     """(width, height) of the truth image."""
     undistortion: Undistortion | None

@@ -37,8 +37,8 @@ class PosedPhoto:
     sky: Path | None = None
     """Mask image of the photo's size: above 0 where there is sky."""
     moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
-    """By kind ("vehicles", "people"), what moves: a mask image of the photo's size, above 0 there, or
-    what makes such a mask. Empty: not known."""
+    """What moves: kind ("vehicles", "people") to a mask image of the photo's size, above 0 where such
+    a thing is, or to what makes such a mask. Empty: not known."""
     time: float | None = None
     """Seconds from any start."""
     sensor: str = ""
@@ -49,7 +49,7 @@ class Sweep:
     """One turn of a LiDAR."""
 
     time: float
-    """As the photos'."""
+    """Seconds from the same start as the photos' times."""
     path: Path
     read: Callable[[], Float64[np.ndarray, "n 3"]]
     """Reads all its points, in the scene's frame."""

@@ -50,7 +50,7 @@ class SceneEntry:
     url: str = ""
     """Archive that `bench scenes get` downloads."""
     sha256: str = ""
-    """Of that archive."""
+    """Sha256 of that archive, in hex."""
     world: str = ""
     """For made scenes: the procedural world."""
     preset: str = ""
@@ -161,7 +161,7 @@ def find_scene(name: str, report: Report | None = None) -> Path:
 
     Args:
         name: As in `bench scenes list`.
-        report: Told (views done, views in all) while a scene is made; None: a bar on stderr.
+        report: Told (steps done, steps in all) while a scene is made; None: a bar on stderr.
 
     Raises: UsageError for an unknown name; MissingError for a scene that is not on this machine,
         saying where it was looked for and how to get it.
@@ -195,7 +195,13 @@ def made_folder(entry: SceneEntry) -> Path:
 
 
 def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
-    """Make a made scene in the cache; a second process waits and finds it there."""
+    """Make a made scene in the cache unless it is there; a second process waits and finds it.
+
+    Args:
+        entry: A scene whose kind is "made".
+        report: Told (steps done, steps in all) while the world is made; None: a bar on stderr.
+    Returns: The scene's folder.
+    """
     from splatproof.datasets.procedural import worlds
 
     folder = made_folder(entry)
@@ -211,7 +217,12 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
 def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) -> Path:
     """Download and unpack a scene below the first data root; the archive is deleted then.
 
-    Raises: MissingError if it has to be got by hand.
+    Args:
+        entry: A scene with the `url` and the `sha256` of its archive.
+        report: Told (bytes so far, bytes in all or 0 where the server does not say).
+    Returns: The scene's folder; one that is there already is left alone.
+    Raises: MissingError if it has to be got by hand, or the download fails; DataError for an
+        archive with another checksum or one that cannot be unpacked.
     """
     if not entry.url:
         raise MissingError(absence(entry))
@@ -227,7 +238,12 @@ def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) ->
 
 
 def changed_files(entry: SceneEntry, folder: Path) -> list[str]:
-    """Files of a scene that are missing or differ from the registry's checksums."""
+    """Files of a scene that are missing or differ from the registry's checksums.
+
+    Args:
+        entry: A scene; its `files` has the checksums that are known.
+        folder: The scene's folder on this machine.
+    """
     return [
         name
         for name, digest in sorted(entry.files.items())

@@ -25,7 +25,7 @@ from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 SEED = 0
-"""Of the verification of matches and the triangulation, which draw samples."""
+"""Seed of the verification of matches and of the triangulation, which draw samples."""
 VERSION = "2"
 """Changes when other points would come out of equal views."""
 Report = Callable[[int, int], None]
