@@ -83,8 +83,8 @@ def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> 
     """Points without tracks.
 
     Args:
-        positions: In the scene's frame.
-        colours: uint8 RGB, n x 3.
+        positions: Places in the scene's frame.
+        colours: RGB of each, uint8, n x 3.
     """
     return SparsePoints(
         positions=torch.from_numpy(positions),
@@ -95,6 +95,6 @@ def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> 
 
 
 def copy_factor(folder: str) -> int:
-    """N of a folder of copies NAME_<N>, whose photos have 1/N of the calibrated sides; else 1."""
+    """How many times smaller than calibrated a folder's photos are: N for NAME_<N>, else 1."""
     named = re.search(r"_(\d+)$", folder)
     return max(int(named.group(1)), 1) if named else 1

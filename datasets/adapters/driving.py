@@ -95,10 +95,10 @@ def sweep(
 
     Args:
         path: The file; it is read when asked for.
-        time: As the photos'.
-        to_world: From the file's frame to the scene's.
-        columns: Numbers a row.
-        first: Column of x; y and z follow.
+        time: Seconds from the same start as the photos' times.
+        to_world: Motion from the file's frame to the scene's.
+        columns: Numbers in a row.
+        first: Index of the column of x; y and z follow.
     """
     return Sweep(time=time, path=path, read=lambda: _points(path, to_world, columns, first))
 

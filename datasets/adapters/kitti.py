@@ -25,7 +25,7 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
 EARTH_RADIUS = 6378137.0
-"""Metres, of the Mercator projection of the devkit."""
+"""Radius in metres of the devkit's Mercator projection."""
 CAMERAS = ("02", "03")
 RAW_CALIBRATIONS = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
 
