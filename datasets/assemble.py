@@ -1,4 +1,4 @@
-"""From what an adapter has read to a Scene under a protocol: the one place for all adapters."""
+"""Makes a Scene of what an adapter has read, by a protocol's rules: one place for all adapters."""
 
 import copy
 import hashlib

@@ -24,7 +24,7 @@ class Box:
     """A thing at one moment."""
 
     track: str
-    """The same for a thing at all moments."""
+    """Name of the thing, the same at all moments."""
     kind: str
     """One of splatproof.datasets.moving_masks.KINDS."""
     frame: int
@@ -97,7 +97,7 @@ def box_outline(
     """Convex outline in pixels of the part of a box that lies before the camera; may be empty.
 
     Args:
-        box: In the scene's frame.
+        box: A box in the scene's frame.
         K: Intrinsics of a pinhole camera, in pixels.
         world_to_camera: Pose of that camera, OpenCV axes.
     """

@@ -17,7 +17,7 @@ from splatproof.datasets.files import sha256_of
 from splatproof.datasets.progress import bar
 
 FILE = "registry.toml"
-"""Beside this module; a data root may hold one of its own with further scenes."""
+"""The registry beside this module; a data root may hold one of its own with further scenes."""
 SCENE = "<scene>"
 """Stands for the scene's name in a set's `folders` and `get`."""
 DEFAULT_ROOTS = ("data", "../shared/data")
@@ -52,7 +52,7 @@ class SceneEntry:
     sha256: str = ""
     """Sha256 of that archive, in hex."""
     world: str = ""
-    """For made scenes: the procedural world."""
+    """Name of the procedural world that makes the scene; "" where none does."""
     preset: str = ""
     seed: int = 0
     part: str = ""
@@ -160,7 +160,7 @@ def find_scene(name: str, report: Report | None = None) -> Path:
     """Folder of a registered scene; a made one is made when it is asked for first.
 
     Args:
-        name: As in `bench scenes list`.
+        name: A name that `bench scenes list` has.
         report: Told (steps done, steps in all) while a scene is made; None: a bar on stderr.
 
     Raises: UsageError for an unknown name; MissingError for a scene that is not on this machine,

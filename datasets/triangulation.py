@@ -39,7 +39,7 @@ def with_triangulated(scene: Scene) -> Scene:
     views hardly any others are left. Poses and intrinsics are not touched. No point may come out.
 
     Args:
-        scene: Its own points are replaced.
+        scene: The scene, whose own points are replaced.
     Raises: DataError with fewer than two training views.
     Source: StratoSplat, Sec. 4.1 (implementation details); Schoenberger and Frahm 2016 (COLMAP).
     """

@@ -1,4 +1,4 @@
-"""From any COLMAP camera model to a pinhole: the pinhole's size and K, and where its pixels lie.
+"""Replaces any COLMAP camera by a pinhole: the pinhole's size and K, and where its pixels lie.
 
 Geometry is COLMAP's own camera model in float64; pixels are sampled bilinearly, as COLMAP's
 image_undistorter does, so the images equal its images before their 8-bit step.

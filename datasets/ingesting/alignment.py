@@ -62,8 +62,8 @@ def align(
 
     Args:
         rotations: World to camera of the registered photos with GPS.
-        centres: Their camera centres.
-        metres: Their GPS positions from `local_metres`; altitudes may be nan.
+        centres: Camera centres of these photos, in the model's frame.
+        metres: GPS positions of these photos from `local_metres`; altitudes may be nan.
         seed: Decides which samples RANSAC draws.
 
     Returns: The alignment, or in words why there is none.

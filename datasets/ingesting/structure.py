@@ -191,7 +191,7 @@ def reconstruct(
 
 
 def matched_photos(work: Structure) -> dict[str, int]:
-    """For every photo with features, the most verified matches that it has with another one."""
+    """Each photo with features, and the most verified matches that it has with another one."""
     with pycolmap.Database.open(work.database) as database:
         names = {image.image_id: image.name for image in database.read_all_images()}
         best = dict.fromkeys(names.values(), 0)
