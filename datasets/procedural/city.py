@@ -56,7 +56,7 @@ class Settings:
     oblique: int = 5
     """Low oblique views that no training view has."""
     facade: int = 5
-    """Views of facades from the streets, likewise."""
+    """Views of facades from the streets, which no training view has either."""
     cell: float = 3.0
     """Metres between the places where sky light is known."""
     samples: int = 3
@@ -173,7 +173,14 @@ def height(
     half: Float[np.ndarray, "2"],
     river: bool,
 ) -> Float[np.ndarray, "..."]:
-    """Flat city, a river bed beyond its last row, hills around. Metres."""
+    """Flat city, a river bed beyond its last row, hills around. Metres.
+
+    Args:
+        x: Places in metres.
+        y: Places in metres, one for each of `x`.
+        half: Half of the city's extent along x and y, in metres.
+        river: Whether a river runs along the last row of blocks.
+    """
     out = np.maximum(np.abs(x) - half[0], np.abs(y) - half[1])
     hills = 7 * (np.sin(0.031 * x + 1) + np.cos(0.027 * y)) + 3 * np.sin(0.09 * x - 0.07 * y) + 6
     if not river:
@@ -185,7 +192,14 @@ def height(
 
 
 def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
-    """The city of one seed, all at once; arguments as `furnish`."""
+    """The city of one seed, all at once.
+
+    Args:
+        seed: Another seed puts other houses, trees and cars on the same blocks.
+        kinds: Index into KINDS for each block, by column (x) and row (y).
+        margin: Metres of open land around the blocks.
+        river: Whether one runs along the last row.
+    """
     world = Builder()
     furnish(world, seed, kinds, margin, river)
     return world.build()
@@ -196,7 +210,7 @@ def furnish(world: Builder, seed: int, kinds: Kinds, margin: Number, river: bool
 
     Args:
         world: Gets everything.
-        seed: Of everything random.
+        seed: Another seed puts other houses, trees and cars on the same blocks.
         kinds: Index into KINDS for each block, by column (x) and row (y).
         margin: Metres of open land around the blocks.
         river: Whether one runs along the last row.
@@ -219,17 +233,24 @@ def furnish(world: Builder, seed: int, kinds: Kinds, margin: Number, river: bool
     for _ in range(int(0.0016 * 4 * far * (half[1] + margin))):
         x, y = rng.uniform(-far, far), rng.uniform(-half[1] - margin, half[1] + margin)
         beside = max(abs(x) - half[0], abs(y) - half[1]) > 9
-        if beside and not (river and low - 3 < y < high + 3) and wooded(x, y):
+        if beside and not (river and low - 3 < y < high + 3) and _wooded(x, y):
             tree(world, x, y, rng, float(height(np.array([x]), np.array([y]), half, river)[0]))
 
 
-def wooded(x: Number, y: Number) -> bool:
+def _wooded(x: Number, y: Number) -> bool:
     """Where woods stand outside the city."""
     return float(fbm(torch.tensor([[x, y]], dtype=torch.float32), 40.0, 2, 303)[0]) > 0.5
 
 
 def draw_kinds(seed: int, nx: int, ny: int) -> Kinds:
-    """Kinds of nx x ny blocks in random places, each kind equally often."""
+    """Kinds of blocks in random places, each kind as often as the others, give or take one.
+
+    Args:
+        seed: Decides the places.
+        nx: Number of blocks along x.
+        ny: Number of blocks along y.
+    Returns: Index into KINDS for each block, by column (x) and row (y).
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
     cells = [(x, y) for x in range(nx) for y in range(ny)]
     draw = rng.permutation(len(cells))
@@ -258,7 +279,12 @@ def _street_furniture(
 
 
 def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
-    """Nadir lines over the city; oblique and facade views in a group of their own."""
+    """Nadir lines over the city; oblique and facade views in a group of their own.
+
+    Args:
+        seed: Decides how far the flight is off its lines, and where other views look.
+        settings: Extent of the city, the flight over it, size and number of the views.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 1)))
     size, focal = (settings.width, settings.height), 1.05 * settings.width
     half = np.array(settings.blocks) * PITCH / 2
@@ -287,7 +313,7 @@ def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
 
 
 def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """From above a street's middle, across it, at the houses of a block."""
+    """An eye above a street's middle, and a place across the street, at the houses of a block."""
     axis = int(rng.integers(2))
     half = np.array(settings.blocks) * PITCH / 2
     line = int(rng.integers(0, settings.blocks[axis]))
@@ -303,7 +329,12 @@ def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarr
 
 
 def plan(seed: int, settings: Settings) -> Plan:
-    """The whole scene of a seed."""
+    """The whole scene of a seed.
+
+    Args:
+        seed: Another seed makes another city; 0 or more.
+        settings: How large the city is and how it is flown over.
+    """
     kinds = draw_kinds(seed, *settings.blocks)
     half, margin = np.array(settings.blocks) * PITCH / 2, 1.2 * settings.altitude
     sky = Sky(azimuth=0.7, elevation=0.9)

@@ -75,7 +75,12 @@ def shopfront(surface: Surface) -> Paint:
 
 
 def build(seed: int, end: Number) -> Builder:
-    """Everything that stands still, as far as `end` metres along the street."""
+    """Everything that stands still.
+
+    Args:
+        seed: Another seed makes other houses, trees and parked cars.
+        end: Metres along the street to which there are houses.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 51)))
     world = Builder()
     far = SIDE_END + 30
