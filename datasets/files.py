@@ -14,12 +14,7 @@ def sha256_of(path: Path) -> str:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all, with the folders above it.
-
-    Args:
-        path: Replaced if it exists; folders above it that are missing are made.
-        data: The whole content.
-    """
+    """Write a file whole or not at all, with the folders above it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
