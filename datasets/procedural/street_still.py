@@ -5,7 +5,7 @@ import torch
 
 from splatproof.datasets.procedural import things
 from splatproof.datasets.procedural.blocks import parked_car
-from splatproof.datasets.procedural.city import pavement
+from splatproof.datasets.procedural.city_ground import pavement
 from splatproof.datasets.procedural.facades import Facade, Solid, stones
 from splatproof.datasets.procedural.grounds import asphalt_colour, grass_colour, plain
 from splatproof.datasets.procedural.noise import fbm
