@@ -2,6 +2,13 @@
 
 import os
 
+# Read by torch when it is imported, and by the processes that tests start. Threads that wait in a
+# loop for each other burn the cores that others need: beside other work three tests of the kernels
+# took 109 s that way and take 14 s when threads sleep. Under pytest-xdist a worker has one thread.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ["OMP_NUM_THREADS"] = "1"
+
 import torch
 from hypothesis import HealthCheck, settings
 
