@@ -13,13 +13,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import UInt8
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.cache_folder import cache_folder, locked
-from splatproof.datasets.files import write_bytes
+from splatproof.base.files import write_bytes
+from splatproof.base.locks import locked
+from splatproof.datasets.cache_folder import cache_folder
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.ingesting import pairing
 from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View

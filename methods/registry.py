@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 from typing import Any
 
-from splatproof.base.errors import UsageError
+from splatproof.base.names import unknown
 from splatproof.methods.city import settings as city
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.models.explicit import Reconstruction
@@ -91,8 +90,5 @@ def get_method(name: str) -> Method:
     Raises: UsageError, with the nearest name, if there is none.
     """
     if name not in METHODS:
-        near = get_close_matches(name, METHODS, n=1, cutoff=0)[0]
-        raise UsageError(
-            f"method {name!r}: unknown, did you mean {near!r}? There are {', '.join(METHODS)}"
-        )
+        raise unknown("method", name, METHODS)
     return METHODS[name]

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from splatproof import __version__
 from splatproof.base.errors import DataError
-from splatproof.base.files import read_tensors, sha256, write_tensors, write_text
+from splatproof.base.files import sha256, write_text
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.backends import get_backend
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera

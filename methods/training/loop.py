@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from splatproof.base.errors import SplatproofError, UsageError
-from splatproof.base.files import read_tensors, write_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.backends import Backend, get_backend
 from splatproof.methods.kernels.loss import photometric

@@ -75,8 +75,8 @@ def test_files_that_are_known_are_not_read_again(folder, monkeypatch):
     known: Known = {}
     before = hashed(folder, known)
     read = []
-    real = fingerprint.sha256_of
-    monkeypatch.setattr(fingerprint, "sha256_of", lambda path: read.append(path.name) or real(path))
+    real = fingerprint.sha256
+    monkeypatch.setattr(fingerprint, "sha256", lambda path: read.append(path.name) or real(path))
     assert hashed(folder, known) == before
     assert not read
     os.utime(folder / "photos" / PHOTOS[3], ns=(1, 1))

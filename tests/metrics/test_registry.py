@@ -110,5 +110,5 @@ def test_metrics_without_weights_have_nothing_to_load():
 
 def test_an_unknown_name_is_refused_with_the_nearest():
     assert find_metric("psnr") is METRICS["psnr"]
-    with pytest.raises(UsageError, match="no metric 'psrn', nearest is 'psnr'"):
+    with pytest.raises(UsageError, match="metric: unknown 'psrn', did you mean 'psnr'"):
         find_metric("psrn")
