@@ -19,9 +19,9 @@ from jaxtyping import UInt8
 from splatproof.base.errors import DataError
 from splatproof.base.files import write_bytes
 from splatproof.base.locks import locked
+from splatproof.datasets import pairing
 from splatproof.datasets.cache_folder import cache_folder
 from splatproof.datasets.colmap_library import pycolmap
-from splatproof.datasets.ingesting import pairing
 from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.datasets import pairing
 from splatproof.datasets.colmap_library import pycolmap
-from splatproof.datasets.ingesting import alignment, pairing
+from splatproof.datasets.ingesting import alignment
 from splatproof.datasets.ingesting.survey import Photo
 
 Report = Callable[[str, int, int], None]

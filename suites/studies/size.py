@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from splatproof.base.errors import MissingError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.models.explicit import ARRAYS, ExplicitModel, load_reconstruction
 from splatproof.methods.registry import get_method
 from splatproof.methods.run import Run

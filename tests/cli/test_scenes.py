@@ -5,7 +5,7 @@ import json
 import pytest
 
 from splatproof import cli
-from splatproof.datasets import registry
+from splatproof.datasets.catalogue import registry
 from splatproof.datasets.procedural import courtyard
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from helpers.colmap_scenes import Flight, view_name, write_scene
 from splatproof.base.errors import SplatproofError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.photos import read_photo
 from splatproof.reference.types.protocol import Protocol
 

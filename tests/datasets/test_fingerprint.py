@@ -10,9 +10,9 @@ import pytest
 from helpers.colmap_scenes import Flight, write_scene
 from splatproof.base.errors import DataError
 from splatproof.datasets import fingerprint
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.depth_maps import depth_path
 from splatproof.datasets.fingerprint import Known, files_sha256
-from splatproof.datasets.opening import open_scene
 from splatproof.datasets.view_times import sky_path
 from splatproof.reference.types.protocol import Protocol
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatproof.datasets.registry import SceneEntry
+    from splatproof.datasets.catalogue.registry import SceneEntry
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, sky, tenths, without
 from helpers.posed_scenes import blob, worst_error
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 RADIUS = 6378137.0
 LATITUDE, LONGITUDE, ALTITUDE = 49.0095, 8.4359, 113.0

@@ -8,7 +8,7 @@ import pytest
 
 from helpers.file_server import served
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.datasets import registry
+from splatproof.datasets.catalogue import registry
 from splatproof.metrics.protocol_files import protocol_names
 
 
