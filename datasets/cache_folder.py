@@ -3,6 +3,9 @@
 import os
 from pathlib import Path
 
+ELSEWHERE = "set SPLATPROOF_CACHE to a folder that can be written"
+"""What to do where the cache cannot be written."""
+
 
 def cache_folder() -> Path:
     """SPLATPROOF_CACHE, else splatproof below XDG_CACHE_HOME, else ~/.cache/splatproof."""

@@ -1,4 +1,4 @@
-"""pycolmap, imported so that signals do what they did before: its log takes SIGTERM and crashes.
+"""pycolmap, imported so that SIGTERM and crashes do what they did before: its log takes them.
 
 Import it from here: `from splatproof.datasets.colmap_library import pycolmap`.
 """

@@ -13,7 +13,7 @@ from splatproof.base.locks import locked
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.datasets.archives import extract
-from splatproof.datasets.cache_folder import cache_folder
+from splatproof.datasets.cache_folder import ELSEWHERE, cache_folder
 from splatproof.datasets.download import download
 from splatproof.datasets.progress import bar
 
@@ -21,6 +21,7 @@ FILE = "registry.toml"
 """Beside this module; a data root may hold one of its own with further scenes."""
 SCENE = "<scene>"
 """Stands for the scene's name in a set's `folders` and `get`."""
+OTHER_ROOT = "let SPLATPROOF_DATA begin with a folder that can be written"
 DEFAULT_ROOTS = ("data", "../shared/data")
 Kind = Literal["real", "made", "public"]
 Report = Callable[[int, int], None]
@@ -180,7 +181,7 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
     from splatproof.datasets.procedural import worlds
 
     folder = made_folder(entry)
-    with locked(folder.with_name(f".{entry.world}.lock")):
+    with locked(folder.with_name(f".{entry.world}.lock"), elsewhere=ELSEWHERE):
         if not folder.is_dir() and report is not None:
             worlds.make(entry.world, entry.preset, entry.seed, folder, report)
         elif not folder.is_dir():
@@ -197,7 +198,7 @@ def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) ->
     if not entry.url:
         raise MissingError(absence(entry))
     folder = data_roots()[0] / entry.folders[0]
-    with locked(folder.with_name(f".{folder.name}.lock")):
+    with locked(folder.with_name(f".{folder.name}.lock"), elsewhere=OTHER_ROOT):
         if folder.is_dir():
             return folder
         archive = folder.with_name(f".{folder.name}.archive")

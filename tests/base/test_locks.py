@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from splatproof.base.errors import UsageError
+from splatproof.base.errors import MissingError, UsageError
 from splatproof.base.locks import locked
 
 HOLDER = """
@@ -57,3 +57,11 @@ def test_what_is_in_the_file_stays(tmp_path):
     with locked(tmp_path / "record"):
         pass
     assert (tmp_path / "record").read_text() == "kept"
+
+
+def test_where_no_file_can_be_made_a_user_is_told_what_to_do(tmp_path):
+    (tmp_path / "file").write_text("")
+    said = r"file/sub: cannot write here \(Not a directory\); go elsewhere"
+    lock = locked(tmp_path / "file" / "sub" / ".lock", elsewhere="go elsewhere")
+    with pytest.raises(MissingError, match=said), lock:
+        pass

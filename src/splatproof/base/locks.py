@@ -6,21 +6,29 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from splatproof.base.errors import UsageError
+from splatproof.base.errors import MissingError, UsageError
 
 
 @contextmanager
-def locked(path: Path, *, busy: str = "") -> Iterator[None]:
+def locked(
+    path: Path, *, busy: str = "", elsewhere: str = "choose another folder"
+) -> Iterator[None]:
     """Hold the lock file `path` while the block runs.
 
     Args:
         path: Made where it is missing, with its folders; its content is left alone.
         busy: What a user is told where another process holds the lock; empty: wait for it.
+        elsewhere: What a user can do where the file cannot be made.
 
-    Raises: UsageError saying `busy`; OSError where the file cannot be made.
+    Raises: UsageError saying `busy`; MissingError where the file cannot be made.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("a")
+    except OSError as error:
+        said = f"{path.parent}: cannot write here ({error.strerror}); {elsewhere}"
+        raise MissingError(said) from None
+    with file:
         lock(file, busy=busy)
         yield
 

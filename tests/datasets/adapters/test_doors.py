@@ -96,7 +96,7 @@ def test_nerfstudio_faults(tmp_path, change, said):
         open_scene(tmp_path, protocol())
     assert "\n" not in str(caught.value)
     path.write_text("{")
-    with pytest.raises(DataError, match="transforms.json: not a JSON"):
+    with pytest.raises(DataError, match="transforms.json: not JSON"):
         open_scene(tmp_path, protocol())
 
 
