@@ -218,7 +218,7 @@ def test_all_faults_are_named_at_once(folders, capsys):
     [
         (["--protocol", "defualt"], "unknown 'defualt', did you mean 'default'"),
         (["--protocol", "default,default"], "one name stands twice"),
-        (["--protocol", "default,"], "no protocol ''"),
+        (["--protocol", "default,"], "unknown ''"),
         (["--masks", "nowhere"], "nowhere: no such folder"),
     ],
 )

@@ -299,7 +299,12 @@ BAD: list[tuple[str, str, Callable[[Path], None], str]] = [
         write("scene.toml", "units = 'feet'"),
         r"scene.toml: units: .*found 'feet'",
     ),
-    ("scene up", "bin", write("scene.toml", "up = [0, 0, 2]"), r"scene.toml: up is \[0, 0, 2\]"),
+    (
+        "scene up",
+        "bin",
+        write("scene.toml", "up = [0, 0, 2]"),
+        r"scene.toml: up is \[0.0, 0.0, 2.0\]",
+    ),
     ("scene field", "bin", write("scene.toml", "color = 1"), r"scene.toml: unknown 'color'"),
     (
         "scene table",

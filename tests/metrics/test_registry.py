@@ -104,7 +104,7 @@ def test_no_pixels_are_refused(metric):
 
 def test_metrics_without_weights_have_nothing_to_load():
     assert load_weights([metric.name for metric in WITHOUT_WEIGHTS]) == {}
-    with pytest.raises(UsageError, match="no metric 'psrn'"):
+    with pytest.raises(UsageError, match="metric: unknown 'psrn'"):
         load_weights(["psrn"])
 
 
