@@ -13,19 +13,8 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "src" / "splatproof"
 ROOMS = ("reference", "metrics", "datasets", "methods", "suites", "reports", "base", "cli")
-# Both lists wait for models that are loaded by kind from a table, and for training that knows no
-# method's settings; scene_scores also for the writing of PNG files, which is in held_out.py.
-KNOWN_FILES = {
-    frozenset({
-        "splatproof.methods.city.model",
-        "splatproof.methods.city.train_block",
-        "splatproof.methods.models.explicit",
-        "splatproof.methods.storage.packed.reader",
-        "splatproof.methods.storage.packed.rows",
-        "splatproof.methods.storage.packed.writer",
-        "splatproof.methods.training.loop",
-    }),
-}  # fmt: skip
+# methods: until what methods share (run, backends, method) lies below them, in a folder of its own.
+# suites: until the writing of PNG files lies outside held_out.py.
 KNOWN_FOLDERS = {
     frozenset({
         "splatproof.methods",
@@ -106,7 +95,7 @@ def _reached(start: str, imports: Mapping[str, set[str]]) -> set[str]:
 
 
 def test_no_circle_between_files():
-    assert circles(file_imports(our_modules())) == KNOWN_FILES
+    assert not circles(file_imports(our_modules()))
 
 
 def test_no_circle_between_folders():

@@ -199,7 +199,7 @@ def test_new_points_keep_their_distance():
 def test_a_scene_without_tracks_is_returned_as_it_is():
     scene = tiny_scene()
     assert with_dense_points(scene, CELL, 2**28) is scene
-    assert with_points(scene, Settings(dense_cell=CELL), Run()) is scene
+    assert with_points(scene, Run(), dense_cell=CELL) is scene
 
 
 @pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])
