@@ -22,7 +22,7 @@ def disturbed(scene: Scene, level: str, seed: int) -> Scene:
     Args:
         scene: Any scene.
         level: "L1", "L2" or "L3".
-        seed: Of the noise.
+        seed: Equal seeds give equal noise.
 
     Source: noise levels of "StratoSplat", Table 6; the distribution (normal) is ours.
     """

@@ -9,7 +9,12 @@ AROUND = ("load", "init", "save", "score")
 
 
 def row_name(method: str, variant: str) -> str:
-    """method@variant, or the method alone where it has no variant."""
+    """method@variant, or the method alone where it has no variant.
+
+    Args:
+        method: Name of the method.
+        variant: What a suite calls the method's settings; "": they have no name of their own.
+    """
     return f"{method}@{variant}" if variant else method
 
 
@@ -51,7 +56,7 @@ class Result:
     variant: str = ""
     """What a suite calls these settings where it runs a method with several; "": it has one."""
     images: tuple[ImageScore, ...]
-    """Sorted by name."""
+    """Scores of the test images, sorted by name."""
     metrics: dict[str, float]
     """Means over images of each per-image metric, then scene-level ones (psnr_of_mean_mse)."""
     stages: dict[str, float]
@@ -69,7 +74,7 @@ class Result:
     model_sha256: str
     """Hash of the saved model's arrays."""
     curve: tuple[tuple[int, dict[str, float]], ...] = ()
-    """(step, values) logged while training."""
+    """Pairs (step, values by name) that were logged while training."""
     environment: dict[str, str] = field(default_factory=dict)
     """Versions, git commit, machine, threads, SIMD level, backend."""
     scene_facts: dict[str, str] = field(default_factory=dict)
