@@ -114,7 +114,7 @@ def _weights() -> Iterator[Finding]:
 
 
 def _scenes() -> Iterator[Finding]:
-    from splatproof.datasets.registry import data_roots, list_scenes, locate
+    from splatproof.datasets.catalogue.registry import data_roots, list_scenes, locate
 
     for root in data_roots():
         there = root.is_dir()
