@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import pytest
 import torch
@@ -36,7 +35,7 @@ class Shows:
     alpha: float = 1.0
     primitives: int = 1
 
-    kind: ClassVar[str] = "shows"
+    kind: str = "shows"
 
     def render(self, view: View, background=None) -> RenderOutput:
         del background
