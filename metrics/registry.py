@@ -1,4 +1,4 @@
-"""Every per-image metric by its name."""
+"""Every per-image metric by its name: ours, and those that installed packages add."""
 
 import functools
 import math
@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
+from splatproof.base.plugins import with_plugins
 from splatproof.metrics import flip, lpips, pixel, ssim
+from splatproof.metrics.scene_registry import SCENE_METRICS
+
+GROUP = "splatproof.metrics"
+"""Entry point group of other packages' metrics."""
 
 MetricFunction = Callable[
     [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float
@@ -35,14 +41,42 @@ class Metric:
     they are not on this machine. None: the metric needs no weights."""
 
 
+@functools.cache
+def all_metrics() -> dict[str, Metric]:
+    """Every metric that a protocol may name, in the order in which tables show them.
+
+    Installed packages add theirs through entry points of the group GROUP, each of which loads to a
+    `Metric` and has its name. They are looked up at the first call, so that importing this module
+    loads no other package.
+
+    Returns: Ours by name, then those of other packages.
+    Raises: UsageError, naming the package, where an entry point cannot be loaded or is no Metric,
+        or where its name is another than the metric's or one that is in use.
+    """
+    table = with_plugins(BUILT_IN, GROUP, Metric)
+    for name, metric in table.items():
+        if name != metric.name:
+            raise UsageError(
+                f"entry point {name} in {GROUP}: its metric is called {metric.name!r}; both must "
+                "have one name, by which protocols and tables know it"
+            )
+        if name in SCENE_METRICS:
+            raise UsageError(
+                f"entry point {name} in {GROUP}: the name is taken by a metric of whole scenes; "
+                "give it another one or uninstall it"
+            )
+    return table
+
+
 def find_metric(name: str) -> Metric:
     """The metric of that name.
 
-    Raises: UsageError naming the nearest one where there is none.
+    Raises: UsageError naming the nearest one where there is none, and see `all_metrics`.
     """
-    if name not in METRICS:
-        raise unknown("metric", name, METRICS)
-    return METRICS[name]
+    metrics = all_metrics()
+    if name not in metrics:
+        raise unknown("metric", name, metrics)
+    return metrics[name]
 
 
 def load_weights(names: Iterable[str]) -> dict[str, str]:
@@ -133,5 +167,5 @@ _ALL = (
     ),
 )
 
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
-"""Per-image metrics by name, in the order in which tables show them."""
+BUILT_IN: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+"""Our own per-image metrics by name; see `all_metrics`."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from splatproof.base.errors import DataError
 from splatproof.metrics.parts import PARTS, is_part_key
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import all_metrics
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.result import Result
 from splatproof.reports.statistics import Summary
@@ -98,7 +98,7 @@ def score_column(name: str, per_image: bool) -> Column:
     for fit, words in FITS.items():
         if plain.startswith(f"{fit}_"):
             plain, said = plain.removeprefix(f"{fit}_"), f"{said}after {words}: "
-    metric = METRICS.get(plain) or SCENE_METRICS.get(plain)
+    metric = all_metrics().get(plain) or SCENE_METRICS.get(plain)
     unit = metric.unit if metric else ""
     return Column(
         key=name,
