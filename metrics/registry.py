@@ -11,7 +11,7 @@ from torch import Tensor
 from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
 from splatproof.base.plugins import with_plugins
-from splatproof.metrics import flip, lpips, pixel, ssim
+from splatproof.metrics import colour_difference, flip, gradient, lpips, pixel, ssim
 from splatproof.metrics.scene_registry import SCENE_METRICS
 
 GROUP = "splatproof.metrics"
@@ -125,6 +125,14 @@ _ALL = (
         source="skimage.metrics.structural_similarity(data_range=1, channel_axis=-1)",
     ),
     Metric(
+        name="ssim_kornia",
+        function=ssim.ssim_kornia,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="kornia.metrics.ssim(window_size=11, eps=0), borders mirrored",
+    ),
+    Metric(
         name="ms_ssim_kornia",
         function=ssim.ms_ssim_kornia,
         unit="",
@@ -147,6 +155,30 @@ _ALL = (
         higher_is_better=False,
         range=(0.0, 1.0),
         source="mean absolute difference",
+    ),
+    Metric(
+        name="delta_e_76",
+        function=colour_difference.delta_e_76,
+        unit="ΔE",
+        higher_is_better=False,
+        range=(0.0, math.inf),
+        source="CIE76 colour difference, distance in CIELAB (D65) by kornia.color.rgb_to_lab",
+    ),
+    Metric(
+        name="delta_e_2000",
+        function=colour_difference.delta_e_2000,
+        unit="ΔE",
+        higher_is_better=False,
+        range=(0.0, math.inf),
+        source="CIEDE2000 colour difference (Sharma et al. 2005) in CIELAB by kornia.color.rgb_to_lab",
+    ),
+    Metric(
+        name="gradient_l1",
+        function=gradient.gradient_l1,
+        unit="",
+        higher_is_better=False,
+        range=(0.0, gradient.LARGEST),
+        source="mean absolute difference of gradient magnitudes, kornia.filters.spatial_gradient",
     ),
     *(
         Metric(

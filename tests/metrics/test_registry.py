@@ -11,7 +11,9 @@ from helpers.images import noise_image, random_mask, spoiled
 from splatproof.base.errors import DataError, UsageError
 from splatproof.metrics.registry import BUILT_IN, find_metric, load_weights
 
-WINDOWS = {"ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ms_ssim_kornia": 33}
+WINDOWS = {
+    "ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ssim_kornia": 11, "ms_ssim_kornia": 33,
+}  # fmt: skip
 WITHOUT_WEIGHTS = [metric for metric in BUILT_IN.values() if metric.load_weights is None]
 ALL = pytest.mark.parametrize("metric", WITHOUT_WEIGHTS, ids=lambda metric: metric.name)
 
