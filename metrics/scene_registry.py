@@ -54,7 +54,7 @@ _ALL = (
         for ratio in ("std", "max")
     ),
     _metric("packed_bytes", "bytes of the compressed file, without facts about blocks", unit="B"),
-    _metric("depth_abs_rel", f"{DEPTH}: |d - t| / t"),
+    _metric("depth_abs_rel", f"{DEPTH}: abs(d - t) / t"),
     _metric("depth_sq_rel", f"{DEPTH}: (d - t)^2 / t", unit="scene units"),
     _metric("depth_rmse", f"{DEPTH}: root of (d - t)^2", unit="scene units"),
     *(

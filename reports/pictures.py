@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from splatproof.base.errors import DataError
 from splatproof.reports import run_data
+from splatproof.reports.frames import groups
 from splatproof.reports.store import Picture, StoredResult
 from splatproof.reports.table import Row, Table
 
@@ -84,14 +86,9 @@ def encode(png: bytes, name: str) -> str:
 
 def _by_score(table: Table) -> list[str]:
     """Names of the scene's test images, sorted by their mean score in the first column."""
-    scores: dict[str, list[float]] = {}
-    for row in table.rows:
-        for result in row.results:
-            for image in result.images:
-                scores.setdefault(image.name, []).append(
-                    image.metrics.get(table.columns[0].key, np.nan)
-                )
-    means = {name: float(np.mean(values)) for name, values in scores.items()}
+    key = table.columns[0].key
+    scores = pd.concat([row.scores for row in table.rows]).reindex(columns=["image", key])
+    means = {name: float(own[key].to_numpy().mean()) for name, own in groups(scores, "image")}
     # an undefined score is the first thing to look at
     return sorted(means, key=lambda n: (-np.inf if np.isnan(means[n]) else means[n], n))
 
