@@ -104,7 +104,12 @@ def columns(rules: dict[str, object], results: list[Result]) -> tuple[Column, ..
 
 
 def score_column(name: str, per_image: bool) -> Column:
-    """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse."""
+    """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse.
+
+    Args:
+        name: Name of the metric, ours, of another package or of none that is known.
+        per_image: Whether any image has a value of that name.
+    """
     plain, said = name.removesuffix("_of_mean_mse"), ""
     if plain != name:
         said = "of the mean squared error over all images, not the mean of each image's: "

@@ -66,7 +66,7 @@ def cases_of(frame: pd.DataFrame) -> pd.DataFrame:
     """The first row of each case: for what all rows of a case share.
 
     Args:
-        frame: Of `results_frame`, or some of its rows.
+        frame: What `results_frame` gives, or some of its rows.
     """
     return frame.drop_duplicates("case")
 

@@ -36,8 +36,8 @@ def build_tables(results: Iterable[Result]) -> list[Table]:
     row needs three seeds to be ranked.
 
     Args:
-        results: Of any suites, scenes, methods, seeds and protocols; failed ones included. Where
-            several are of one case, the last counts.
+        results: Results of any suites, scenes, methods, seeds and protocols; failed ones included.
+            Where several are of one case, the last counts.
     Returns: For each suite and protocol first the means over scenes, where the suite has several
         scenes, then its scenes by name.
     Raises: DataError where a protocol names no metric.

@@ -34,7 +34,7 @@ def render_page(
     """The page as HTML: leaderboards, pictures, per-image tables, curves, and how it was made.
 
     Args:
-        tables: Of `leaderboard.build_tables` on the results of `stored`.
+        tables: What `leaderboard.build_tables` makes of the results of `stored`.
         stored: What was read from the store; the pictures come from there.
         uri: Where it was read from; shown without a password.
         when: Shown as the time of making.

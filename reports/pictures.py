@@ -25,7 +25,7 @@ class Shown:
 
     name: str
     truth: dict[str, str]
-    """By row label; rows that were scored on the same truth share the string."""
+    """The truth for each row label; rows that were scored on the same truth share the string."""
     render: dict[str, str]
     error: dict[str, str]
     """Rows without that picture are absent."""
@@ -35,8 +35,8 @@ def choose(table: Table, stored: dict[str, StoredResult], budget: int) -> tuple[
     """The pictures of a scene that fit into `budget`, from worst and best to the ones between.
 
     Args:
-        table: Of one scene.
-        stored: By `run_data.case_key`.
+        table: A table of one scene.
+        stored: Stored results by their `run_data.case_key`.
         budget: Characters of data URIs; the first image is carried whatever it takes.
     Returns: Images sorted by name, and how many test images the scene has.
     """
@@ -69,6 +69,9 @@ def spread(count: int) -> list[int]:
 def encode(png: bytes, name: str) -> str:
     """A picture as a JPEG data URI of at most WIDEST pixels across.
 
+    Args:
+        png: Bytes of an image file.
+        name: What the picture is called in errors.
     Raises: DataError naming the picture where its bytes are no image.
     """
     pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)

@@ -20,7 +20,7 @@ class Row:
     scores: pd.DataFrame = field(compare=False, repr=False)
     """Rows of `results_frame` of these cases, sorted by scene, seed and image."""
     cells: dict[str, Summary]
-    """By column; without an entry where there is no value."""
+    """Summary over seeds for each column's key; without an entry where there is no value."""
     seeds: int
     """Seeds behind every cell."""
     rank: int | None = None
