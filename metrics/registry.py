@@ -83,7 +83,7 @@ def load_weights(names: Iterable[str]) -> dict[str, str]:
     """Load what these metrics need, before long work depends on it.
 
     Args:
-        names: Names of metrics in METRICS.
+        names: Names of metrics, see `all_metrics`.
     Returns: Metric name -> sha256 of its weights, for the record; only metrics that have some.
     Raises: UsageError on an unknown name, MissingError where something is not on this machine.
     """
