@@ -121,8 +121,9 @@ COMPONENTS = (
     ),
     Component(
         title="Metrics",
-        modules=("metrics/ssim", "metrics/flip", "metrics/seam", "metrics/seam_released",
-                 "metrics/geometry", "metrics/depth", "metrics/balance", "metrics/scoring"),
+        modules=("metrics/ssim", "metrics/flip", "metrics/colour_difference", "metrics/gradient",
+                 "metrics/seam", "metrics/seam_released", "metrics/geometry", "metrics/depth",
+                 "metrics/balance", "metrics/scoring"),
         source="spec of each in its docstring; StitchGS, Sec. 5 for the seam family",
         pictures=(Picture(file="seams", draw=trained.draw_seams,
                           caption="A render, its blocks, the seam mask over it, and its error"),),

@@ -54,7 +54,7 @@ def findings(out: Path) -> Iterator[Finding]:
     yield from _versions()
     yield from _processor()
     yield from _backends()
-    yield from _weights()
+    yield from _metrics()
     yield from _scenes()
     yield from _folders(out)
 
@@ -99,10 +99,21 @@ def _backends() -> Iterator[Finding]:
         )
 
 
-def _weights() -> Iterator[Finding]:
-    from splatproof.metrics.registry import METRICS
+def _metrics() -> Iterator[Finding]:
+    """Metrics of other packages, and the weights that any metric needs."""
+    from splatproof.metrics.registry import BUILT_IN, GROUP, all_metrics
 
-    for metric in METRICS.values():
+    metrics = BUILT_IN
+    try:
+        metrics = all_metrics()
+    except SplatproofError as error:
+        yield Finding(
+            topic="metrics", name=GROUP, status="fault", found="not usable", fix=str(error)
+        )
+    for name, metric in metrics.items():
+        if name not in BUILT_IN:
+            yield Finding(topic="metrics", name=name, status="ok", found=metric.source)
+    for metric in metrics.values():
         if metric.load_weights is None:
             continue
         try:
