@@ -65,7 +65,7 @@ def with_points(scene: Scene, settings: Settings, run: Run) -> Scene:
     """The scene with the points that training starts from, as the settings say."""
     scene = with_random_points(scene, settings.random_points, run.seed)
     if settings.dense_cell:
-        scene = with_dense_points(scene, settings.dense_cell, run.image_bytes)
+        scene = with_dense_points(scene, settings.dense_cell, run.image_bytes, settings.dense)
     return scene
 
 

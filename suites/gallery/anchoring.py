@@ -137,18 +137,15 @@ def draw_hierarchy(scene: Scene, path: Path) -> None:
 def draw_dense_points(scene: Scene, path: Path) -> None:
     """A pair, its certainty, and the depth of the points that survive."""
     views = scene.views
-    seen = torch.zeros(len(views), len(scene.points), dtype=torch.bool)
-    owner = torch.repeat_interleave(
-        torch.arange(len(scene.points)), scene.points.track_starts.diff()
-    )
-    seen[scene.points.track_views, owner] = True
+    seen = dense_initialisation.observations(scene.points, len(views))
     settings = dense_initialisation.DenseSettings()
     centres = torch.stack([view.camera.centre for view in views])
     pairs = dense_initialisation.select_pairs(centres, scene.points.positions, seen, settings)
-    shared = [int((seen[a] & seen[b]).sum()) for a, b in pairs]
-    a, b = pairs[int(np.argmax(shared))]
+    shared = [dense_initialisation.seen_by_both(seen, *pair) for pair in pairs]
+    most = int(np.argmax([len(points) for points in shared]))
+    a, b = pairs[most]
     image_a, image_b = views[a].load(), views[b].load()
-    both = scene.points.positions[seen[a] & seen[b]]
+    both = scene.points.positions[shared[most]]
     plane = plane_between(
         project_points(views[a].camera, both)[0], project_points(views[b].camera, both)[0]
     )
