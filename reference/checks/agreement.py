@@ -14,7 +14,7 @@ def largest_error(value: Tensor, truth: Tensor, ignore: Bool[Tensor, "h w"] | No
     Args:
         value: What is judged, [h, w] or [h, w, c].
         truth: Of the same shape.
-        ignore: Pixels that do not count, e.g. those on a step.
+        ignore: Pixels that do not count, e.g. those at a discontinuity.
 
     Returns: 0 where nothing is left to compare.
 

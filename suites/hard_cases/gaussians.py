@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatproof.methods.backends import get_backend
 from splatproof.reference.checks.agreement import compare_gradients, largest_error
-from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
@@ -121,7 +121,7 @@ def render(
 def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, Any]:
     """One implementation on one case against the float64 reference.
 
-    Pixels on a step of the definition are counted and left out of errors and gradients.
+    Pixels at a discontinuity of the definition are counted and left out of errors and gradients.
 
     Args:
         case: Key of CASES.
@@ -129,11 +129,11 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
         mode: As for the rasterizer.
     """
     scene = CASES[case]()
-    steps = step_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
+    ignored = discontinuity_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
                         mode=mode)  # fmt: skip
     generator = torch.Generator().manual_seed(3)
     weights = torch.randn(scene.camera.height, scene.camera.width, 3, generator=generator)
-    weights[steps] = 0
+    weights[ignored] = 0
     start = time.perf_counter()
     out, gradients = render(
         get_backend(implementation).rasterize, scene, torch.float32, weights, mode
@@ -144,7 +144,7 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
     for name in ("colour", "alpha", "depth"):
         value, wanted = getattr(out, name).detach(), getattr(truth, name).detach()
         scale = max(1.0, float(wanted.abs().max()) if wanted.numel() else 0)
-        error = max(error, largest_error(value, wanted, ignore=steps) / scale)
+        error = max(error, largest_error(value, wanted, ignore=ignored) / scale)
     floor = 1e-6 * max(float(t.norm()) for t in true_gradients)
     agreements = [
         compare_gradients(value, wanted, floor=floor)
@@ -155,7 +155,7 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
     good = finite and error <= budget and all(agreement.good() for agreement in agreements)
     return {
         "component": "rasterizer", "case": case, "implementation": f"{implementation} float32 {mode}",
-        "expect": "finite", "budget": budget, "step_pixels": int(steps.sum()), "finite": finite,
+        "expect": "finite", "budget": budget, "discontinuity_pixels": int(ignored.sum()), "finite": finite,
         "max_abs_error": error, "grad_rel_l2": max(a.relative_l2 for a in agreements), "ms": ms,
         "ok": good, "note": "",
     }  # fmt: skip

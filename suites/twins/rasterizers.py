@@ -9,7 +9,7 @@ from torch import Tensor
 from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
 from splatproof.methods.kernels.roofline import count_pairs
-from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.studies.speed.scenes import speed_scene
@@ -58,11 +58,11 @@ def raw(size: Size) -> Problem:
 def _problem(
     camera: Any, leaves: Leaves, gradient: Tensor, model: Callable[[], list[Tensor]]
 ) -> Problem:
-    def steps() -> Tensor:
-        return step_pixels(camera, *(value.double() for value in model()), mode="classic")
+    def discontinuities() -> Tensor:
+        return discontinuity_pixels(camera, *(value.double() for value in model()), mode="classic")
 
     return Problem(
-        leaves=leaves, given={"camera": camera}, cotangent=gradient, steps=steps,
+        leaves=leaves, given={"camera": camera}, cotangent=gradient, discontinuities=discontinuities,
         pairs=lambda: count_pairs(camera, *model()).contributing,
     )  # fmt: skip
 

@@ -27,7 +27,7 @@ class Problem:
     """Everything else."""
     cotangent: Tensor | None = None
     """d loss / d output of the backward pass; None: there is no backward pass."""
-    steps: Callable[[], Bool[Tensor, "..."]] | None = None
+    discontinuities: Callable[[], Bool[Tensor, "..."]] | None = None
     """Marks outputs on which rounding may decide; they are not judged. None: there are none."""
     pairs: Callable[[], int] | None = None
     """Counts the pairs of Gaussian and pixel that contribute, where there are such."""

@@ -17,26 +17,26 @@ def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
     """Errors of all twins by name.
 
     Keys of each: max_abs_error and rms_error of the output, grad_rel_l2 and grad_cosine (the worst
-    of the gradients by each leaf; None without a backward pass), step_pixels, ok. Outputs on a
-    step do not count and pass no gradient; an approximating twin is ok if it is finite.
+    of the gradients by each leaf; None without a backward pass), discontinuity_pixels, ok. Outputs at a
+    discontinuity do not count and pass no gradient; an approximating twin is ok if it is finite.
     """
     if component.reference is None:
         nothing = dict.fromkeys(
-            ("max_abs_error", "rms_error", "grad_rel_l2", "grad_cosine", "step_pixels")
+            ("max_abs_error", "rms_error", "grad_rel_l2", "grad_cosine", "discontinuity_pixels")
         )
         return {twin.name: nothing | {"ok": True} for twin in component.twins}
-    steps = problem.steps() if problem.steps else None
-    truth, true_gradients = evaluate(component.reference, problem, steps)
+    ignored = problem.discontinuities() if problem.discontinuities else None
+    truth, true_gradients = evaluate(component.reference, problem, ignored)
     found = {}
     for twin in component.twins:
-        value, gradients = evaluate(twin, problem, steps)
-        found[twin.name] = compare(value, truth, steps) | agreement(gradients, true_gradients)
+        value, gradients = evaluate(twin, problem, ignored)
+        found[twin.name] = compare(value, truth, ignored) | agreement(gradients, true_gradients)
         found[twin.name]["ok"] = within(component, twin, found[twin.name])
     return found
 
 
 def evaluate(
-    twin: Twin, problem: Problem, steps: Bool[Tensor, "..."] | None
+    twin: Twin, problem: Problem, ignored: Bool[Tensor, "..."] | None
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Output of the first forward pass, and gradients by the leaves."""
     leaves = leaves_of(problem, twin)
@@ -45,22 +45,22 @@ def evaluate(
         if problem.cotangent is None:
             return value.detach().cpu(), {}
         cotangent = problem.cotangent.to(value)
-        if steps is not None:
-            cotangent = torch.where(steps[..., None].to(value.device), 0, cotangent)
+        if ignored is not None:
+            cotangent = torch.where(ignored[..., None].to(value.device), 0, cotangent)
         value.backward(cotangent)
     gradients = {n: torch.zeros_like(v) if v.grad is None else v.grad for n, v in leaves.items()}
     return value.detach().cpu(), {name: gradient.cpu() for name, gradient in gradients.items()}
 
 
-def compare(value: Tensor, truth: Tensor, steps: Bool[Tensor, "..."] | None) -> Judgement:
+def compare(value: Tensor, truth: Tensor, ignored: Bool[Tensor, "..."] | None) -> Judgement:
     """Errors of the output."""
     error = (value.double() - truth.double()).abs()
-    if steps is not None:
-        error = error[~steps]
+    if ignored is not None:
+        error = error[~ignored]
     return {
-        "max_abs_error": largest_error(value, truth, ignore=steps),
+        "max_abs_error": largest_error(value, truth, ignore=ignored),
         "rms_error": float(error.square().mean().sqrt()) if error.numel() else 0.0,
-        "step_pixels": 0 if steps is None else int(steps.sum()),
+        "discontinuity_pixels": 0 if ignored is None else int(ignored.sum()),
     }
 
 

@@ -31,7 +31,7 @@ def rows(
     """A row a twin and case, then a row a stage of the engine against the machine's peak.
 
     Keys: component, twin, case, forward_ms, backward_ms (medians of interleaved runs; None where
-    there is none), max_abs_error, rms_error, grad_rel_l2, grad_cosine, step_pixels (against the
+    there is none), max_abs_error, rms_error, grad_rel_l2, grad_cosine, discontinuity_pixels (against the
     float64 reference on error_case), peak_mb (of a process that does nothing else), added_mb (of
     that, beyond what it held before the first run), device_mb, contributing_pairs, usual (the twin
     that users get), approximates, disturbed_percent (share of a core that other processes used

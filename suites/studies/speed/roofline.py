@@ -79,7 +79,7 @@ def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
 
 def _row(twin: str, case: str, percent: float, **values: Any) -> dict[str, Any]:
     empty = dict.fromkeys(("forward_ms", "backward_ms", "max_abs_error", "grad_rel_l2",
-                           "step_pixels", "peak_mb"))  # fmt: skip
+                           "discontinuity_pixels", "peak_mb"))  # fmt: skip
     return {
         "component": "roofline", "twin": twin, "case": case, **empty,
         "disturbed_percent": percent, "ok": True, "note": "", **values,
