@@ -181,6 +181,7 @@ def record(result: Result) -> dict[str, object]:
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,
