@@ -30,7 +30,12 @@ def _anchors_of(scene: Scene, count: int) -> tuple[torch.Tensor, float]:
 
 
 def draw_attention(scene: Scene, path: Path) -> None:
-    """Whom three anchors attend to within the radius, and how strongly."""
+    """Whom three anchors attend to within the radius, and how strongly.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     centres, voxel = _anchors_of(scene, 400)
     scaled = centres / centres.abs().max()
     inputs = anchor_attention.fourier_code(scaled)
@@ -78,7 +83,12 @@ def _attention_row(
 
 
 def draw_support(scene: Scene, path: Path) -> None:
-    """Occupied voxels by how many neighbours they have, and alignment with the principal axis."""
+    """Occupied voxels by how many neighbours they have, and alignment with the principal axis.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     centres, voxel = _anchors_of(scene, 900)
     around = neighbours(voxelise(centres + voxel / 2, voxel))  # centres lie on multiples
     count = (around >= 0).sum(dim=1) - 1
@@ -100,7 +110,12 @@ def draw_support(scene: Scene, path: Path) -> None:
 
 
 def draw_hierarchy(scene: Scene, path: Path) -> None:
-    """Paths of one anchor, its sub-anchors' Gaussians, and their opacity over time."""
+    """Paths of one anchor, its sub-anchors' Gaussians, and their opacity over time.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     del scene  # motion is drawn on anchors of its own
     settings = mh.HierarchySettings(features=8, instance=4, period=4.0)
     generator = torch.Generator().manual_seed(3)
@@ -135,7 +150,12 @@ def draw_hierarchy(scene: Scene, path: Path) -> None:
 
 
 def draw_dense_points(scene: Scene, path: Path) -> None:
-    """A pair, its certainty, and the depth of the points that survive."""
+    """A pair, its certainty, and the depth of the points that survive.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     views = scene.views
     seen = dense_initialisation.observations(scene.points, len(views))
     settings = dense_initialisation.DenseSettings()

@@ -16,7 +16,13 @@ from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, camera_a
 
 
 def facing(count: int, *, width: int = 17, height: int = 33) -> GaussianScene:
-    """Gaussians straight before a camera at the origin that is not turned, in one line of sight."""
+    """Gaussians straight before a camera at the origin that is not turned, in one line of sight.
+
+    Args:
+        count: Number of Gaussians, >= 0; also the seed of their colours.
+        width: Pixels of a row.
+        height: Rows of pixels.
+    """
     g = torch.Generator().manual_seed(count)
     camera = camera_at(width, height, turn=0.0)
     means = torch.zeros(count, 3)
@@ -36,7 +42,14 @@ def needle(scene: GaussianScene) -> GaussianScene:
 
 
 def put(scene: GaussianScene, name: str, rows: Any, values: Any) -> GaussianScene:
-    """The scene with some rows of one parameter set."""
+    """The scene with some rows of one parameter set.
+
+    Args:
+        scene: Scene that is left as it is.
+        name: Name of the parameter.
+        rows: Indices or mask of the Gaussians.
+        values: What they get.
+    """
     changed = getattr(scene, name).clone()
     changed[rows] = torch.as_tensor(values)
     return scene.but(**{name: changed})
@@ -51,7 +64,12 @@ def behind_the_near_plane() -> GaussianScene:
 
 
 def ties(count: int, gap: float) -> GaussianScene:
-    """Faint coplanar Gaussians; every other one lies `gap` behind."""
+    """Faint coplanar Gaussians; every other one lies `gap` behind.
+
+    Args:
+        count: Number of Gaussians.
+        gap: Distance in depth between the two planes, scene units; 0: one plane.
+    """
     scene = facing(count, width=9, height=9)
     xy = (torch.rand(count, 2, generator=torch.Generator().manual_seed(1)) - 0.5) * 2
     z = torch.full((count, 1), 2.0)
@@ -108,7 +126,15 @@ def render(
     weights: Tensor,
     mode: Mode,
 ) -> tuple[Any, list[Tensor]]:
-    """Image, and gradients of a random weighting of colour, alpha and depth."""
+    """Image, and gradients of a random weighting of colour, alpha and depth.
+
+    Args:
+        rasterize: Function with the signature of the reference's rasterizer.
+        scene: Gaussians and the camera that looks at them.
+        dtype: Precision of the parameters.
+        weights: Weight of each value of the image, height x width x 3.
+        mode: How opacities are filtered, as for the rasterizer.
+    """
     leaves = scene.arguments(dtype)
     out = rasterize(scene.camera, *leaves[:4], sh=leaves[4], mode=mode)
     loss = (out.colour * weights.to(dtype)).sum() + (out.alpha * weights[..., 0].to(dtype)).sum()

@@ -73,7 +73,12 @@ def refusal(case: HardCase) -> dict[str, Any]:
 
 
 def evaluate(case: HardCase, dtype: torch.dtype) -> tuple[Tensor, list[Tensor], float]:
-    """Outputs, gradients by the inputs (none unless differentiable) and milliseconds."""
+    """Outputs, gradients by the inputs (none unless differentiable) and milliseconds.
+
+    Args:
+        case: Case that is run.
+        dtype: Precision that its inputs are given in.
+    """
     inputs = [value.to(dtype).requires_grad_(case.differentiable) for value in case.inputs()]
     start = time.perf_counter()
     value = case.run(*inputs)

@@ -68,7 +68,12 @@ def _problem(
 
 
 def draws(rasterize: Rasterize, keep: int = 16) -> Callable[..., Any]:
-    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use."""
+    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use.
+
+    Args:
+        rasterize: Function with the signature of the reference's rasterizer.
+        keep: Number of SH coefficients that are used, 1, 4, 9 or 16.
+    """
 
     def call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
         model = [leaves[name] for name in ACTIVATED[:4]]

@@ -109,7 +109,12 @@ def functional(call: Callable[[Leaves, Mapping[str, Any]], Tensor]) -> Callable[
 
 
 def leaves_of(problem: Problem, twin: Twin) -> Leaves:
-    """Fresh copies of the problem's leaves as the twin wants them."""
+    """Fresh copies of the problem's leaves as the twin wants them.
+
+    Args:
+        problem: Problem whose leaves are copied.
+        twin: Implementation they are for; it says which dtype.
+    """
     needs = problem.cotangent is not None
     return {
         name: value.detach().to(twin.dtype, copy=True).requires_grad_(needs)

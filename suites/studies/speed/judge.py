@@ -19,6 +19,10 @@ def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
     Keys of each: max_abs_error and rms_error of the output, grad_rel_l2 and grad_cosine (the worst
     of the gradients by each leaf; None without a backward pass), discontinuity_pixels, ok. Outputs at a
     discontinuity do not count and pass no gradient; an approximating twin is ok if it is finite.
+
+    Args:
+        component: Component whose twins are held against its reference.
+        problem: Input that all of them are given.
     """
     if component.reference is None:
         nothing = dict.fromkeys(
@@ -38,7 +42,13 @@ def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
 def evaluate(
     twin: Twin, problem: Problem, ignored: Bool[Tensor, "..."] | None
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Output of the first forward pass, and gradients by the leaves."""
+    """Output of the first forward pass, and gradients by the leaves.
+
+    Args:
+        twin: Implementation that is run.
+        problem: Input that it is given.
+        ignored: Outputs that pass no gradient; None: all pass theirs.
+    """
     leaves = leaves_of(problem, twin)
     with running(twin):
         value = twin.start(problem, leaves)()
@@ -53,7 +63,13 @@ def evaluate(
 
 
 def compare(value: Tensor, truth: Tensor, ignored: Bool[Tensor, "..."] | None) -> Judgement:
-    """Errors of the output."""
+    """Errors of the output.
+
+    Args:
+        value: Output of a twin.
+        truth: Output of the reference.
+        ignored: Outputs that do not count; None: all count.
+    """
     error = (value.double() - truth.double()).abs()
     if ignored is not None:
         error = error[~ignored]
@@ -65,7 +81,12 @@ def compare(value: Tensor, truth: Tensor, ignored: Bool[Tensor, "..."] | None) -
 
 
 def agreement(gradients: dict[str, Tensor], truth: dict[str, Tensor]) -> Judgement:
-    """The worst relative L2 distance and the worst cosine over the leaves."""
+    """The worst relative L2 distance and the worst cosine over the leaves.
+
+    Args:
+        gradients: Gradients of a twin by the name of the leaf.
+        truth: Gradients of the reference by the same names; empty without a backward pass.
+    """
     if not truth:
         return {"grad_rel_l2": None, "grad_cosine": None}
     each = [compare_gradients(gradients[name], truth[name]) for name in truth]
@@ -76,7 +97,13 @@ def agreement(gradients: dict[str, Tensor], truth: dict[str, Tensor]) -> Judgeme
 
 
 def within(component: Component, twin: Twin, found: Judgement) -> bool:
-    """Whether a twin keeps its component's budget, or is finite if it approximates."""
+    """Whether a twin keeps its component's budget, or is finite if it approximates.
+
+    Args:
+        component: Component with the budget.
+        twin: Implementation that was judged.
+        found: Errors of the twin, as `compare` and `agreement` give them.
+    """
     error = found["max_abs_error"]
     if twin.approximates:  # the cosine is -1 for a gradient that is not finite
         return math.isfinite(error) and (found["grad_cosine"] or 0.0) > -1
