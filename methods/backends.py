@@ -5,12 +5,15 @@ import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import Any
 
 import torch
 
 from splatproof.base.errors import MissingError, UsageError
 from splatproof.reference.rasterizer import rasterize as reference_rasterizer
+from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.splats import Splats
 
 CONTRACT = frozenset({"float32", "float64", "distance", "median", "contributors", "probe"})
 """What the reference rasterizer offers."""
@@ -27,6 +30,21 @@ class Backend:
     """Subset of CONTRACT that this implementation offers."""
     missing: str = ""
     """What to install before it can be used; empty when it is ready."""
+    device: str = "cpu"
+    """Kind of torch device that it draws on, and that models and images are kept on for it."""
+
+    def draw(self, camera: Camera, splats: Splats, **asked: Any) -> RenderOutput:
+        """The image of splats.
+
+        Args:
+            camera: Where it is taken from.
+            splats: On any device; the result is on the same.
+            asked: background, mode, probe and the further outputs of `rasterize`.
+        """
+        return self.rasterize(
+            camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
+            sh=splats.sh, colours=splats.colours, **asked,
+        )  # fmt: skip
 
 
 def _reference() -> Backend:
@@ -52,7 +70,7 @@ def _cuda() -> Backend:
     if not torch.cuda.is_available():
         return _absent("cuda", "torch finds no CUDA device; use `cpu`")
     return Backend(
-        name="cuda", rasterize=adapter.rasterize, capabilities=adapter.CAPABILITIES
+        name="cuda", rasterize=adapter.rasterize, capabilities=adapter.CAPABILITIES, device="cuda"
     )  # fmt: skip
 
 

@@ -13,6 +13,10 @@ def time_nothing(stage: str, seconds: float) -> None:
     """The stage clock that nobody reads."""
 
 
+def keep_fact(name: str, value: str) -> None:
+    """The facts that nobody records."""
+
+
 def keep_to_oneself(line: str) -> None:
     """The words that nobody hears."""
 
@@ -27,6 +31,8 @@ class Run:
     """Every random draw of the run comes from one generator with this seed."""
     backend: str = "cpu"
     """Name of the rasterizer, see splatproof.methods.backends."""
+    device: str = ""
+    """Torch device that model and images are kept on; empty: the backend's own."""
     threads: int | None = None
     """Threads of torch and of the kernels while fitting; None leaves them alone."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -36,6 +42,8 @@ class Run:
     on_stage: Callable[[str, float], None] = time_nothing
     """Called as on_stage(stage, wall seconds) for "init" and "train", or the stages of a city; a
     continued run's seconds include those before the interruption."""
+    on_fact: Callable[[str, str], None] = keep_fact
+    """Called as on_fact(name, value) for what the record of the run is to say of how it was trained."""
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
     image_bytes: int = 2**30

@@ -107,6 +107,11 @@ def _check(protocol: Protocol, where: str) -> None:
             )
             for scene, first, last in protocol.clips
         ),
+        (
+            protocol.appearance in ("half", "exposure") and protocol.region != "right_half",
+            f"appearance {protocol.appearance!r} looks at the left half: region is "
+            + f"{protocol.region!r}, expected 'right_half'",
+        ),
         (not protocol.metrics, "metrics is empty; name at least one"),
         (
             not all(0 <= value <= 1 for value in protocol.background),

@@ -9,8 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatproof.base.errors import UsageError
-from splatproof.methods.city.memory_plan import IMAGE_BYTES, training_memory_mb
-from splatproof.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP, START_SECONDS
+from splatproof.methods.city.cost import START_SECONDS
+from splatproof.methods.threedgs.cost import (
+    GAUSSIAN_STEP,
+    IMAGE_BYTES,
+    PIXEL_STEP,
+    training_memory_mb,
+)
 
 STITCH_SECONDS = 0.6e-6
 """CPU seconds a primitive of stitching. Measured like the next two: 800,000 Gaussians of degree 3 in

@@ -15,7 +15,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import write_bytes
 from splatproof.base.folders import new_folder
-from splatproof.methods.models.explicit import Reconstruction
+from splatproof.methods.models.base import Reconstruction
 from splatproof.metrics.flip import flip_map
 from splatproof.metrics.pairs import check_pair
 from splatproof.metrics.registry import find_metric
@@ -23,6 +23,7 @@ from splatproof.metrics.scoring import prepare, region_columns, round_to_8_bit, 
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore, picture_name
 from splatproof.reference.types.scene import Scene, View
+from splatproof.suites import appearance
 
 TIMED_FRAMES = 15
 """Frames whose render time is measured, spread over the test views."""
@@ -79,7 +80,9 @@ def score_views(
         new_folder(folder / "masks") if masked else nullcontext(folder) as masks,
     ):
         for view, name in zip(views, names, strict=True):
-            render, shown = kept(model.render(view.camera, background).colour, protocol.rounding)
+            asked = appearance.shown(view, scene.train_views, model, protocol)
+            drawn = appearance.exposed(view, model.render(asked, background).colour, protocol)
+            render, shown = kept(drawn, protocol.rounding)
             truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
             scores.append(
@@ -155,11 +158,11 @@ def render_milliseconds(
 ) -> float:
     """Median milliseconds a frame over the views; the first frame only warms up."""
     chosen = [views[int(i * len(views) / TIMED_FRAMES)] for i in range(TIMED_FRAMES)]
-    model.render(chosen[0].camera, background)
+    model.render(chosen[0].without_truth(), background)
     times: list[float] = []
     for view in chosen:
         started = time.perf_counter()
-        model.render(view.camera, background)
+        model.render(view.without_truth(), background)
         times.append(time.perf_counter() - started)
         if len(times) >= 3 and sum(times) > TIMED_SECONDS:
             break

@@ -14,7 +14,8 @@ from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.opening import open_scene
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.registry import get_method
 from splatproof.methods.run import Run
 from splatproof.methods.training.loop import threads
@@ -22,6 +23,7 @@ from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.scene import Scene
+from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
 from splatproof.suites.environment import environment
 from splatproof.suites.held_out import score_views, scored_views
@@ -76,6 +78,8 @@ class Spent:
     """What a case has cost so far."""
 
     stages: dict[str, float] = field(default_factory=dict)
+    facts: dict[str, str] = field(default_factory=dict)
+    """What the method says of how it was trained."""
     cpu_seconds: float = 0.0
     peak_memory_mb: float = 0.0
 
@@ -161,6 +165,9 @@ def _run(job: Job, tell: Tell) -> None:
             means |= extra
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
+    identity["environment"] |= before.facts | {
+        "appearance": appearance.told(model, job.case.protocol)
+    }
     result = Result(
         **identity,
         images=images,
@@ -190,7 +197,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
 
     tell("init", 0, 0, {})
     model = method.fit(
-        scene,
+        scene.for_training(),
         job.case.settings,
         Run(
             folder=job.folder,
@@ -200,6 +207,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             background=job.case.protocol.background,
             report=report,
             on_stage=spent.stages.__setitem__,
+            on_fact=spent.facts.__setitem__,
             checkpoint_seconds=CHECKPOINT_SECONDS,
             workers=job.workers,
             engine=job.engine,
@@ -208,7 +216,15 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
     )
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
-        model.save(folder)
+        save_model(model, folder, origin_of_case(job.case))
+
+
+def origin_of_case(case: Case) -> Origin:
+    """Where the model of a case comes from, as it is saved with it."""
+    return Origin(
+        method=case.method, variant=case.variant, settings=asdict(case.settings),
+        scene=case.scene, protocol=asdict(case.protocol), seed=case.seed,
+    )  # fmt: skip
 
 
 def _identity(job: Job) -> dict:

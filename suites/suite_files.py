@@ -13,7 +13,7 @@ from typing import Any
 from splatproof.base.errors import UsageError
 from splatproof.base.typed_toml import build, read_toml, unknown
 from splatproof.datasets.pose_noise import LEVELS
-from splatproof.methods.registry import METHODS
+from splatproof.methods.registry import methods
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import TRUE_POSES, row_name
@@ -220,7 +220,9 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         if name not in known:
             raise unknown(f"{where}.settings", name, known)
     settings = {
-        row: build(METHODS[method].settings, _settings(table, method, row), f"{where}.settings.{row}")
+        row: build(
+            methods()[method].settings, _settings(table, method, row), f"{where}.settings.{row}"
+        )
         for row, (method, _) in parts.items()
     }
     protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
@@ -238,8 +240,8 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
 def _parts(row: str, where: str) -> tuple[str, str]:
     """Method and variant of "method" or "method@variant"."""
     method, at, variant = row.partition("@")
-    if method not in METHODS:
-        raise unknown(where, method, METHODS)
+    if method not in methods():
+        raise unknown(where, method, methods())
     if at and not re.fullmatch(r"[\w.-]+", variant):
         raise UsageError(f"{where}: {row!r}; after '@' use letters, digits, '-', '_', '.'")
     return method, variant

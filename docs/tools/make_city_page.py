@@ -17,7 +17,7 @@ from city_page import Picture, render_city, row_of
 from splatproof.datasets.opening import open_scene
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.regions import nearest_region
-from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.loading import load_reconstruction
 from splatproof.suites.held_out import picture_name
 from splatproof.suites.records import read_record
 from splatproof.suites.scene_scores.seams import COLOURS

@@ -8,7 +8,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatproof.methods.models.base import ARRAYS, describe
+from splatproof.methods.models.explicit import FIELDS
 from splatproof.reference.partition.boxes import Region
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -23,7 +24,7 @@ class BlockModel:
     region: Region
     """Where it lies before the margin of training."""
     model: Gaussians | Path
-    """The Gaussians, or the folder that ExplicitModel.save wrote; that is read in slices."""
+    """The Gaussians, or the folder that save_model wrote; that is read in slices."""
 
     def __len__(self) -> int:
         """Return the number of primitives."""

@@ -13,7 +13,8 @@ from multiprocessing.context import SpawnProcess
 
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.processes import how_it_ended, serve_parent
-from splatproof.methods.city.train_block import BlockFacts, BlockJob, train_block, trained
+from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.train_block import BlockJob, train_block, trained
 from splatproof.methods.training.loop import threads as torch_threads
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]

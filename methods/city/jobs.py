@@ -7,10 +7,11 @@ import torch
 from jaxtyping import Bool, Int8
 from torch import Tensor
 
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
-from splatproof.methods.city.train_block import BlockFacts, BlockJob
+from splatproof.methods.city.train_block import BlockJob
 from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.partition.ghosts import RIM

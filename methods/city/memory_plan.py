@@ -5,21 +5,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from splatproof.base.errors import MissingError
-from splatproof.base.memory import MEBIBYTE, available_mb
+from splatproof.base.memory import available_mb
 from splatproof.methods.city.point_roles import OWN
 from splatproof.methods.city.train_block import BlockJob
+from splatproof.methods.threedgs.cost import PROCESS_MB, image_bytes, training_memory_mb
 
-PROCESS_MB = 450.0
-"""Resident size of a process that has imported torch and the kernels."""
-COPIES = 8
-"""Of a Gaussian's numbers while it trains: value, gradient, two moments, and as many again in
-densification and the rasterizer."""
 GROWTH = 8.0
 """Gaussians at the end for each point at the start, unless `density.most` says fewer."""
-IMAGE_BYTES = 12
-"""Of a pixel of a training image."""
-PIXEL_BYTES = 400
-"""Of the render, its gradients and the loss, for each pixel of a view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,26 +56,9 @@ def block_memory_mb(job: BlockJob) -> float:
     if job.settings.density.most is not None:
         count = min(count, max(job.settings.density.most, len(job.roles)))
     return training_memory_mb(
-        float(count), image_bytes=float(min(IMAGE_BYTES * sum(pixels), job.image_bytes)),
+        float(count), image_bytes=image_bytes(cameras, job.image_bytes),
         pixels=float(max(pixels, default=0)), sh_degree=job.settings.sh_degree,
     )  # fmt: skip
-
-
-def training_memory_mb(
-    gaussians: float, *, image_bytes: float, pixels: float, sh_degree: int = 3
-) -> float:
-    """Estimated peak memory of a training process: itself, images, Gaussians, pixels.
-
-    Args:
-        gaussians: At the end, ghosts included.
-        image_bytes: Of the training images that are kept.
-        pixels: Of the largest view.
-        sh_degree: 0 to 3.
-    Returns: 2^20 bytes.
-    """
-    numbers = 11 + 3 * (sh_degree + 1) ** 2
-    trained = gaussians * 4 * numbers * COPIES
-    return PROCESS_MB + (image_bytes + trained + PIXEL_BYTES * pixels) / MEBIBYTE
 
 
 def plan_memory(jobs: Sequence[BlockJob], workers: int) -> MemoryPlan:

@@ -1,15 +1,15 @@
 """The merged model, written block by block and slice by slice: never in memory as a whole."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.methods.city.block_model import BlockModel
-from splatproof.methods.models.explicit import ARRAYS, DESCRIPTION, FIELDS, write_description
+from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.rasterizer.rasterize import Mode
 
@@ -19,13 +19,12 @@ def write_merged(
     blocks: Sequence[BlockModel],
     kept: Sequence[Bool[Tensor, " _"]],
     *,
-    method: str,
-    settings: Mapping[str, Any],
+    origin: Origin,
     mode: Mode = "classic",
     shift: Float[Tensor, "3"],
     units: str = "sfm",
 ) -> tuple[int, ...]:
-    """Write what each block keeps as one model folder, as ExplicitModel.save does, but streaming.
+    """Write what each block keeps as one model folder, as save_model does, but streaming.
 
     Primitives lie block after block, in their own order: the numbers returned say whose is whose.
 
@@ -33,8 +32,7 @@ def write_merged(
         folder: Of the merged model; a folder that was interrupted is refused by load_reconstruction.
         blocks: All of the same SH degree, in float32.
         kept: Which primitives of each block stay (stitch, cut_hard).
-        method: Name of the row that made it.
-        settings: Every setting it was made with, JSON-ready.
+        origin: Where the merged model comes from.
         mode: How it is rasterized.
         shift: Float64; back to the original frame.
         units: Name of the length unit.
@@ -59,10 +57,10 @@ def write_merged(
               "sh": (count, 3)}  # fmt: skip
     layout = {name: (total, *shapes[name]) for name in FIELDS}
     write_float_stream(folder / ARRAYS, layout, _kept_slices(blocks, kept))
-    write_description(
-        folder, method=method, settings=settings, mode=mode, shift=shift, units=units,
-        primitives=total, degree=round(count**0.5) - 1,
-    )  # fmt: skip
+    facts = explicit_facts(
+        mode=mode, shift=shift, units=units, primitives=total, degree=round(count**0.5) - 1
+    )
+    write_description(folder, ExplicitModel.kind, origin, facts)
     return counts
 
 

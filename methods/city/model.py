@@ -10,15 +10,10 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import sha256, write_bytes
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.regions import AnyRegion, load_regions, save_regions
-from splatproof.methods.city.train_block import BlockFacts
-from splatproof.methods.models.explicit import (
-    ARRAYS,
-    DESCRIPTION,
-    ExplicitModel,
-    described,
-    gaussians_in,
-)
+from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.models.explicit import ExplicitModel, described, gaussians_in
 from splatproof.methods.storage.packed.reader import read_packed
 
 CONTAINER = "model.spgs"
@@ -45,19 +40,21 @@ class CityModel(ExplicitModel):
     packed: bytes | None = None
     """The compressed file that `model` was read from; None: not compressed."""
     packed_parts: Mapping[str, int] = field(default_factory=dict)
-    """Bytes of each part of that file, see methods.storage.packed.writer; they sum to it."""
+    """Bytes of each part of that file, see splatproof.methods.storage.packed; they sum to it."""
 
-    def arrays(self) -> dict[str, Tensor]:
-        """Blocks and distances; and the Gaussians, unless they are in a file of their own."""
+    def store(self, folder: Path) -> Stored:
+        """What `save_model` writes; regions and compressed Gaussians get files of their own.
+
+        Args:
+            folder: Where those files are written.
+        """
         mine = {"blocks": self.blocks.int(), "distances": self.distances.float()}
-        return mine if self.packed is not None else super().arrays() | mine
-
-    def more(self, folder: Path) -> dict[str, Any]:
-        """Write the compressed Gaussians; facts of blocks and stages."""
+        arrays = mine if self.packed is not None else dict(super().store(folder).tensors) | mine
         path = folder / CONTAINER
         path.unlink(missing_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         save_regions(folder / REGIONS, self.regions)
-        facts: dict[str, Any] = {
+        facts: dict[str, Any] = self.facts() | {
             "blocks": [asdict(facts) for facts in self.block_facts],
             "stage_seconds": dict(self.stage_seconds),
         }
@@ -68,24 +65,27 @@ class CityModel(ExplicitModel):
                 "parts": dict(self.packed_parts),
                 "sha256": sha256(path),
             }
-        return facts
+        return Stored(tensors=arrays, facts=facts)
 
 
-def load_city(
-    folder: Path, facts: Mapping[str, Any], arrays: Mapping[str, Tensor], *, backend: str
-) -> CityModel:
+def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
     """The model of a folder whose model.json and arrays were read already.
+
+    Args:
+        folder: Where it lies; its other files are read here.
+        stored: Its arrays and facts.
+        backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, for what is missing or damaged.
     """
-    path = folder / ARRAYS
+    path, facts, arrays = folder / ARRAYS, stored.facts, dict(stored.tensors)
     packed = None
-    if (stored := facts.get("container")) is not None:
+    if (container := facts.get("container")) is not None:
         path = folder / CONTAINER
-        if not path.is_file() or sha256(path) != stored["sha256"]:
+        if not path.is_file() or sha256(path) != container["sha256"]:
             raise DataError(f"{path}: missing, or not the file of {DESCRIPTION}; copy it again")
         packed = path.read_bytes()
-        arrays = dict(arrays) | vars(read_packed(path)[0])
+        arrays |= vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:
         blocks, distances = arrays["blocks"].long(), arrays["distances"]
@@ -94,7 +94,7 @@ def load_city(
                              f"{len(model)} Gaussians")  # fmt: skip
         return CityModel(
             model=model, backend=backend, blocks=blocks, distances=distances, packed=packed,
-            packed_parts=dict(stored["parts"]) if stored else {},
+            packed_parts=dict(container["parts"]) if container else {},
             block_facts=tuple(BlockFacts(**block) for block in facts["blocks"]),
             regions=load_regions(folder / REGIONS),
             stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},

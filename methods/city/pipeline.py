@@ -1,6 +1,5 @@
 """From a scene to one model: partition, blocks, stitch, refine, compress; each stage resumable."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -15,8 +14,8 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from splatproof.base.files import read_tensors, write_tensors
-from splatproof.methods.backends import get_backend
 from splatproof.methods.city import refine as refinement
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
@@ -27,15 +26,16 @@ from splatproof.methods.city.partition import Partition, partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import cut_hard, stitch
-from splatproof.methods.city.train_block import BlockFacts, BlockJob, read_gaussians, select
-from splatproof.methods.models.explicit import ARRAYS, FIELDS
+from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
+from splatproof.methods.models.base import ARRAYS, Origin
+from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.run import Run
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
-from splatproof.methods.training import initialise
-from splatproof.methods.training import loop as training
-from splatproof.methods.training.loop import Trainer
+from splatproof.methods.threedgs.fit import prepare, started
+from splatproof.methods.training.loop import Trainer, threads
+from splatproof.methods.training.session import run_key
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
@@ -69,11 +69,9 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
         to another run; MissingError if the blocks cannot fit into memory.
     """
-    scene = initialise.with_points(scene, settings, run)
-    with training.threads(run.threads), _work_folder(run) as folder:
-        key = json.dumps([method, scene.name, training.scene_digest(scene), asdict(settings),
-                          run.seed, run.background, run.backend])  # fmt: skip
-        stages = Stages(folder, key, run.on_stage)
+    scene = started(scene, settings.training, run)
+    with threads(run.threads), _work_folder(run) as folder:
+        stages = Stages(folder, run_key(scene, settings, run, method), run.on_stage)
         progress = Progress(run, settings)
         coarse = None
         if settings.coarse_iterations:
@@ -112,8 +110,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
     return CityModel(
-        model=merged.model, blocks=merged.blocks, distances=merged.distances, method=method,
-        settings=asdict(settings), mode=settings.mode, shift=scene.shift, units=scene.units,
+        model=merged.model, blocks=merged.blocks, distances=merged.distances, mode=settings.mode, shift=scene.shift, units=scene.units,
         backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, packed=packed,
         packed_parts=parts,
         block_facts=facts,
@@ -176,10 +173,11 @@ def _coarse(
     """Train a model of the whole scene."""
     own = replace(settings.training, iterations=settings.coarse_iterations)
     at = replace(run, folder=folder / "coarse", report=progress.coarse)
-    trainer = Trainer(scene, own, at, get_backend(run.backend))
+    coarse, plan = prepare(scene, own, at)
+    trainer = Trainer(coarse, plan, at)
     trainer.resume()
     trainer.train()
-    model = trainer.gaussians()
+    model = coarse.gaussians()
     write_tensors(path, {name: getattr(model, name) for name in FIELDS})
     shutil.rmtree(folder / "coarse", ignore_errors=True)
     return {"seconds": trainer.seconds}
@@ -234,7 +232,8 @@ def _stitch(
     ]
     kept = kept_rows(blocks, settings, run.seed, run.threads)
     counts = write_merged(
-        folder / "merged", blocks, kept, method=method, settings=asdict(settings),
+        folder / "merged", blocks, kept,
+        origin=Origin(method=method, settings=asdict(settings), scene=scene.name, seed=run.seed),
         mode=settings.mode, shift=scene.shift, units=scene.units,
     )  # fmt: skip
     distances = [

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float64, Int8, Int64
 from torch import Tensor
 
+from splatproof.methods.training.density import RowRules
+from splatproof.methods.training.parameters import Parameters
 from splatproof.reference.partition.ghosts import block_boxes, ghosts
 from splatproof.reference.partition.visibility import track_lengths
 from splatproof.reference.types.scene import SparsePoints
@@ -13,6 +15,8 @@ from splatproof.reference.types.scene import SparsePoints
 OWN, CONTEXT, GHOST = 0, 1, 2
 """Trained and densified; trained, not densified; rendered only. What has no role is left out."""
 LEFT_OUT = -1
+ROLE = "role"
+"""Label of a block's rows that says which of these they are."""
 Auxiliary = Literal["none", "context", "ghosts", "both"]
 """none: own points only; context: and all that the block's views see, trained, not densified
 (BlockGaussian); ghosts: and what lies in the auxiliary box, rendered only (DPGS); both: ghosts in
@@ -66,3 +70,30 @@ def seen_points(points: SparsePoints, views: Bool[Tensor, " v"]) -> Bool[Tensor,
     seen = torch.zeros(len(points), dtype=torch.bool)
     seen[owner[views[points.track_views.long()]]] = True
     return seen
+
+
+def role_rules(*, follow: bool) -> RowRules:
+    """What density control may do to a block's rows: own ones grow, context is only pruned.
+
+    Args:
+        follow: Whether the opacity of ghosts is trained, and then reset too.
+    """
+    return RowRules(
+        growing=lambda parameters: parameters.labels[ROLE] == OWN,
+        fixed=lambda parameters: parameters.labels[ROLE] == GHOST,
+        steady=lambda parameters: (parameters.labels[ROLE] == GHOST) & (not follow),
+    )
+
+
+def held_rows(parameters: Parameters, *, follow: bool) -> dict[str, Int64[Tensor, " g"]]:
+    """Rows of ghosts, by the tensors that keep their values there.
+
+    Args:
+        parameters: Those of a block.
+        follow: Whether their opacity and colour follow (dual mode); their geometry never does.
+    """
+    ghosts = (parameters.labels[ROLE] == GHOST).nonzero()[:, 0]
+    still = ("means", "log_scales", "quaternions")
+    if not follow:
+        still += ("opacity_logits", "sh_dc", "sh_rest")
+    return dict.fromkeys(still, ghosts)

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.executor import BlocksReport, alone
-from splatproof.methods.city.train_block import BlockFacts, BlockJob, train_block
+from splatproof.methods.city.train_block import BlockJob, train_block
 from splatproof.methods.training.loop import threads as torch_threads
 
 RETRIES = 3

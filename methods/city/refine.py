@@ -8,24 +8,24 @@ from typing import Literal
 from jaxtyping import Bool
 from torch import Tensor
 
-from splatproof.methods.backends import get_backend
 from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training import loop as training
-from splatproof.methods.training.density import Density
+from splatproof.methods.training.contract import Moment
+from splatproof.methods.training.loop import Plan, Trainer
+from splatproof.methods.training.optimizer import Adam, Momentum
 from splatproof.methods.training.schedules import Rates, require
+from splatproof.methods.training.session import run_key
+from splatproof.methods.training.strategy import Frozen
 from splatproof.reference.compression.affine_codes import fake_quantise, lattice
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import Scene, View
 
 PAPER_SHARE = 7_000 / 40_000
 """Refinement steps a step of block training in the paper."""
-MOMENTUM = 0.9
-"""Of the release's SGD."""
-APPEARANCE = ("sh_dc", "sh_rest", "opacity")
-"""What is fitted; means, quaternions and scales are frozen."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,65 +96,69 @@ def refine(
     Source: StitchGS, Sec. 3.2.4; Adam instead of SGD: ours.
     """
     rates = Rates(
-        means=0.0, means_final=0.0, scales=0.0, quaternions=0.0, sh_dc=settings.sh_dc,
-        sh_rest=settings.sh_rest, opacity=settings.opacity, settle=settings.settle,
+        means=0.0, means_final=0.0, log_scales=0.0, quaternions=0.0, sh_dc=settings.sh_dc,
+        sh_rest=settings.sh_rest, opacity_logits=settings.opacity, settle=settings.settle,
     )  # fmt: skip
-    own = replace(
-        base, iterations=settings.steps(base.iterations), rates=rates, sh_interval=0,
-        density=Density(stop=0, reset_interval=0),
-    )  # fmt: skip
-    trainer = Refiner(model, scene, settings, own, replace(run, folder=folder))
+    steps = settings.steps(base.iterations)
+    fitted = QuantisedModel(model, rates, settings.quantise_from, base)
+    plan = Plan(
+        steps=steps,
+        views=scene.train_views,
+        terms=terms(base),
+        density=Frozen(),
+        key=run_key(scene, base, run, f"{settings} {_digest(model)}"),
+        views_per_step=base.views_per_step,
+        random_background=base.random_background,
+        optimizer=Momentum if settings.optimizer == "sgd" else Adam,
+    )
+    trainer = Trainer(fitted, plan, replace(run, folder=folder))
     trainer.resume()
     trainer.train()
-    found = trainer.gaussians()
-    frozen = {name: getattr(model, name) for name in ("means", "quaternions", "log_scales")}
-    return replace(found, **frozen), trainer.seconds
+    return fitted.gaussians(), trainer.seconds
 
 
-class Refiner(training.Trainer):
-    """Training of appearance only, through 8-bit residual harmonics."""
+def _digest(model: Gaussians) -> str:
+    digest = hashlib.sha256()
+    for name in FIELDS:
+        digest.update(getattr(model, name).detach().contiguous().numpy())
+    return digest.hexdigest()
 
-    renders_parameters = False
+
+class QuantisedModel(GaussianModel):
+    """Gaussians of which only the appearance moves, seen as they will be stored in 8 bits."""
 
     def __init__(
-        self,
-        model: Gaussians,
-        scene: Scene,
-        settings: RefineSettings,
-        own: Settings,
-        run: Run,
+        self, start: Gaussians, rates: Rates, quantise_from: float, base: Settings
     ) -> None:
-        """Start from a merged model."""
-        digest = hashlib.sha256()
-        for name in FIELDS:
-            digest.update(getattr(model, name).detach().contiguous().numpy())
-        special = f"{settings} {digest.hexdigest()}"
-        backend = get_backend(run.backend)
-        super().__init__(scene, own, run, backend, start=model, special=special)
-        self.refinement = settings
+        """Start from a merged model.
 
-    def model(self, degree: int) -> Gaussians:
-        """The Gaussians as they will be stored: residual harmonics on their lattice of 256 values."""
-        leaves = self.adam.leaves()
-        if self.step > self.refinement.quantise_from * self.settings.iterations:
-            rest = leaves["sh_rest"].flatten(start_dim=1)
+        Args:
+            start: The model.
+            rates: Those of geometry are 0.
+            quantise_from: Share of the steps after which harmonics are seen through 8 bits.
+            base: Of the blocks: mode and dropout.
+        """
+        super().__init__(start, rates, extent=0.0, mode=base.mode, dropout=base.dropout)
+        self.quantise_from = quantise_from
+
+    def drawn_rows(self, moment: Moment) -> dict[str, Tensor]:
+        """The rows, their residual harmonics on the lattice of 256 values that they will have.
+
+        Args:
+            moment: Says whether it is time for that.
+        """
+        rows = super().drawn_rows(moment)
+        if moment.step > self.quantise_from * moment.total:
+            rest = rows["sh_rest"].flatten(start_dim=1)
             low, reach = lattice(rest.detach())
-            leaves["sh_rest"] = fake_quantise(rest, low, reach).reshape_as(leaves["sh_rest"])
-        return training.assemble(leaves, degree)
+            rows["sh_rest"] = fake_quantise(rest, low, reach).reshape_as(rows["sh_rest"])
+        return rows
 
-    def update(self) -> None:
-        """Follow the gradients of the appearance; what is frozen has no say."""
-        parameters = self.adam.parameters
-        for name, value in parameters.items():
-            if name not in APPEARANCE:
-                value.grad = None
-        if self.refinement.optimizer == "adam":
-            super().update()
-            return
-        rates = self.learning_rates()
-        for name in APPEARANCE:
-            gradient = parameters[name].grad
-            if gradient is not None:
-                self.adam.first[name].mul_(MOMENTUM).add_(gradient)
-                parameters[name].detach().sub_(rates[name] * self.adam.first[name])
-                parameters[name].grad = None
+    def native(self, view: View, moment: Moment) -> None:
+        """None: the kernels read tensors as they are trained, not as they are stored.
+
+        Args:
+            view: Not looked at.
+            moment: Not looked at.
+        """
+        del view, moment

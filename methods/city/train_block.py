@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import torch
@@ -13,42 +13,30 @@ from torch import Tensor
 
 from splatproof.base.files import read_tensors, write_text
 from splatproof.base.memory import peak_memory_mb
-from splatproof.methods.backends import get_backend
-from splatproof.methods.city.point_roles import GHOST, OWN
+from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.point_roles import GHOST, OWN, ROLE, held_rows, role_rules
+from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
+from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training import loop as training
-from splatproof.methods.training.initialise import from_points
-from splatproof.reference.partition.view_sampling import SamplingSettings, balanced_draws, view_bins
+from splatproof.methods.training.density import DensityControl
+from splatproof.methods.training.initialise import extent, from_points
+from splatproof.methods.training.loop import Plan, Trainer, scene_digest
+from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.session import run_key
+from splatproof.methods.training.view_order import Drawn, ViewOrder
+from splatproof.reference.partition.view_sampling import (
+    SamplingSettings,
+    balanced_draws,
+    view_bins,
+)
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
 Report = Callable[[int, int, dict[str, float]], None]
 """report(step, total, values) of one block."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlockFacts:
-    """What one block was, and what it cost."""
-
-    block: int
-    views: int
-    """Training views."""
-    points: int
-    """Sparse points that it owns."""
-    load: int
-    """Summed track length of the points it owns."""
-    seconds: float = 0.0
-    """Wall seconds of its training."""
-    peak_mb: float = 0.0
-    """Peak resident memory of the process that trained it, in 2^20 bytes."""
-    primitives: int = 0
-    """Gaussians when its training ended, ghosts left out."""
-    kept: int = 0
-    """Of those, what the merged model has."""
-    note: str = ""
-    """What was out of the ordinary; empty if nothing was."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +71,7 @@ class BlockJob:
     @cached_property
     def key(self) -> str:
         """Hash of all that the trained block depends on: equal keys, equal blocks."""
-        digest = hashlib.sha256(training.scene_digest(self.scene).encode())
+        digest = hashlib.sha256(scene_digest(self.scene).encode())
         digest.update(self.roles.numpy().tobytes() + self.centre.numpy().tobytes())
         digest.update(self.frame.numpy().tobytes())
         if self.start is not None:
@@ -130,10 +118,11 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         folder=job.folder, seed=job.seed, backend=job.backend, background=job.background,
         report=report, checkpoint_seconds=job.checkpoint_seconds, image_bytes=job.image_bytes,
     )  # fmt: skip
-    trainer = BlockTrainer(job, run, started)
+    block, plan = prepare(job, started, run)
+    trainer = Trainer(block, plan, run)
     trainer.resume()
     trainer.train()
-    model = select(trainer.gaussians(), trainer.roles != GHOST)
+    model = select(block.gaussians(), block.parameters.labels[ROLE] != GHOST)
     note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
     facts = replace(
         job.facts,
@@ -147,10 +136,14 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
 
 def _finish(job: BlockJob, model: Gaussians, facts: BlockFacts) -> BlockFacts:
     """Save the model, then the record; the checkpoint has served."""
-    ExplicitModel(
-        model=model, method="block", settings=asdict(job.settings), shift=job.scene.shift,
-        units=job.scene.units, backend=job.backend, mode=job.settings.mode,
-    ).save(job.model)  # fmt: skip
+    trained = ExplicitModel(
+        model=model, shift=job.scene.shift, units=job.scene.units, backend=job.backend,
+        mode=job.settings.mode,
+    )  # fmt: skip
+    origin = Origin(
+        method="block", settings=asdict(job.settings), scene=job.scene.name, seed=job.seed
+    )
+    save_model(trained, job.model, origin)
     write_text(job.record, json.dumps({"key": job.key, "facts": asdict(facts)}) + "\n")
     (job.folder / "checkpoint" / "training.safetensors").unlink(missing_ok=True)
     return facts
@@ -183,66 +176,48 @@ def no_gaussians(degree: int) -> Gaussians:
     )  # fmt: skip
 
 
-class BlockTrainer(training.Trainer):
-    """Training in which rows have roles: own, context (never densified), ghost (held still)."""
+def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianModel, Plan]:
+    """The block's model at its start, with the roles of its rows as labels, and its plan.
 
-    def __init__(self, job: BlockJob, run: Run, start: Gaussians | None) -> None:
-        """Start from the job's points or a coarse model."""
-        settings = job.settings
-        if start is None:
-            start = from_points(
-                job.scene, degree=settings.sh_degree, opacity=settings.initial_opacity
-            )
-        super().__init__(
-            job.scene, settings, run, get_backend(job.backend), start=start, special=job.key
-        )
-        self.roles = job.roles.clone()
-        if len(self.roles) != len(start):
-            self.roles = torch.full((len(start),), OWN, dtype=torch.int8)
-        self.still = ("means", "scales", "quaternions")
-        if not job.follow:
-            self.still += ("opacity", "sh_dc", "sh_rest")
-        self.draws = None
-        if job.sampling is not None:
-            centres = torch.stack([view.camera.centre.double() for view in job.scene.train_views])
-            bins = view_bins(centres, job.centre.double(), job.frame.double(), job.sampling)
-            generator = torch.Generator().manual_seed(job.seed)
-            self.draws = balanced_draws(bins, job.sampling, generator)
+    Args:
+        job: What to train.
+        start: Gaussians of a coarse model; None: the job's points.
+        run: Seed, background and backend are part of the plan's key.
+    """
+    settings, scene = job.settings, job.scene
+    if start is None:
+        start = from_points(scene, degree=settings.sh_degree, opacity=settings.initial_opacity)
+    roles = job.roles
+    if len(roles) != len(start):
+        roles = torch.full((len(start),), OWN, dtype=torch.int8)
+    size = extent(scene)
+    model = GaussianModel(
+        start, settings.rates, extent=size, mode=settings.mode,
+        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+        labels={ROLE: roles},
+    )  # fmt: skip
+    density = DensityControl(
+        settings.density, iterations=settings.iterations, extent=size,
+        rules=role_rules(follow=job.follow),
+    )  # fmt: skip
+    return model, Plan(
+        steps=settings.iterations,
+        views=scene.train_views,
+        terms=terms(settings),
+        density=density,
+        key=run_key(scene, settings, run, job.key),
+        views_per_step=settings.views_per_step,
+        random_background=settings.random_background,
+        order=_balanced(job),
+        held=partial(held_rows, follow=job.follow),
+    )
 
-    def next_view(self) -> int:
-        """Balanced over where the views stand, or as for any model."""
-        return super().next_view() if self.draws is None else next(self.draws)
 
-    def update(self) -> None:
-        """Follow the gradients, but put the ghosts back to where they were."""
-        ghost = (self.roles == GHOST).nonzero()[:, 0]
-        held = {name: self.adam.parameters[name].detach()[ghost] for name in self.still}
-        super().update()
-        for name, values in held.items():
-            self.adam.parameters[name].detach()[ghost] = values
-
-    def densify(self, fixed: Tensor | None = None) -> Tensor:
-        """Clone and split the block's own Gaussians; prune context too, ghosts never."""
-        self.control.gradient_sum[self.roles != OWN] = -1  # below any threshold
-        parents = super().densify(self.roles == GHOST)
-        self.roles = self.roles[parents]
-        return parents
-
-    def reset(self) -> None:
-        """Reset opacities, but not those of ghosts that are held."""
-        before = self.adam.parameters["opacity"].detach().clone()
-        super().reset()
-        if "opacity" in self.still:
-            held = self.roles == GHOST
-            self.adam.parameters["opacity"].detach()[held] = before[held]
-
-    def state(self) -> dict[str, Tensor]:
-        """Each row's role."""
-        return {"roles": self.roles}
-
-    def restore(self, state: dict[str, Tensor]) -> None:
-        """Take the roles over, and skip the views that were drawn before."""
-        self.roles = state["roles"].clone()
-        if self.draws is not None:
-            for _ in range(self.step * self.settings.views_per_step):
-                next(self.draws)
+def _balanced(job: BlockJob) -> ViewOrder | None:
+    """Views balanced over where they stand, or None: shuffled as for any model."""
+    if job.sampling is None:
+        return None
+    centres = torch.stack([view.camera.centre.double() for view in job.scene.train_views])
+    bins = view_bins(centres, job.centre.double(), job.frame.double(), job.sampling)
+    generator = torch.Generator().manual_seed(job.seed)
+    return Drawn(balanced_draws(bins, job.sampling, generator))

@@ -17,7 +17,8 @@ from splatproof.methods.kernels.rasterizer import DEGREES, check_background, nat
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera
 
-SHAPES = {"means": (3,), "quaternions": (4,), "scales": (3,), "opacity": (), "sh_dc": (1, 3)}
+SHAPES = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (),
+          "sh_dc": (1, 3)}  # fmt: skip
 """Shape of one row of each trained tensor; sh_rest has (k - 1, 3)."""
 
 
@@ -30,6 +31,8 @@ class Step:
     """Of the loss, by parameter; without `sh_rest` where degree 0 is drawn."""
     screen: Float[Tensor, "n 2"]
     """Sum over pixels of d loss / d (2D mean)."""
+    absolute: Float[Tensor, "n 2"] | None
+    """Sum over pixels of |d loss / d (2D mean)|; None where it was not asked for."""
     radii: Float[Tensor, " n"]
     """0 where not seen, as in RenderOutput."""
 
@@ -52,19 +55,20 @@ class ViewGradients:
         mask: Bool[Tensor, "h w"] | None = None,
         dssim: float = 0.2,
         mode: Mode = "classic",
+        absolute: bool = False,
     ) -> Step:
         """Loss of rendering one view, L = (1 - l) L1 + l (1 - SSIM), and dL / d parameters.
 
         Args:
             camera: Of the view.
-            parameters: means, quaternions (any length), scales (logarithms), opacity (logits), sh_dc and
-                sh_rest.
+            parameters: means, quaternions (any length), log_scales, opacity_logits, sh_dc and sh_rest.
             truth: The photo, in [0, 1].
             degree: Highest SH degree that is drawn; the coefficients above get zero gradient.
             background: Behind everything; None is black.
             mask: Pixels that count; None: all.
             dssim: Weight l of 1 - SSIM.
             mode: As in rasterize.
+            absolute: Whether the absolute gradients by the 2D means are wanted too.
 
         Returns: The step, valid until the next call. Where the loss is not finite, its tensors are not
             written.
@@ -89,8 +93,9 @@ class ViewGradients:
         new = {name: self._like(name, value) for name, value in values.items()}
         n = len(values["means"])
         screen, radii = self._take("screen", (n, 2)), self._take("radii", (n,))
+        moduli = self._take("absolute", (n, 2)) if absolute else None
         model = _ext.Model(
-            values["means"], values["quaternions"], values["scales"], values["opacity"], None,
+            values["means"], values["quaternions"], values["log_scales"], values["opacity_logits"], None,
             values["sh_dc"], (degree + 1) ** 2, True, mode == "antialiased", values["sh_rest"],
         )  # fmt: skip
         if degree == 0:
@@ -99,9 +104,9 @@ class ViewGradients:
         loss = _ext.step(
             model, *native_camera(camera), plain(background), truth.contiguous(),
             None if mask is None else mask.contiguous(), dssim, new["means"], new["quaternions"],
-            new["scales"], new["opacity"], new["sh_dc"], new.get("sh_rest"), screen, None, radii,
+            new["log_scales"], new["opacity_logits"], new["sh_dc"], new.get("sh_rest"), screen, moduli, radii,
         )  # fmt: skip
-        return Step(loss=loss, gradients=new, screen=screen, radii=radii)
+        return Step(loss=loss, gradients=new, screen=screen, absolute=moduli, radii=radii)
 
     def _like(self, name: str, value: Tensor) -> Tensor:
         return self._take(f"by {name}", tuple(value.shape))

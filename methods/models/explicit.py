@@ -1,53 +1,25 @@
-"""What training leaves behind: something that renders, is saved, and is loaded again."""
+"""Explicit Gaussians as a reconstruction: drawn as they are, baked by doing nothing."""
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof import __version__
 from splatproof.base.errors import DataError
-from splatproof.base.files import read_tensors, sha256, write_tensors, write_text
 from splatproof.methods.backends import get_backend
+from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
 from splatproof.reference.rasterizer.rasterize import Mode
-from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import View
+from splatproof.reference.types.splats import activated
 
-FORMAT = "splatproof model"
-FORMAT_VERSION = 1
-ARRAYS = "model.safetensors"
-DESCRIPTION = "model.json"
-KINDS = ("explicit", "city")
 FIELDS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
-
-
-@runtime_checkable
-class Reconstruction(Protocol):
-    """A trained model of a scene."""
-
-    @property
-    def primitives(self) -> int:
-        """Number of Gaussians that are stored."""
-        ...
-
-    def render(self, camera: Camera, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
-        """The image from a camera; background None is black. No gradients."""
-        ...
-
-    def gaussians(self) -> Gaussians:
-        """The model as explicit Gaussians in the scene's frame."""
-        ...
-
-    def save(self, folder: Path) -> None:
-        """Write the model folder."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,14 +27,10 @@ class ExplicitModel:
     """Gaussians and what is needed to draw and export them."""
 
     kind: ClassVar[str] = "explicit"
-    """What load_reconstruction tells models apart by."""
+    """What models are told apart by when they are loaded."""
     model: Gaussians
-    method: str
-    """Name of the row that made it; "import" for a foreign file."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Every setting it was made with, JSON-ready."""
     mode: Mode = "classic"
-    """How it is rasterized, see splatproof.reference.rasterizer.rasterize."""
+    """How it is rasterized, see splatproof.reference.rasterizer."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
     """Float64; added to the means it gives positions in the original frame."""
     units: str = "sfm"
@@ -75,145 +43,86 @@ class ExplicitModel:
         """Number of Gaussians."""
         return len(self.model)
 
-    def gaussians(self) -> Gaussians:
-        """The Gaussians, in the scene's frame."""
+    def bake(self, view: View | None = None) -> Gaussians:
+        """The Gaussians, in the scene's frame; they look the same from every view.
+
+        Args:
+            view: Not looked at.
+        """
+        del view
         return self.model
 
     @torch.no_grad()
-    def render(self, camera: Camera, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
-        """The image from a camera, not clamped; background None is black."""
-        model = self.model
-        return get_backend(self.backend).rasterize(
-            camera, model.means, model.quaternions, model.scales, model.opacities,
-            sh=model.sh, background=background, mode=self.mode,
-        )  # fmt: skip
+    def render(self, view: View, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
+        """The image of a view, not clamped.
 
-    def arrays(self) -> dict[str, Tensor]:
-        """What model.safetensors holds."""
-        return {name: getattr(self.model, name) for name in FIELDS}
-
-    def more(self, folder: Path) -> dict[str, Any]:
-        """Write what other files a kind of model has; what model.json says of them."""
-        del folder
-        return {}
-
-    def save(self, folder: Path) -> None:
-        """Write `folder`/model.safetensors and, last, model.json, which holds its hash.
-
-        A folder that was interrupted has no model.json and is refused by `load_reconstruction`.
+        Args:
+            view: Its camera alone counts: nothing moves, and light is what it was on average.
+            background: Colour behind everything; None is black.
         """
-        (folder / DESCRIPTION).unlink(missing_ok=True)
-        write_tensors(folder / ARRAYS, self.arrays())
-        write_description(
-            folder, method=self.method, settings=self.settings, mode=self.mode, shift=self.shift,
-            units=self.units, primitives=self.primitives, degree=self.model.degree,
-            kind=self.kind, more=self.more(folder),
+        backend = get_backend(self.backend)
+        return backend.draw(
+            view.camera, activated(self.model), background=background, mode=self.mode
+        )
+
+    def store(self, folder: Path) -> Stored:
+        """What `save_model` writes: the Gaussians and how they are drawn.
+
+        Args:
+            folder: Not used: there are no files beside the arrays.
+        """
+        del folder
+        return Stored(tensors={n: getattr(self.model, n) for n in FIELDS}, facts=self.facts())
+
+    def facts(self) -> dict[str, Any]:
+        """What model.json says of any explicit model."""
+        return explicit_facts(
+            mode=self.mode, shift=self.shift, units=self.units, primitives=self.primitives,
+            degree=self.model.degree,
         )  # fmt: skip
 
 
-def write_description(
-    folder: Path,
-    *,
-    method: str,
-    settings: Mapping[str, Any],
-    mode: Mode,
-    shift: Float[Tensor, "3"],
-    units: str,
-    primitives: int,
-    degree: int,
-    kind: str = ExplicitModel.kind,
-    more: Mapping[str, Any] | None = None,
-) -> None:
-    """Write model.json beside arrays that lie there complete: it holds their hash.
+def explicit_facts(
+    *, mode: Mode, shift: Float[Tensor, "3"], units: str, primitives: int, degree: int
+) -> dict[str, Any]:
+    """What model.json says of explicit Gaussians.
 
     Args:
-        folder: With model.safetensors.
-        method: As in ExplicitModel, like settings, mode, shift and units.
-        settings: JSON-ready.
-        mode: How the model is rasterized.
+        mode: How they are rasterized.
         shift: Float64; back to the original frame.
         units: Name of the length unit.
         primitives: Number of Gaussians.
-        degree: Of the spherical harmonics.
-        kind: One of KINDS.
-        more: What that kind of model says besides.
+        degree: Degree of the spherical harmonics, 0 to 3.
     """
-    facts = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
-        "kind": kind,
-        "method": method,
-        "settings": dict(settings),
-        "mode": mode,
-        "shift": shift.tolist(),
-        "units": units,
-        "primitives": primitives,
+    return {
+        "mode": mode, "shift": shift.tolist(), "units": units, "primitives": primitives,
         "degree": degree,
-        "arrays_sha256": sha256(folder / ARRAYS),
-        "versions": {"splatproof": __version__, "torch": torch.__version__},
-    } | dict(more or {})
-    write_text(folder / DESCRIPTION, json.dumps(facts, indent=2) + "\n")
+    }  # fmt: skip
 
 
-def describe(folder: Path) -> dict[str, Any]:
-    """What model.json says, checked to be of a kind and version that can be read here.
-
-    Raises: DataError, naming the file and what is wrong with it.
-    """
-    path = folder / DESCRIPTION
-    try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file. Expected a folder written by `bench fit`") from None
-    except (ValueError, OSError) as error:
-        raise DataError(f"{path}: not JSON ({error})") from None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise DataError(f"{path}: not a model of splatproof (no format {FORMAT!r})")
-    if facts.get("version") != FORMAT_VERSION:
-        raise DataError(
-            f"{path}: version {facts.get('version')!r}, this splatproof reads {FORMAT_VERSION}; "
-            "use the version that wrote it"
-        )
-    if facts.get("kind") not in KINDS:
-        raise DataError(f"{path}: kind {facts.get('kind')!r}, expected {' or '.join(KINDS)}")
-    return facts
-
-
-def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction:
-    """The model that `save` wrote into a folder, or a packed one.
+def load_explicit(folder: Path, stored: Stored, backend: str) -> ExplicitModel:
+    """The explicit model of a folder whose files were read.
 
     Args:
-        folder: With model.json and model.safetensors; or a file of methods.storage.packed.writer.
+        folder: Where it lies, for errors.
+        stored: Its arrays and facts.
         backend: Name of the rasterizer to draw it with.
 
-    Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version.
+    Raises: DataError, in one line, for what is missing or damaged.
     """
-    if folder.is_file():
-        from splatproof.methods.storage.packed.reader import read_packed  # it builds on this module
-
-        model, packed = read_packed(folder)
-        check_gaussians(model, folder)
-        return ExplicitModel(model=model, backend=backend, **vars(packed))
-    facts = describe(folder)
-    path = folder / ARRAYS
-    arrays, _ = read_tensors(path)
-    if sha256(path) != facts.get("arrays_sha256"):
-        raise DataError(
-            f"{path}: its sha256 is not the one in {DESCRIPTION}; copy the folder again"
-        )
-    if facts["kind"] == "city":
-        from splatproof.methods.city.model import load_city  # it builds on this module
-
-        return load_city(folder, facts, arrays, backend=backend)
-    model = gaussians_in(arrays, path)
+    model = gaussians_in(stored.tensors, folder / ARRAYS)
     try:
-        return ExplicitModel(model=model, backend=backend, **described(facts))
+        return ExplicitModel(model=model, backend=backend, **described(stored.facts))
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
 
 
 def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
     """The Gaussians among named arrays, checked.
+
+    Args:
+        arrays: With those of FIELDS.
+        source: File they come from, for errors.
 
     Raises: DataError, naming `source`.
     """
@@ -226,7 +135,7 @@ def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
 
 
 def described(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """What model.json says that any model has beside its arrays.
+    """What model.json says that any explicit model has beside its arrays.
 
     Raises: KeyError, TypeError or ValueError for what is missing or wrong.
     """
@@ -235,14 +144,15 @@ def described(facts: Mapping[str, Any]) -> dict[str, Any]:
         raise ValueError(f"shift has shape {tuple(shift.shape)}, expected 3 numbers")
     if facts["mode"] not in ("classic", "antialiased"):
         raise ValueError(f"mode {facts['mode']!r}, expected 'classic' or 'antialiased'")
-    return {
-        "method": str(facts["method"]), "settings": dict(facts["settings"]),
-        "mode": facts["mode"], "shift": shift, "units": str(facts["units"]),
-    }  # fmt: skip
+    return {"mode": facts["mode"], "shift": shift, "units": str(facts["units"])}
 
 
 def check_gaussians(model: Gaussians, source: Path) -> None:
     """Refuse wrong shapes and numbers that are not finite, naming the first.
+
+    Args:
+        model: What is checked.
+        source: File it comes from, for errors.
 
     Raises: DataError, naming `source`.
     """

@@ -1,6 +1,7 @@
 """Adaptive density control: where Gaussians are cloned, split, pruned and made transparent."""
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,9 +9,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from splatproof.methods.kernels import step as kernels
+from splatproof.methods.training.parameters import Edit, Parameters
 from splatproof.methods.training.schedules import require, shrink
+from splatproof.methods.training.strategy import Observation, Statistic
 from splatproof.reference.rasterizer.rotation import rotation_matrix
-from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 
 SPLIT_SHRINK = 1.6
@@ -99,7 +101,7 @@ def densify(
         the test on screen size, which never fires there.
     """
     size = gaussians.scales.amax(dim=1)
-    fixed = torch.zeros(len(size), dtype=torch.bool) if fixed is None else fixed
+    fixed = torch.zeros_like(size, dtype=torch.bool) if fixed is None else fixed
     chosen = (gradient >= settings.gradient) & ~fixed
     if settings.most is not None:
         chosen &= _largest(gradient.where(chosen, -1), max(0, settings.most - len(gaussians)))
@@ -124,7 +126,7 @@ def densify(
     gone &= ~fixed[parents]
     if gone.all():
         gone[opacities.argmax()] = False
-    fresh = torch.arange(len(parents)) >= len(keep)
+    fresh = torch.arange(len(parents), device=size.device) >= len(keep)
     stay = ~gone
     return Rows(
         parents=parents[stay], fresh=fresh[stay], means=means[stay], log_scales=log_scales[stay]
@@ -133,7 +135,7 @@ def densify(
 
 def _largest(values: Float[Tensor, " n"], count: int) -> Bool[Tensor, " n"]:
     """Mask of the `count` largest values, ties by index."""
-    mask = torch.zeros(len(values), dtype=torch.bool)
+    mask = torch.zeros_like(values, dtype=torch.bool)
     mask[torch.sort(values, descending=True, stable=True).indices[:count]] = True
     return mask
 
@@ -143,11 +145,39 @@ def reset_opacity(logits: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
     return logits.clamp(max=math.log(RESET_OPACITY / (1 - RESET_OPACITY)))
 
 
-class DensityControl:
-    """Collects the statistics of the views and says when to densify and when to reset."""
+@dataclass(frozen=True, kw_only=True)
+class RowRules:
+    """Which rows density control leaves alone, by the labels of the rows."""
 
-    def __init__(self, settings: Density, *, iterations: int, extent: float, count: int) -> None:
-        """Start without statistics for `count` Gaussians."""
+    growing: Callable[[Parameters], Bool[Tensor, " n"]]
+    """Rows that may be cloned and split."""
+    fixed: Callable[[Parameters], Bool[Tensor, " n"]]
+    """Rows that are never removed either."""
+    steady: Callable[[Parameters], Bool[Tensor, " n"]]
+    """Rows whose opacity a reset leaves alone."""
+
+
+class DensityControl:
+    """Adaptive density control of explicit Gaussians, as the 3DGS release does it."""
+
+    def __init__(
+        self,
+        settings: Density,
+        *,
+        iterations: int,
+        extent: float,
+        rules: RowRules | None = None,
+        statistic: Statistic = "signed",
+    ) -> None:
+        """Start without statistics.
+
+        Args:
+            settings: Thresholds and steps of a 30,000 step run, shrunk to this one's.
+            iterations: Steps of the run.
+            extent: Size of the scene in scene units.
+            rules: Which rows are left alone; None: none are.
+            statistic: Gradient that is compared with the threshold.
+        """
         factor = shrink(iterations)
         self.settings = replace(
             settings,
@@ -156,60 +186,100 @@ class DensityControl:
             interval=max(round(settings.interval * factor), settings.least_interval),
             reset_interval=round(settings.reset_interval * factor),
         )
-        self.extent = extent
-        self.clear(count)
-
-    def clear(self, count: int) -> None:
-        """Forget the statistics."""
-        self.gradient_sum = torch.zeros(count)
-        self.seen = torch.zeros(count)
+        self.extent, self.rules = extent, rules
+        self.statistic: Statistic = statistic
+        self.needs: frozenset[Statistic] = frozenset({statistic})
+        self.gradient_sum = self.seen = torch.zeros(0)
 
     def watches(self, step: int) -> bool:
-        """Whether the statistics of this step are needed."""
+        """Whether the statistics of a step are needed."""
         return step < self.settings.stop
 
-    def observe(
-        self, gradient: Float[Tensor, "n 2"], radii: Float[Tensor, " n"], camera: Camera
-    ) -> None:
-        """Add one view: the norm of the 2D gradient where the Gaussian was seen.
+    def observe(self, seen: Observation) -> None:
+        """Add one view: the norm of the 2D gradient where a Gaussian was seen.
 
         Args:
-            gradient: Loss by 2D position, per pixel.
-            radii: 0 where not seen.
-            camera: Of that view; its size turns pixels into units of half the image.
+            seen: The view.
         """
-        kernels.observe(gradient, radii, camera, self.gradient_sum, self.seen)
+        if len(self.gradient_sum) != seen.count:
+            self._clear(seen.count, seen.radii.device)
+        gradient = seen.signed if self.statistic == "signed" else seen.absolute
+        assert gradient is not None
+        if seen.rows is None and gradient.device.type == "cpu":
+            kernels.observe(gradient, seen.radii, seen.camera, self.gradient_sum, self.seen)
+            return
+        visible = seen.radii > 0
+        norm = torch.where(visible, seen.gradient_norm(self.statistic), 0)
+        self.gradient_sum += seen.by_row(norm)
+        self.seen += seen.by_row(visible.to(norm))
+
+    def edits(
+        self, step: int, parameters: Parameters, generator: torch.Generator
+    ) -> Iterator[Edit]:
+        """Densify, then reset opacities, each where its step has come.
+
+        Args:
+            step: From 1.
+            parameters: With means, quaternions, log_scales and opacity_logits.
+            generator: Source of the children's positions.
+        """
+        if self.densifies(step):
+            yield self.densify(step, parameters, generator)
+        if self.resets(step):
+            yield self.reset(parameters)
 
     def densifies(self, step: int) -> bool:
-        """Whether this step ends with a densification."""
+        """Whether a step ends with a densification."""
         settings = self.settings
         return settings.start < step < settings.stop and step % settings.interval == 0
 
     def resets(self, step: int) -> bool:
-        """Whether this step ends with an opacity reset."""
+        """Whether a step ends with an opacity reset."""
         every = self.settings.reset_interval
         return every > 0 and step < self.settings.stop and step % every == 0
 
-    def step(
-        self,
-        step: int,
-        gaussians: Gaussians,
-        generator: torch.Generator,
-        fixed: Bool[Tensor, " n"] | None = None,
-    ) -> Rows:
-        """Densify from the statistics so far and forget them; `fixed` rows stay as they are."""
+    def densify(self, step: int, parameters: Parameters, generator: torch.Generator) -> Edit:
+        """Clone, split and prune by the statistics so far, and forget them.
+
+        Args:
+            step: From 1.
+            parameters: As for `edits`.
+            generator: Source of the children's positions.
+        """
         every = self.settings.reset_interval
+        fixed = None
+        if len(self.gradient_sum) != len(parameters):  # no view was observed since
+            self._clear(len(parameters), parameters.rows["means"].device)
+        gradient = self.gradient_sum / self.seen.clamp(min=1)
+        if self.rules is not None:
+            gradient[~self.rules.growing(parameters)] = -1  # below any threshold
+            fixed = self.rules.fixed(parameters)
         rows = densify(
-            gaussians,
-            self.gradient_sum / self.seen.clamp(min=1),
-            self.settings,
-            extent=self.extent,
-            prune_large=0 < every < step,
-            generator=generator,
-            fixed=fixed,
-        )
-        self.clear(len(rows.parents))
-        return rows
+            _shapes(parameters), gradient, self.settings, extent=self.extent,
+            prune_large=0 < every < step, generator=generator, fixed=fixed,
+        )  # fmt: skip
+        self._clear(len(rows.parents), gradient.device)
+        return Edit(
+            parents=rows.parents, fresh=rows.fresh,
+            values={"means": rows.means, "log_scales": rows.log_scales},
+        )  # fmt: skip
+
+    def reset(self, parameters: Parameters) -> Edit:
+        """Make everything nearly transparent that the rules do not hold.
+
+        Args:
+            parameters: With opacity_logits.
+        """
+        before = parameters.rows["opacity_logits"].detach()
+        logits = reset_opacity(before)
+        if self.rules is not None:
+            logits = torch.where(self.rules.steady(parameters), before, logits)
+        return Edit(values={"opacity_logits": logits}, forget=frozenset({"opacity_logits"}))
+
+    def _clear(self, count: int, device: torch.device) -> None:
+        """Forget the statistics."""
+        self.gradient_sum = torch.zeros(count, device=device)
+        self.seen = torch.zeros(count, device=device)
 
     def state(self) -> dict[str, Tensor]:
         """The statistics as named tensors."""
@@ -217,5 +287,15 @@ class DensityControl:
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take over what `state` returned."""
-        self.gradient_sum = state["gradient_sum"].clone()
-        self.seen = state["seen"].clone()
+        device = self.gradient_sum.device
+        self.gradient_sum = state["gradient_sum"].clone().to(device)
+        self.seen = state["seen"].clone().to(device)
+
+
+def _shapes(parameters: Parameters) -> Gaussians:
+    """The rows without their colours, which density control does not look at."""
+    rows = {name: value.detach() for name, value in parameters.rows.items()}
+    return Gaussians(
+        means=rows["means"], quaternions=rows["quaternions"], log_scales=rows["log_scales"],
+        opacity_logits=rows["opacity_logits"], sh=rows["means"].new_zeros(len(rows["means"]), 1, 3),
+    )  # fmt: skip

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.methods.run import Run
-from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.reference.rasterizer.spherical_harmonics import C0
+from splatproof.reference.supervision.dense_initialisation import DenseSettings
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, SparsePoints
 
@@ -61,11 +61,27 @@ def extent(scene: Scene) -> float:
     return 1.1 * radius
 
 
-def with_points(scene: Scene, settings: Settings, run: Run) -> Scene:
-    """The scene with the points that training starts from, as the settings say."""
-    scene = with_random_points(scene, settings.random_points, run.seed)
-    if settings.dense_cell:
-        scene = with_dense_points(scene, settings.dense_cell, run.image_bytes, settings.dense)
+def with_points(
+    scene: Scene,
+    run: Run,
+    *,
+    random_points: int = 0,
+    dense_cell: float = 0,
+    dense: DenseSettings | None = None,
+) -> Scene:
+    """The scene with the points that training starts from.
+
+    Args:
+        scene: With its own points, if it has any.
+        run: Seed of the draw and bound on images in memory.
+        random_points: Points to draw where the scene has none; 0: none.
+        dense_cell: Pixels a point that is matched between photos before training; 0: none are.
+        dense: Which photos are matched, and which matches become points; None: by the defaults.
+    """
+    scene = with_random_points(scene, random_points, run.seed)
+    if dense_cell:
+        dense = dense or DenseSettings()
+        scene = with_dense_points(scene, dense_cell, run.image_bytes, dense)
     return scene
 
 

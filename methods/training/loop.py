@@ -1,69 +1,34 @@
-"""Train explicit Gaussians: 3D Gaussian Splatting on any rasterizer, resumable bit for bit."""
+"""The one training loop: any model, any terms, any density control, resumable bit for bit."""
 
 import hashlib
-import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.files import read_tensors, write_tensors
 from splatproof.datasets.image_cache import TensorCache
-from splatproof.methods.backends import Backend, get_backend
-from splatproof.methods.kernels.loss import photometric
+from splatproof.methods.backends import get_backend
 from splatproof.methods.kernels.step import ViewGradients
-from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.run import Run
-from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training import initialise
-from splatproof.methods.training.density import DensityControl, reset_opacity
-from splatproof.methods.training.gradient_mean import GradientMean
-from splatproof.methods.training.optimizer import Adam
-from splatproof.methods.training.regularisers import draw_shown, opacity_pull, thinned
-from splatproof.methods.training.schedules import active_degree, means_rate, settling, shrink
+from splatproof.methods.training.contract import Model, Moment, NativeTensors
+from splatproof.methods.training.optimizer import Adam, GradientMean
+from splatproof.methods.training.parameters import Parameters
+from splatproof.methods.training.strategy import DensityStrategy, Observation
+from splatproof.methods.training.terms import Frame, ImageTerm, ParameterTerm, Photometric
+from splatproof.methods.training.view_order import Shuffled, ViewOrder
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
-from splatproof.reference.types.camera import Camera
-from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, View
 
 REPORT_EVERY = 10
 """Steps between reports."""
-
-
-def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
-    """Train on scene.train_views and return the model.
-
-    The optimizer steps on every iteration, also on those that densify (in the release it does not).
-
-    Args:
-        scene: With sparse points and training views.
-        settings: Of the row.
-        run: Where checkpoints go; one that is there already is continued.
-
-    Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
-        another run; SplatproofError if the loss stops being finite.
-
-    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5 and Alg. 1.
-    """
-    backend = get_backend(run.backend)
-    with threads(run.threads):
-        started = time.perf_counter()
-        scene = initialise.with_points(scene, settings, run)
-        trainer = Trainer(scene, settings, run, backend)
-        trainer.resume()
-        run.on_stage("init", time.perf_counter() - started)
-        trainer.train()
-        run.on_stage("train", trainer.seconds)
-    return ExplicitModel(
-        model=trainer.gaussians(), method="3dgs", settings=asdict(settings), shift=scene.shift,
-        units=scene.units, backend=run.backend, mode=settings.mode,
-    )  # fmt: skip
 
 
 @contextmanager
@@ -77,213 +42,234 @@ def threads(count: int | None) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What a training consists of beside its model and its run."""
+
+    steps: int
+    views: tuple[View, ...]
+    """What is trained on."""
+    terms: tuple[ImageTerm | ParameterTerm, ...]
+    """What is minimised; their names are distinct."""
+    density: DensityStrategy
+    key: str
+    """Everything that the result depends on, as text: a checkpoint of another key is refused."""
+    views_per_step: int = 1
+    """Views whose mean gradient one step follows."""
+    random_background: bool = False
+    """Train every view of a step over a background of its own, drawn at random."""
+    order: ViewOrder | None = None
+    """In which order views come; None: shuffled epochs."""
+    optimizer: type[Adam] = Adam
+    """How parameters follow their gradients."""
+    held: Callable[[Parameters], Mapping[str, Int[Tensor, " _"]]] | None = None
+    """Rows of tensors that keep their values in every update, by tensor; None: none do."""
+    native: bool = True
+    """Whether the kernels' own step may be used; False: always autograd."""
+
+
 class Trainer:
     """The state of one run and the step that changes it."""
 
-    renders_parameters = True
-    """Whether `model` is the trained tensors and nothing else, so that the kernels can read them."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        settings: Settings,
-        run: Run,
-        backend: Backend,
-        *,
-        start: Gaussians | None = None,
-        special: str = "",
-    ) -> None:
-        """Start from the sparse points, or from `start`.
+    def __init__(self, model: Model, plan: Plan, run: Run) -> None:
+        """Start at step 0.
 
         Args:
-            scene: As for `fit`.
-            settings: As for `fit`.
-            run: As for `fit`.
-            backend: Rasterizer.
-            start: Gaussians of settings.sh_degree to start from.
-            special: What else the run depends on (a subclass's own); part of the checkpoint's key.
+            model: What is trained; it is moved to the run's device.
+            plan: How.
+            run: Seed, backend, checkpoints and who is told.
         """
-        if start is None:
-            start = initialise.from_points(
-                scene, degree=settings.sh_degree, opacity=settings.initial_opacity
-            )
-        self.settings, self.run, self.backend = settings, run, backend
-        self.views = scene.train_views
+        self.model, self.plan, self.run = model, plan, run
+        self.backend = get_backend(run.backend)
+        self.device = torch.device(run.device or self.backend.device)
+        model.parameters.to(self.device)
+        self.optimizer = plan.optimizer(model.parameters)
+        self.image_terms = [t for t in plan.terms if not isinstance(t, ParameterTerm)]
+        self.parameter_terms = [t for t in plan.terms if isinstance(t, ParameterTerm)]
         self.images = TensorCache(run.image_bytes)
-        self.extent = initialise.extent(scene)
-        self.background = torch.tensor(run.background)
+        self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
-        self.adam = Adam(
-            {"means": start.means, "sh_dc": start.sh[:, :1], "sh_rest": start.sh[:, 1:],
-             "opacity": start.opacity_logits, "scales": start.log_scales,
-             "quaternions": start.quaternions}
-        )  # fmt: skip
-        self.control = DensityControl(
-            settings.density, iterations=settings.iterations, extent=self.extent, count=len(start)
-        )
+        self.order = plan.order or Shuffled(len(plan.views))
         self.generator = torch.Generator().manual_seed(run.seed)
-        self.order: list[int] = []
         self.step = 0
         self.seconds = 0.0
-        self.key = json.dumps([scene.name, scene_digest(scene), asdict(settings), run.seed,
-                               run.background, run.backend]
-                              + ([special] if special else []))  # fmt: skip
+        self.native = self._can_be_native()
 
-    def gaussians(self) -> Gaussians:
-        """The model as it is now, without gradients."""
-        values = {name: value.detach() for name, value in self.adam.parameters.items()}
-        return assemble(values, self.settings.sh_degree)
+    def _can_be_native(self) -> bool:
+        """Whether the kernels' step computes exactly what this plan asks for."""
+        (*others, last) = self.image_terms or [None]
+        return (
+            self.plan.native
+            and self.backend.name == "cpu"
+            and not others
+            and isinstance(last, Photometric)
+            and last.weight == 1.0
+            and not self.model.finishes
+        )
+
+    @property
+    def path(self) -> str:
+        """What computes the gradients: "kernels" or "autograd"."""
+        if not self.native:
+            return "autograd"
+        moment = Moment(step=1, total=self.plan.steps)
+        return "kernels" if self.model.native(self.plan.views[0], moment) else "autograd"
 
     def train(self) -> None:
         """Run all steps that are left, with reports and checkpoints."""
         clock = saved = time.perf_counter()
-        while self.step < self.settings.iterations:
-            loss = self.advance()
+        while self.step < self.plan.steps:
+            values = self.advance()
             now = time.perf_counter()
             self.seconds, clock = self.seconds + now - clock, now
-            last = self.step == self.settings.iterations
+            last = self.step == self.plan.steps
             if last or self.step % REPORT_EVERY == 0:
-                count = float(len(self.adam.parameters["means"]))
-                values = {"loss": loss, "gaussians": count}
-                self.run.report(self.step, self.settings.iterations, values)
+                told = values | {"gaussians": float(self.model.primitives)}
+                self.run.report(self.step, self.plan.steps, told)
             if last or now - saved >= self.run.checkpoint_seconds:
                 self.save()
                 clock = saved = time.perf_counter()
 
-    def advance(self) -> float:
-        """One step: render views, follow the loss's gradient, control the density."""
+    def advance(self) -> dict[str, float]:
+        """One step: render views, follow the loss's gradient, control the density.
+
+        Returns: The loss of the image terms, mean over the views, and each term by its name.
+        """
         self.step += 1
-        mean, losses = GradientMean(), []
-        for _ in range(self.settings.views_per_step):
-            view = self.views[self.next_view()]
-            loss, screen, radii = self.backward(view)
-            losses.append(loss)
-            if self.control.watches(self.step):
-                self.control.observe(screen, radii, view.camera)
-            if self.settings.views_per_step > 1:
-                mean.take(self.adam.parameters)
-        mean.leave(self.adam.parameters)
+        mean, told = GradientMean(), []
+        for _ in range(self.plan.views_per_step):
+            view = self.plan.views[self.order.next(self.generator)]
+            values, seen = self.backward(view)
+            told.append(values)
+            if seen is not None:
+                self.plan.density.observe(seen)
+            if self.plan.views_per_step > 1:
+                mean.take(self.model.parameters.trained)
+        mean.leave(self.model.parameters.trained)
         self.update()
-        if self.control.densifies(self.step):
-            self.densify()
-        if self.control.resets(self.step):
-            self.reset()
-        return sum(losses) / len(losses)
+        edits = self.plan.density.edits(self.step, self.model.parameters, self.generator)
+        for edit in edits:
+            self.model.parameters.edit(edit)
+            self.optimizer.edit(edit)
+        return {name: sum(each[name] for each in told) / len(told) for name in told[0]}
 
     def update(self) -> None:
-        """Follow the gradients that `backward` left."""
-        self.adam.step(self.learning_rates())
+        """Follow the gradients that `backward` left; what is held keeps its values."""
+        rows = self.model.parameters.rows
+        held = self.plan.held(self.model.parameters) if self.plan.held else {}
+        kept = {name: rows[name].detach()[index] for name, index in held.items()}
+        self.optimizer.step(self.rates())
+        for name, values in kept.items():
+            rows[name].detach()[held[name]] = values
 
-    def densify(self, fixed: Tensor | None = None) -> Tensor:
-        """Clone, split and prune; `fixed` rows stay as they are. Returns each new row's old row."""
-        rows = self.control.step(self.step, self.gaussians(), self.generator, fixed)
-        self.adam.gather(rows.parents, rows.fresh)
-        self.adam.overwrite("means", rows.means, forget=False)
-        self.adam.overwrite("scales", rows.log_scales, forget=False)
-        return rows.parents
+    def rates(self) -> dict[str, float]:
+        """Rate of each tensor that is not frozen, at this step."""
+        total = self.plan.steps
+        return {name: rate(self.step, total) for name, rate in self.model.schedules.items()}
 
-    def reset(self) -> None:
-        """Make everything nearly transparent."""
-        logits = reset_opacity(self.adam.parameters["opacity"].detach())
-        self.adam.overwrite("opacity", logits, forget=True)
-
-    def state(self) -> dict[str, Tensor]:
-        """What a subclass adds to the checkpoint."""
-        return {}
-
-    def restore(self, state: dict[str, Tensor]) -> None:
-        """Take over what `state` returned; self.step is set already."""
-
-    def model(self, degree: int) -> Gaussians:
-        """The Gaussians that are rendered and differentiated."""
-        return assemble(self.adam.leaves(), degree)
-
-    def backward(self, view: View) -> tuple[float, Tensor, Tensor]:
+    def backward(self, view: View) -> tuple[dict[str, float], Observation | None]:
         """Render one view and leave its loss's gradients in the parameters.
 
-        Returns: The loss, its gradient by the 2D means and the radii, valid until the next step.
+        Args:
+            view: One to train on.
+
+        Returns: The loss and each term by its name; what density control is told, valid until the
+            next call, None where it does not watch this step.
         """
-        every = self.settings.sh_interval * shrink(self.settings.iterations)
-        degree = active_degree(self.step, every, self.settings.sh_degree)
-        truth = self.images.get((view.name, "image"), view.load)
-        mask = view.load_mask and self.images.get((view.name, "mask"), view.load_mask)
-        native = self.backend.name == "cpu" and self.renders_parameters
-        differentiate = self.by_kernels if native else self.by_autograd
-        loss, screen, radii = differentiate(view.camera, degree, truth, mask)
-        if not math.isfinite(loss):
+        truth = self.images.get((view.name, "image"), lambda: view.load().to(self.device))
+        load_mask = view.load_mask
+        mask = load_mask and self.images.get(
+            (view.name, "mask"), lambda: load_mask().to(self.device)
+        )
+        moment = Moment(step=self.step, total=self.plan.steps, generator=self.generator)
+        native = self.model.native(view, moment) if self.native else None
+        if native is not None:
+            values, seen = self.by_kernels(view, native, truth, mask)
+        else:
+            values, seen = self.by_autograd(view, moment, truth, mask)
+        if not math.isfinite(values["loss"]):
             raise SplatproofError(
-                f"step {self.step}, view {view.name}: the loss is {loss}; lower the learning rates"
+                f"step {self.step}, view {view.name}: the loss is {values['loss']}; lower the "
+                "learning rates"
             )
-        if self.settings.opacity_weight:
-            opacity = self.adam.parameters["opacity"]
-            if opacity.grad is not None:
-                opacity.grad += opacity_pull(opacity.detach(), self.settings.opacity_weight)
-        return loss, screen, radii
+        for term in self.parameter_terms:
+            values[term.name] = term.add(self.model.parameters)
+        return values, seen
 
     def by_kernels(
-        self, camera: Camera, degree: int, truth: Tensor, mask: Tensor | None
-    ) -> tuple[float, Tensor, Tensor]:
-        """`backward` without a graph."""
-        own = self.adam.parameters["opacity"].detach().requires_grad_()
-        drawn = self.thin(own)
+        self, view: View, native: NativeTensors, truth: Tensor, mask: Tensor | None
+    ) -> tuple[dict[str, float], Observation | None]:
+        """`backward` without a graph.
+
+        Args:
+            view: What is rendered.
+            native: The raw tensors.
+            truth: The photo.
+            mask: Pixels that count; None: all.
+        """
+        (term,) = self.image_terms
+        assert isinstance(term, Photometric)
+        watched = self.plan.density.watches(self.step)
         step = self.gradients.of(
-            camera, self.adam.parameters | {"opacity": drawn}, truth, degree=degree,
-            background=self.behind(), mask=mask, dssim=self.settings.dssim, mode=self.settings.mode,
+            view.camera, native.tensors, truth, degree=native.degree, background=self.behind(),
+            mask=mask, dssim=term.dssim, mode=self.model.mode,
+            absolute=watched and "absolute" in self.plan.density.needs,
         )  # fmt: skip
-        for name, gradient in step.gradients.items():
-            self.adam.parameters[name].grad = gradient
-        if drawn is not own:
-            pull = torch.autograd.grad(drawn, own, step.gradients["opacity"])[0]
-            self.adam.parameters["opacity"].grad = pull
-        return step.loss, step.screen, step.radii
+        native.leave(step.gradients)
+        values = {"loss": step.loss, term.name: step.loss}
+        if not watched:
+            return values, None
+        return values, Observation(
+            camera=view.camera, radii=step.radii, opacities=None, signed=step.screen,
+            absolute=step.absolute, rows=None, slots=None, count=len(self.model.parameters),
+        )  # fmt: skip
 
     def by_autograd(
-        self, camera: Camera, degree: int, truth: Tensor, mask: Tensor | None
-    ) -> tuple[float, Tensor, Tensor]:
-        """`backward` on any backend."""
-        model = self.model(degree)
-        model = replace(model, opacity_logits=self.thin(model.opacity_logits))
-        probe = ScreenProbe.zeros(len(model), model.means)
-        image = self.backend.rasterize(
-            camera, model.means, model.quaternions, model.scales, model.opacities, sh=model.sh,
-            background=self.behind(), probe=probe, mode=self.settings.mode,
-        )  # fmt: skip
-        loss = photometric(image.colour, truth, dssim=self.settings.dssim, mask=mask)
-        loss.backward()
-        assert probe.signed.grad is not None
-        return float(loss.detach()), probe.signed.grad, image.radii
+        self, view: View, moment: Moment, truth: Tensor, mask: Tensor | None
+    ) -> tuple[dict[str, float], Observation | None]:
+        """`backward` for any model, terms and backend.
 
-    def thin(self, logits: Tensor) -> Tensor:
-        """The opacity logits that one step draws."""
-        share = self.settings.dropout * self.step / self.settings.iterations
-        if share == 0:
-            return logits
-        return thinned(logits, draw_shown(len(logits), share, self.generator), share)
+        Args:
+            view: What is rendered.
+            moment: This step.
+            truth: The photo.
+            mask: Pixels that count; None: all.
+        """
+        for name, value in self.model.parameters.trained.items():
+            value.requires_grad_(name in self.model.schedules)
+        splats = self.model.splats(view.without_truth(), moment)
+        probe = ScreenProbe.zeros(len(splats), splats.means)
+        output = self.backend.draw(
+            view.camera, splats, background=self.behind(), probe=probe, mode=self.model.mode
+        )
+        frame = Frame(
+            view=view, moment=moment, splats=splats, output=output,
+            image=self.model.finish_image(view.without_truth(), output), truth=truth, mask=mask,
+            model=self.model,
+        )  # fmt: skip
+        losses = {term.name: _weighted(term.weight, term.loss(frame)) for term in self.image_terms}
+        loss = sum(losses.values(), start=truth.new_zeros(()))
+        if loss.requires_grad:  # a view that shows nothing of the model says nothing about it
+            loss.backward()
+        values = {"loss": float(loss.detach())}
+        values |= {name: float(value.detach()) for name, value in losses.items()}
+        if not self.plan.density.watches(self.step):
+            return values, None
+        signed, absolute = (
+            torch.zeros_like(part) if part.grad is None else part.grad
+            for part in (probe.signed, probe.absolute)
+        )
+        return values, Observation(
+            camera=view.camera, radii=output.radii, opacities=splats.opacities.detach(),
+            signed=signed, absolute=absolute, rows=splats.rows, slots=splats.slots,
+            count=len(self.model.parameters),
+        )  # fmt: skip
 
     def behind(self) -> Tensor:
-        """The background of one step."""
-        if self.settings.random_background:
-            return torch.rand(3, generator=self.generator)
+        """The background of one view of a step."""
+        if self.plan.random_background:
+            return torch.rand(3, generator=self.generator).to(self.device)
         return self.background
-
-    def next_view(self) -> int:
-        """Views come in random order without replacement, epoch after epoch."""
-        if not self.order:
-            self.order = torch.randperm(len(self.views), generator=self.generator).tolist()
-        return self.order.pop()
-
-    def learning_rates(self) -> dict[str, float]:
-        """Adam's rate of each tensor at this step."""
-        rates, total = self.settings.rates, self.settings.iterations
-        factor = settling(rates, self.step, total)
-        return {
-            "means": means_rate(rates, self.step, total) * self.extent,
-            "sh_dc": rates.sh_dc * factor,
-            "sh_rest": rates.sh_rest * factor,
-            "opacity": rates.opacity * factor,
-            "scales": rates.scales * factor,
-            "quaternions": rates.quaternions * factor,
-        }
 
     @property
     def checkpoint(self) -> Path | None:
@@ -295,11 +281,19 @@ class Trainer:
         """Write everything that the next step depends on."""
         if self.checkpoint is None:
             return
-        tensors = {f"adam.{name}": value for name, value in self.adam.state().items()}
-        tensors |= {f"density.{name}": value for name, value in self.control.state().items()}
-        tensors |= {f"special.{name}": value for name, value in self.state().items()}
+        groups = {
+            "parameters": self.model.parameters.state(),
+            "optimizer": self.optimizer.state(),
+            "density": self.plan.density.state(),
+        }
+        tensors = {
+            f"{group}.{name}": value.cpu()
+            for group, state in groups.items()
+            for name, value in state.items()
+        }
         tensors["generator"] = self.generator.get_state()
-        facts = {"key": self.key, "step": self.step, "order": self.order, "seconds": self.seconds}
+        facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
+                 "seconds": self.seconds}  # fmt: skip
         write_tensors(self.checkpoint, tensors, facts)
 
     def resume(self) -> None:
@@ -310,28 +304,24 @@ class Trainer:
         if self.checkpoint is None or not self.checkpoint.exists():
             return
         tensors, facts = read_tensors(self.checkpoint)
-        if not isinstance(facts, dict) or facts.get("key") != self.key:
+        if not isinstance(facts, dict) or facts.get("key") != self.plan.key:
             raise UsageError(
                 f"{self.checkpoint}: belongs to a run with another scene, settings, seed, "
                 "background or backend; remove it or choose another folder"
             )
-        self.adam.restore(part(tensors, "adam."))
-        self.control.restore(part(tensors, "density."))
+        self.model.parameters.restore(_part(tensors, "parameters."))
+        self.optimizer.restore(_part(tensors, "optimizer."))
+        self.plan.density.restore(_part(tensors, "density."))
         self.generator.set_state(tensors["generator"])
-        self.step, self.order, self.seconds = facts["step"], facts["order"], facts["seconds"]
-        self.restore(part(tensors, "special."))
+        self.step, self.seconds = facts["step"], facts["seconds"]
+        self.order.restore(facts["order"], self.step * self.plan.views_per_step)
 
 
-def assemble(values: dict[str, Tensor], degree: int) -> Gaussians:
-    """Gaussians of the trained tensors, with the SH bands up to `degree`."""
-    rest = values["sh_rest"][:, : (degree + 1) ** 2 - 1]
-    return Gaussians(
-        means=values["means"], quaternions=values["quaternions"], log_scales=values["scales"],
-        opacity_logits=values["opacity"], sh=torch.cat([values["sh_dc"], rest], dim=1),
-    )  # fmt: skip
+def _weighted(weight: float, loss: Tensor) -> Tensor:
+    return loss if weight == 1.0 else weight * loss
 
 
-def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """The tensors whose names start with `prefix`, without it."""
     return {
         name.removeprefix(prefix): tensor

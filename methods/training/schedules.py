@@ -1,7 +1,9 @@
 """What changes with the step: learning rates, the SH degree, and how schedules shrink."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from splatproof.base.errors import UsageError
 
@@ -27,19 +29,19 @@ class Rates:
     """Adam's learning rates (defaults of the 3DGS release)."""
 
     means: float = 1.6e-4
-    """Of positions at the first step, times the scene's extent."""
+    """Rate of positions at the first step, times the scene's extent."""
     means_final: float = 1.6e-6
-    """Of positions at the last step, times the extent; log-linear in between."""
+    """Rate of positions at the last step, times the extent; log-linear in between."""
     sh_dc: float = 2.5e-3
-    """Of the constant SH band."""
+    """Rate of the constant SH band."""
     sh_rest: float = 1.25e-4
-    """Of all higher SH bands."""
-    opacity: float = 0.05
-    """Of opacity logits (0.05 in the release of 2023, 0.025 since 2024)."""
-    scales: float = 5e-3
-    """Of log scales."""
+    """Rate of all higher SH bands."""
+    opacity_logits: float = 0.05
+    """Rate of opacity logits (0.05 in the release of 2023, 0.025 since 2024)."""
+    log_scales: float = 5e-3
+    """Rate of log scales."""
     quaternions: float = 1e-3
-    """Of unnormalised quaternions."""
+    """Rate of unnormalised quaternions."""
     settle: float = 1.0
     """Factor on all rates but that of positions at the last step, reached log-linearly from the
     middle of the run on; 1: constant, as in the release. Single views pull on colours, opacities
@@ -57,28 +59,46 @@ def require(holds: bool, setting: str, value: object, expected: str) -> None:
         raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
 
 
-def means_rate(rates: Rates, step: int, total: int) -> float:
-    """Rate of positions in units of the extent: exp((1 - u) ln first + u ln last), u = step / total.
+Schedule = Callable[[int, int], float]
+"""schedule(step, total): the rate at a step, 1 at the first update, of so many."""
+
+
+def log_linear(first: float, last: float, *, factor: float = 1.0) -> Schedule:
+    """A rate that falls from `first` to `last`: factor exp((1 - u) ln first + u ln last), u = step / total.
+
+    Where an end is 0 the rate stays at `first`.
 
     Args:
-        rates: With both ends.
-        step: 1 at the first update; beyond `total` the last rate stays.
-        total: Steps of the decay, >= 1.
+        first: Rate at the beginning, >= 0.
+        last: Rate at the last step, >= 0; beyond it stays.
+        factor: On the whole rate: the scene's extent for positions.
 
     Source: the 3DGS release (its delay is never active).
     """
-    if rates.means == 0 or rates.means_final == 0:
-        return rates.means
+    return partial(_log_linear, first, last, factor)
+
+
+def _log_linear(first: float, last: float, factor: float, step: int, total: int) -> float:
+    if first == 0 or last == 0:
+        return first * factor
     share = min(max(step / total, 0.0), 1.0)
-    return math.exp((1 - share) * math.log(rates.means) + share * math.log(rates.means_final))
+    return math.exp((1 - share) * math.log(first) + share * math.log(last)) * factor
 
 
-def settling(rates: Rates, step: int, total: int) -> float:
-    """Factor on the rates that have no schedule: 1 to the middle, then log-linear to `settle`.
+def settling(rate: float, settle: float = 1.0) -> Schedule:
+    """A rate that is constant to the middle of the run, then falls log-linearly to `rate` `settle`.
+
+    Args:
+        rate: In the first half, >= 0.
+        settle: Factor at the last step; 1: constant throughout.
 
     Source: ours.
     """
-    return rates.settle ** max(0.0, 2 * step / total - 1)
+    return partial(_settling, rate, settle)
+
+
+def _settling(rate: float, settle: float, step: int, total: int) -> float:
+    return rate * settle ** max(0.0, 2 * step / total - 1)
 
 
 def active_degree(step: int, every: float, highest: int) -> int:

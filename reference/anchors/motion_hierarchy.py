@@ -11,6 +11,7 @@ from splatproof.reference.anchors.vibration import life, vibrate
 from splatproof.reference.rasterizer import rotation
 from splatproof.reference.types import mlp
 from splatproof.reference.types.mlp import Mlp
+from splatproof.reference.types.splats import Splats
 
 CODE_OCTAVES = 4
 """Octaves of the sine-cosine embedding of positions and time (ours: the paper gives none)."""
@@ -83,17 +84,6 @@ class HierarchyNetworks:
     """7 outputs a Gaussian: scale factor 3 (sigmoid), quaternion 4."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Instant:
-    """The activated Gaussians at one time from one camera; row-major (anchor, leaf, Gaussian)."""
-
-    means: Float[Tensor, "m 3"]
-    quaternions: Float[Tensor, "m 4"]
-    scales: Float[Tensor, "m 3"]
-    opacities: Float[Tensor, " m"]
-    colours: Float[Tensor, "m 3"]
-
-
 def code(values: Float[Tensor, "n d"]) -> Float[Tensor, "n e"]:
     """Embedding (x, sin 2^l x, cos 2^l x for l < 4), d * 9 numbers."""
     waves = [
@@ -144,7 +134,7 @@ def decode(
     settings: HierarchySettings,
     time: float,
     camera_centre: Float[Tensor, "3"],
-) -> Instant:
+) -> Splats:
     """Gaussians at time t: every layer adds its offset and its residual to its parent, once.
 
     mu_i(t) = mu_{i-1}(t) + o_i * scale + MLP_i^p(h, emb(mu_{i-1}), emb(t)). The paper's Eq. 2 has
@@ -203,7 +193,7 @@ def _leaves(
     features: Float[Tensor, "a f"],
     log_scales: Float[Tensor, "a 3"],
     instances: Float[Tensor, "a h"],
-) -> Instant:
+) -> Splats:
     """Layer N - 1: the Gaussians of the last anchors."""
     count = settings.gaussians // settings.leaves
     base = log_scales.exp().repeat_interleave(count, dim=0)
@@ -214,12 +204,13 @@ def _leaves(
     shape = mlp.evaluate(networks.shape, seen).reshape(-1, 7)
     opacity = torch.sigmoid(mlp.evaluate(networks.opacity, seen)).reshape(-1)
     alive = life(anchors.peaks, anchors.log_spans.exp(), time)
-    return Instant(
+    return Splats(
         means=at.repeat_interleave(count, dim=0) + offsets * base + change,
         quaternions=rotation.normalise(shape[:, 3:]),
         scales=base * torch.sigmoid(shape[:, :3]),
         opacities=opacity * alive.repeat_interleave(settings.gaussians),
         colours=torch.sigmoid(mlp.evaluate(networks.colour, seen)).reshape(-1, 3),
+        rows=torch.arange(len(anchors.peaks)).repeat_interleave(settings.gaussians),
     )
 
 

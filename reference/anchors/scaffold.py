@@ -9,6 +9,7 @@ from torch import Tensor
 from splatproof.reference.rasterizer import rotation
 from splatproof.reference.types import mlp
 from splatproof.reference.types.mlp import Mlp
+from splatproof.reference.types.splats import Splats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,19 +35,6 @@ class Decoder:
     """Outputs 7 k: scale 3 (sigmoid), quaternion 4."""
     colour: Mlp
     """Outputs 3 k, then sigmoid."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NeuralGaussians:
-    """Decoded, activated Gaussians, and the slot (anchor, offset) that each one came from."""
-
-    means: Float[Tensor, "m 3"]
-    quaternions: Float[Tensor, "m 4"]
-    scales: Float[Tensor, "m 3"]
-    opacities: Float[Tensor, " m"]
-    colours: Float[Tensor, "m 3"]
-    slots: Int[Tensor, " m"]
-    """anchor * k + offset."""
 
 
 def create_decoder(
@@ -101,7 +89,7 @@ def decode(
     camera_centre: Float[Tensor, "3"],
     *,
     with_distance: bool = False,
-) -> NeuralGaussians:
+) -> Splats:
     """Gaussians of all anchors as one camera sees them; slots whose opacity is <= 0 are left out.
 
     mean = centre + offset * exp(ls[:3]), scale = exp(ls[3:]) * sigmoid(.), colour = sigmoid(.).
@@ -119,12 +107,13 @@ def decode(
     means = (anchors.centres[:, None] + anchors.offsets * reach[:, None]).reshape(count * k, 3)
     scales = base.repeat_interleave(k, dim=0) * torch.sigmoid(shape[:, :3])
     slots = torch.where(opacity > 0)[0]
-    return NeuralGaussians(
+    return Splats(
         means=means[slots],
         quaternions=rotation.normalise(shape[slots, 3:]),
         scales=scales[slots],
         opacities=opacity[slots],
         colours=colour[slots],
+        rows=slots // k,
         slots=slots,
     )
 

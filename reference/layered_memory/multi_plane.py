@@ -11,6 +11,7 @@ from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.splats import Splats
 
 BIAS_NEAR, BIAS_FAR = -4.6, 1.4
 """Opacity logits added at a ray's nearest and farthest hit (paper, Sec. 4): 0.01 and 0.80."""
@@ -38,17 +39,6 @@ class Hits:
     distances: Float[Tensor, "r k"]
     """t_k along the unit ray, scene units."""
     valid: Bool[Tensor, "r k"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VirtualGaussians:
-    """Activated values, as a rasterizer takes them."""
-
-    means: Float[Tensor, "n 3"]
-    quaternions: Float[Tensor, "n 4"]
-    scales: Float[Tensor, "n 3"]
-    opacities: Float[Tensor, " n"]
-    colours: Float[Tensor, "n 3"]
 
 
 def plane_normal(points: Float[Tensor, "n 3"], up: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
@@ -139,7 +129,7 @@ def opacity_bias(hits: Hits) -> Float[Tensor, "r k"]:
 
 def virtual_gaussians(
     outputs: Float[Tensor, "n 9"], hits: Hits, camera: Camera, stride: int
-) -> VirtualGaussians:
+) -> Splats:
     """Turn the field's nine numbers a hit into Gaussians: colour 3, opacity 1, scale 1, rotation 4.
 
     Opacity is sigmoid(logit + b(t)). A zero scale output is as wide as the gap between rays at
@@ -150,25 +140,27 @@ def virtual_gaussians(
     """
     spacing = hits.distances[hits.valid] * stride / float(camera.K[0, 0])
     scale = outputs[:, 4].exp() * spacing
-    return VirtualGaussians(
+    return Splats(
         means=hits.positions[hits.valid],
         quaternions=outputs[:, 5:],
         scales=scale[:, None].expand(-1, 3),
         opacities=torch.sigmoid(outputs[:, 3] + opacity_bias(hits)[hits.valid]),
         colours=torch.sigmoid(outputs[:, :3]),
+        rows=torch.full((len(outputs),), -1),
     )
 
 
 def render_joint(
     camera: Camera,
     explicit: Gaussians,
-    virtual: VirtualGaussians,
+    virtual: Splats,
     background: Float[Tensor, "3"] | None = None,
 ) -> RenderOutput:
     """Composite explicit and virtual Gaussians together in one depth order.
 
     Source: StratoSplat, Sec. 3.3, "Joint Training".
     """
+    assert virtual.colours is not None
     towards = spherical_harmonics.directions_to(explicit.means, camera.centre)
     seen = spherical_harmonics.colour(explicit.sh, towards)
     return rasterize(

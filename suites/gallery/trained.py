@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 
 from splatproof.methods.backends import get_backend
+from splatproof.methods.models.base import Bakes
 from splatproof.methods.registry import METHODS
 from splatproof.methods.run import Run
 from splatproof.metrics.seam_render import render_seam_view
@@ -29,7 +30,8 @@ def short_model(scene: Scene) -> Gaussians:
     with tempfile.TemporaryDirectory() as folder:
         run = Run(folder=Path(folder), seed=0)
         model = method.fit(scene, method.settings(iterations=STEPS), run)
-        return model.gaussians()
+        assert isinstance(model, Bakes)
+        return model.bake()
 
 
 def draw_spectral_energy(scene: Scene, path: Path) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from splatproof.methods.city.train_block import BlockFacts
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.metrics.balance import spread
 
 FIELDS = {

@@ -24,7 +24,7 @@ from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import picture_name
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.held_out import write_png
 from splatproof.suites.scene_scores.surface import surface_depth
 
@@ -59,7 +59,7 @@ class Blocked(Shape):
         """How the model is rasterized."""
         ...
 
-    def gaussians(self) -> Gaussians:
+    def bake(self, view: View | None = None) -> Gaussians:
         """The Gaussians, in the scene's frame."""
         ...
 
@@ -100,7 +100,7 @@ def seam_view(
     view = scene.views[index]
     native = backend == "cpu"
     seen = render_seam_view(
-        partial(get_backend(backend).rasterize, mode=model.mode), view.camera, model.gaussians(),
+        partial(get_backend(backend).rasterize, mode=model.mode), view.camera, model.bake(view),
         model.blocks, model.distances, view.load(), torch.tensor(protocol.background),
         render_blocks=partial(kernels.render_blocks, mode=model.mode) if native else None,
         block_weights=partial(kernels.block_weights, mode=model.mode) if native else None,

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
-from splatproof.methods.models.explicit import Reconstruction
+from splatproof.methods.models.base import Reconstruction
 from splatproof.metrics.geometry import geometry_scores
 from splatproof.metrics.seam_partition import surface_points
 from splatproof.reference.types.camera import project_points
@@ -44,7 +44,7 @@ def geometry_metrics(scene: Scene, model: Reconstruction) -> dict[str, float]:
     found, true, blind = [], [], []
     for view in chosen:
         depth = _truth(view)
-        render = model.render(view.camera)
+        render = model.render(view.without_truth())
         shown = (render.alpha >= OPAQUE) & (render.depth > 0)
         found.append(_cloud(view, torch.where(shown, render.depth, torch.inf)))
         true.append(_cloud(view, depth))

@@ -17,7 +17,9 @@ import torch
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.opening import open_scene
-from splatproof.methods.models.explicit import ARRAYS, ExplicitModel, load_reconstruction
+from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models.base import ARRAYS, Origin, save_model
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
 from splatproof.methods.run import Run
 from splatproof.methods.storage.packed.reader import read_packed
@@ -144,12 +146,12 @@ def quality(
         model: Gaussians as they came back from storage.
         protocol: Rules that the scene was opened under; its background is used.
     """
-    stored = ExplicitModel(model=model, method=fitted.method, mode=fitted.mode)
+    stored = ExplicitModel(model=model, mode=fitted.mode)
     background = torch.tensor(protocol.background)
     scores, same = [], []
     for view in scene.test_views:
-        image = stored.render(view.camera, background).colour
-        whole = fitted.render(view.camera, background).colour
+        image = stored.render(view, background).colour
+        whole = fitted.render(view, background).colour
         scores.append(score_image(view.name, image, view.load(), protocol))
         same.append(float(psnr(image.clamp(0, 1), whole.clamp(0, 1))))
     return {"psnr": scene_metrics(scores)["psnr"], "to_model": sum(same) / len(same)}
@@ -183,7 +185,7 @@ def _write_ply(path: Path, model: Gaussians) -> Mapping[str, int]:
 
 def _write_folder(path: Path, model: Gaussians) -> Mapping[str, int]:
     path.unlink(missing_ok=True)
-    ExplicitModel(model=model, method="3dgs").save(path.with_name("folder"))
+    save_model(ExplicitModel(model=model), path.with_name("folder"), Origin(method="3dgs"))
     (path.with_name("folder") / ARRAYS).replace(path)
     return {}
 
@@ -192,7 +194,9 @@ def _read_folder(path: Path) -> Gaussians:
     folder = path.with_name("folder")
     (folder / ARRAYS).unlink(missing_ok=True)
     (folder / ARRAYS).hardlink_to(path)
-    return load_reconstruction(folder).gaussians()
+    model = load_reconstruction(folder)
+    assert isinstance(model, ExplicitModel)
+    return model.model
 
 
 def _write_reference(path: Path, model: Gaussians) -> Mapping[str, int]:

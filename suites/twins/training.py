@@ -7,8 +7,8 @@ import torch
 from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.datasets.opening import open_scene
 from splatproof.datasets.registry import find_scene
-from splatproof.methods.backends import get_backend
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
@@ -46,17 +46,18 @@ def iterates(problem: Problem, _: Leaves) -> Forward:
     """
     given = problem.given
     settings = Settings(density=Density(most=given["gaussians"]))
-    trainer = Trainer(given["scene"], settings, Run(), get_backend("cpu"))
+    model, plan = prepare(given["scene"], settings, Run())
+    trainer = Trainer(model, plan, Run())
     enough = GROWN * given["gaussians"]
-    while len(trainer.gaussians()) < enough and trainer.step < PATIENCE:
+    while model.primitives < enough and trainer.step < PATIENCE:
         trainer.advance()
-    found = len(trainer.gaussians())
+    found = model.primitives
     if found < enough:
         raise SplatproofError(
             f"{found} Gaussians after {PATIENCE} steps, expected {given['gaussians']}: "
             "this scene does not grow so far"
         )
-    return lambda: torch.tensor(trainer.advance())
+    return lambda: torch.tensor(trainer.advance()["loss"])
 
 
 def label(size: Size) -> str:

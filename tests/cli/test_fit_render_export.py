@@ -10,7 +10,8 @@ from plyfile import PlyData
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main
 from splatproof.datasets import opening
-from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.loading import load_reconstruction
+from splatproof.reference.types.scene import camera_view
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,9 @@ def test_render_from_a_camera_file(fitted, tmp_path):
     arguments = [str(fitted / "model"), str(tmp_path / "cameras.json"), str(tmp_path / "out")]
     assert main(["render", *arguments, "--backend", "reference"]) == 0
     got = cv2.imread(str(tmp_path / "out" / "sub-left.png"))
-    want = load_reconstruction(fitted / "model", backend="reference").render(where).colour
+    want = (
+        load_reconstruction(fitted / "model", backend="reference").render(camera_view(where)).colour
+    )
     want = np.floor(want.clamp(0, 1).numpy() * 255 + 0.5)[..., ::-1]
     assert got is not None
     assert np.array_equal(got, want)

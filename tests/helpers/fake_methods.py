@@ -11,8 +11,9 @@ import numpy as np
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.files import write_text
+from splatproof.methods.method import Cost, Method
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.registry import METHODS, Method
+from splatproof.methods.registry import METHODS
 from splatproof.methods.run import Run
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
@@ -75,11 +76,17 @@ def fit(scene: Scene, settings: FakeSettings, run: Run) -> ExplicitModel:
     return model_of(value, run.backend)
 
 
+def cost(settings: FakeSettings, scene: Scene) -> Cost:
+    """A hundredth of a second and a megabyte a step and training view."""
+    work = settings.iterations * len(scene.train)
+    return Cost(cpu_seconds=0.01 * work, memory_mb=float(work))
+
+
 def model_of(value: float, backend: str) -> ExplicitModel:
     """A few Gaussians whose brightness depends on `value`."""
     model = random_gaussians(12, degree=0)
     sh = model.sh + float(np.tanh(value))
-    return ExplicitModel(model=replace(model, sh=sh), method="fake", backend=backend)
+    return ExplicitModel(model=replace(model, sh=sh), backend=backend)
 
 
 def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
@@ -99,7 +106,7 @@ def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
 def register() -> None:
     """Make the fake method and its scenes known in this process."""
     METHODS["fake"] = Method(
-        name="fake", settings=FakeSettings, fit=fit, description="Trains nothing"
+        name="fake", settings=FakeSettings, fit=fit, cost=cost, description="Trains nothing"
     )
     cases.open_scene = fake_scene
 

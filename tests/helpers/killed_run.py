@@ -8,8 +8,8 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.loop import fit
 
 
 class Killed(Exception):
@@ -23,8 +23,8 @@ def assert_continues(settings: Settings, run: Run, step: int, folder: Path) -> N
         if now == step:
             raise Killed
 
-    whole = fit(tiny_scene(), settings, replace(run, folder=folder / "whole")).gaussians()
+    whole = fit(tiny_scene(), settings, replace(run, folder=folder / "whole")).bake()
     cut = replace(run, folder=folder / "cut", checkpoint_seconds=0.0)
     with pytest.raises(Killed):
         fit(tiny_scene(), settings, replace(cut, report=kill))
-    assert torch.equal(fit(tiny_scene(), settings, cut).gaussians().means, whole.means)
+    assert torch.equal(fit(tiny_scene(), settings, cut).bake().means, whole.means)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatproof.base.errors import UsageError
+from splatproof.methods.threedgs.cost import GAUSSIAN_STEP, PIXEL_STEP
 from splatproof.suites.city_plan import (
     City,
     block_cpu_seconds,
@@ -20,7 +21,6 @@ from splatproof.suites.city_plan import (
     plan,
     simulate,
 )
-from splatproof.suites.estimate import GAUSSIAN_STEP, PIXEL_STEP
 
 CITY = City()
 TIMES = st.lists(st.floats(0.1, 9), min_size=1, max_size=6)

@@ -9,8 +9,11 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
+from splatproof.methods.city.cost import START_SECONDS
 from splatproof.methods.city.settings import CitySettings
-from splatproof.methods.registry import METHODS
+from splatproof.methods.method import Cost
+from splatproof.methods.registry import METHODS, get_method
+from splatproof.methods.threedgs.cost import PROCESS_MB
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.suites import estimate
@@ -29,19 +32,34 @@ def case(iterations: int, scene: str = "town") -> Case:
     return Case(scene=scene, method="fake", settings=settings, seed=0, protocol=PROTOCOL)
 
 
-def test_more_iterations_and_more_views_cost_more():
+@pytest.fixture(autouse=True)
+def fake(monkeypatch):
+    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    fake_methods.register()
+
+
+def test_more_iterations_and_more_views_cost_what_the_method_says():
     less, more = (estimate.estimate(case(n), SCENE, "cpu") for n in (1000, 2000))
-    assert estimate.START_SECONDS < less.seconds < more.seconds
-    assert estimate.BASE_MB < less.memory_mb < more.memory_mb
-    assert less.basis == "model"
+    assert more.seconds - less.seconds == pytest.approx(0.01 * 1000 * 4 / usable_cores())
+    assert (less.memory_mb, more.memory_mb) == (4000, 8000)
+    assert less.basis == "the method's own estimate"
     assert "not known" in estimate.estimate(case(1), SCENE, "cuda").basis
 
 
+def test_3dgs_says_more_for_more_iterations_and_larger_models():
+    def cost(**settings: Any) -> Cost:
+        return get_method("3dgs").cost(Settings(**settings), SCENE)
+
+    short, long = cost(iterations=1000), cost(iterations=2000)
+    assert 0 < short.cpu_seconds < long.cpu_seconds
+    assert PROCESS_MB < short.memory_mb < long.memory_mb
+    assert cost(iterations=1000, views_per_step=2).cpu_seconds > short.cpu_seconds
+
+
 def test_a_slow_method_is_learnt_from_its_records(tmp_path, monkeypatch):
-    monkeypatch.setitem(METHODS, "fake", None)
     monkeypatch.setattr(cases, "open_scene", fake_scene)
     monkeypatch.setattr(estimate, "open_scene", fake_scene)
-    fake_methods.register()
     slow = replace(case(20), settings=FakeSettings(iterations=20, seconds_a_step=0.01))
     suite = Suite(name="tiny", description="", cases=(slow, case(20, "broken")), scenes=())
     run_suite(suite, tmp_path, backend="reference", launch=in_process)
@@ -52,7 +70,9 @@ def test_a_slow_method_is_learnt_from_its_records(tmp_path, monkeypatch):
     (told,) = estimate.estimate_suite(whole, tmp_path, "reference")
     (blind,) = estimate.estimate_suite(whole, tmp_path / "other", "reference")
     assert "from 1 earlier cases" in told.basis
-    assert told.seconds - blind.seconds == pytest.approx(0.4, rel=0.2)
+    # 40 steps of 0.01 s, where the method said 0.01 CPU s a step and view on all cores
+    said = 0.01 * 40 * 4 / usable_cores()
+    assert told.seconds - blind.seconds == pytest.approx(0.4 - said, abs=0.1)
 
 
 def test_scenes_without_points_cost_what_the_random_ones_do(tmp_path, monkeypatch):
@@ -80,6 +100,6 @@ def test_blocks_share_the_gaussians_and_repeat_the_pixels():
 
     one, two, four = (seconds(blocks=k) for k in (1, 2, 4))
     assert one < two < four
-    start = estimate.START_SECONDS / usable_cores()
+    start = START_SECONDS / usable_cores()
     assert four - two - 2 * start == pytest.approx(2 * (two - one - 2 * start))
     assert seconds(blocks=4, coarse_iterations=500) > four

@@ -98,7 +98,7 @@ def test_unknown_names_are_told():
 
 def test_ours_stand_beside_theirs(tmp_path, capsys):
     for seed in (0, 1):
-        record = result(suite="paper_dpgs", scene="mill19/rubble", method="3dgs", seed=seed)
+        record = result(suite="paper_dpgs", scene="mill19/rubble", seed=seed)
         folder = tmp_path / f"paper_dpgs/mill19/rubble/3dgs/p/seed{seed}"
         folder.mkdir(parents=True)
         write_record(folder, record)

@@ -6,6 +6,7 @@ import json
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -16,14 +17,13 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from helpers.images import noise_image, random_mask
-from helpers.tiny_scene import camera, random_gaussians, tiny_scene
+from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main
 from splatproof.cli.output import finite
 from splatproof.datasets.photos import read_photo
+from splatproof.methods.models.base import Stored
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import scene_metrics
-from splatproof.reference.types.camera import Camera
-from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.result import ImageScore
@@ -41,14 +41,13 @@ class Painted:
     pixels: Tensor
     primitives: int = 1
 
-    def render(self, camera: Camera, background: Tensor | None = None) -> RenderOutput:
+    kind: ClassVar[str] = "painted"
+
+    def render(self, view: View, background: Tensor | None = None) -> RenderOutput:
         flat = torch.zeros(self.pixels.shape[:2])
         return RenderOutput(colour=self.pixels, alpha=flat, depth=flat, radii=torch.zeros(1))
 
-    def gaussians(self) -> Gaussians:
-        return random_gaussians(1)
-
-    def save(self, folder: Path) -> None:
+    def store(self, folder: Path) -> Stored:
         raise AssertionError("nothing is saved here")
 
 

@@ -13,7 +13,8 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.models.explicit import ARRAYS, DESCRIPTION, write_description
+from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
+from splatproof.methods.models.explicit import ExplicitModel, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.records import VERSION, records, version_of
 from splatproof.methods.storage.packed.streams import expand
@@ -71,10 +72,12 @@ def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> in
     write_float_stream(
         folder / ARRAYS, _shapes(count, bands), (vars(model) for model in models or chunks)
     )
-    write_description(
-        folder, method=facts.method, settings=facts.settings, mode=facts.mode, shift=facts.shift,
-        units=facts.units, primitives=count, degree=round(bands**0.5) - 1,
+    told = explicit_facts(
+        mode=facts.mode, shift=facts.shift, units=facts.units, primitives=count,
+        degree=round(bands**0.5) - 1,
     )  # fmt: skip
+    origin = Origin(method=facts.method, settings=facts.settings)
+    write_description(folder, ExplicitModel.kind, origin, told)
     return count
 
 

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import sha256
-from splatproof.methods.models.explicit import ARRAYS, FIELDS, describe
+from splatproof.methods.models.base import ARRAYS, describe
+from splatproof.methods.models.explicit import FIELDS
 from splatproof.reference.types.gaussians import Gaussians
 
 

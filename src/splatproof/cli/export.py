@@ -9,7 +9,8 @@ from splatproof.cli import output
 from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
-    from splatproof.methods.models.explicit import Reconstruction
+    from splatproof.methods.models.base import Origin, Reconstruction
+    from splatproof.reference.types.gaussians import Gaussians
 
 
 def export(
@@ -35,18 +36,18 @@ def export(
         local: Keep the scene's local frame, with all properties in float32, for any viewer.
     """
     from splatproof.base.errors import UsageError
-    from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+    from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.ply import write_ply
 
     if ply is None and packed is None:
         raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
     loaded = load_reconstruction(model_path(model))
     if packed is not None:
-        _pack(loaded, packed, gate)
+        _pack(loaded, load_origin(model_path(model)), packed, gate)
     if ply is None:
         return 0
-    shift = loaded.shift if isinstance(loaded, ExplicitModel) and not local else None
-    write_ply(ply, loaded.gaussians(), shift)
+    shift = None if local else getattr(loaded, "shift", None)
+    write_ply(ply, _baked(loaded), shift)
     moved = [] if shift is None else [v for v in shift.tolist() if v]
     frame = f"shifted back by {shift.tolist()}" if shift is not None and moved else "as trained"
     record = {"ply": str(ply), "gaussians": loaded.primitives, "frame": frame}
@@ -54,18 +55,23 @@ def export(
     return 0
 
 
-def _pack(model: "Reconstruction", path: Path, gate: float) -> None:
+def _baked(model: "Reconstruction") -> "Gaussians":
+    """The model as explicit Gaussians."""
+    from splatproof.base.errors import UsageError
+    from splatproof.methods.models.base import Bakes
+
+    if not isinstance(model, Bakes):
+        raise UsageError(f"a model of kind {model.kind!r} cannot be turned into explicit Gaussians")
+    return model.bake()
+
+
+def _pack(model: "Reconstruction", origin: "Origin", path: Path, gate: float) -> None:
     """Write a packed file and say how small it is."""
-    from splatproof.methods.models.explicit import ExplicitModel
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 
-    names = ("mode", "shift", "units", "method", "settings")
-    known = (
-        {name: getattr(model, name) for name in names} if isinstance(model, ExplicitModel) else {}
-    )
-    report = write_packed(
-        path, model.gaussians(), settings=FileSettings(gate=gate), facts=PackedFacts(**known)
-    )
+    known = {n: getattr(model, n) for n in ("mode", "shift", "units") if hasattr(model, n)}
+    facts = PackedFacts(**known, method=origin.method, settings=origin.settings)
+    report = write_packed(path, _baked(model), settings=FileSettings(gate=gate), facts=facts)
     each = report.bytes / max(report.primitives, 1)
     record = {"packed": str(path), "gaussians": report.primitives, "bytes": report.bytes,
               "bytes_by_part": dict(report.bytes_by_part), "open_share": report.open_share}  # fmt: skip

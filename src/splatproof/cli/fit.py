@@ -3,6 +3,7 @@
 import inspect
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -13,9 +14,9 @@ from splatproof.cli import output
 
 def subcommands() -> dict[str, Callable[..., int]]:
     """One command a method, so that each shows and takes its own settings."""
-    from splatproof.methods.registry import METHODS
+    from splatproof.methods.registry import methods
 
-    return {name: _command(name) for name in METHODS}
+    return {name: _command(name) for name in methods()}
 
 
 def fit(
@@ -54,6 +55,7 @@ def fit(
     """
     from splatproof.datasets.opening import open_scene
     from splatproof.methods.backends import get_backend
+    from splatproof.methods.models.base import Origin, save_model
     from splatproof.methods.registry import get_method
     from splatproof.methods.run import Run
     from splatproof.metrics.protocol_files import load_protocol
@@ -86,8 +88,11 @@ def fit(
             checkpoint_seconds=checkpoint_seconds, engine=engine, workers=workers,
             say=output.log,
         )  # fmt: skip
-        model = row.fit(opened, settings, run)
-    model.save(out / "model")
+        model = row.fit(opened.for_training(), settings, run)
+    origin = Origin(
+        method=method, settings=asdict(settings), scene=scene, protocol=asdict(rules), seed=seed
+    )
+    save_model(model, out / "model", origin)
     output.log(f"{model.primitives} Gaussians in {stages['train']:.1f} s; model in {out / 'model'}")
     record = {"scene": opened.name, "method": method, "seed": seed, "protocol": rules.name}
     facts = {"gaussians": model.primitives, "seconds": stages}

@@ -35,10 +35,11 @@ def render(
     import torch
 
     from splatproof.base.errors import DataError
-    from splatproof.methods.models.explicit import load_reconstruction
+    from splatproof.methods.loading import load_reconstruction
     from splatproof.methods.storage.camera_files import read_cameras
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.reference.types.result import picture_name
+    from splatproof.reference.types.scene import camera_view
     from splatproof.suites.held_out import to_8_bit, write_png
 
     rules = load_protocol(protocol)
@@ -58,7 +59,9 @@ def render(
     with output.progress() as bar:
         task = bar.add_task("render", total=len(found), values="")
         for name, camera in zip(names, found.values(), strict=True):
-            write_png(out / name, to_8_bit(loaded.render(camera, background).colour))
+            write_png(
+                out / name, to_8_bit(loaded.render(camera_view(camera, name), background).colour)
+            )
             bar.advance(task)
     output.emit({"out": str(out), "images": len(found)}, f"{out}: {len(found)} images")
     return 0

@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, SplatproofError, UsageError
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.train_block import BlockJob
-from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
@@ -31,7 +32,7 @@ def jobs(folder: Path) -> tuple[BlockJob, ...]:
 
 
 def means(job: BlockJob):
-    return load_reconstruction(job.model).gaussians().means
+    return baked(load_reconstruction(job.model)).means
 
 
 def nothing(*_: object) -> None: ...

@@ -7,13 +7,16 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.methods.city.model import CONTAINER, CityModel
-from splatproof.methods.models.explicit import FIELDS, ExplicitModel, load_reconstruction
+from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.methods.run import Run
-from splatproof.methods.training import loop as training
+from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings
 
@@ -81,7 +84,7 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     assert {total for _, total in steps} == {steps[0][1]}
     if not any(facts.note for facts in model.block_facts):
         assert max(step for step, _ in steps) == steps[0][1]
-    model.save(tmp_path / "model")
+    save_model(model, tmp_path / "model", Origin(method=row))
     back = load_reconstruction(tmp_path / "model", backend="cpu")
     assert isinstance(back, CityModel)
     assert same(model, back)
@@ -89,7 +92,7 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     assert (back.packed is not None) == settings.quantise
     assert back.packed_parts == model.packed_parts
     assert sum(model.packed_parts.values()) == len(model.packed or b"")
-    image = back.render(SCENE.views[0].camera).colour
+    image = back.render(SCENE.views[0]).colour
     assert image.isfinite().all()
     assert image.max() > 0.1
 
@@ -98,9 +101,9 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
 def test_one_block_is_plain_3dgs(row):
     extra = BARE | {"blocks": 1, "sampling": "uniform"}
     city = fit(row, run(), **extra)
-    plain = METHODS["3dgs"].fit(SCENE, training.Settings(**SHORT), run())
+    plain = METHODS["3dgs"].fit(SCENE, Settings(**SHORT), run())
     for name in FIELDS:
-        assert torch.equal(getattr(city.model, name), getattr(plain.gaussians(), name))
+        assert torch.equal(getattr(city.model, name), getattr(baked(plain), name))
     assert not city.blocks.any()
 
 
@@ -193,7 +196,8 @@ def moved_after_training(folder: Path, where: dict[int, torch.Tensor]) -> Run:
             model = load_reconstruction(record.parent / "model")
             assert isinstance(model, ExplicitModel)
             means = where[block].float().repeat(model.primitives, 1)
-            replace(model, model=replace(model.model, means=means)).save(record.parent / "model")
+            moved = replace(model, model=replace(model.model, means=means))
+            save_model(moved, record.parent / "model", Origin(method="block"))
     return run(folder)
 
 
@@ -222,7 +226,7 @@ def test_a_folder_of_another_run_is_refused(tmp_path):
 
 def test_a_damaged_container_is_refused(tmp_path):
     model = fit("stitchgs", run())
-    model.save(tmp_path)
+    save_model(model, tmp_path, Origin(method="stitchgs"))
     path = tmp_path / CONTAINER
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(DataError, match=CONTAINER):

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError
 from splatproof.methods.city import ray_executor
@@ -16,7 +17,7 @@ from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.train_block import BlockJob
-from splatproof.methods.models.explicit import load_reconstruction
+from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
@@ -36,7 +37,7 @@ def nothing(*_: object) -> None: ...
 
 
 def means(job: BlockJob):
-    return load_reconstruction(job.model).gaussians().means
+    return baked(load_reconstruction(job.model)).means
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,11 @@ import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.city.refine import Refiner, RefineSettings, clean, refine
+from splatproof.methods.city.refine import QuantisedModel, RefineSettings, clean, refine
 from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.contract import Moment
+from splatproof.methods.training.schedules import Rates
 from splatproof.reference.stitching.preclean import CleanSettings
 
 SCENE = tiny_scene(views=5)
@@ -47,12 +49,11 @@ def test_the_loss_falls_and_only_the_appearance_moves(more):
 
 
 def test_what_is_rendered_lies_on_256_values_from_the_set_share_on():
-    settings = RefineSettings(iterations=10, quantise_from=0.5)
-    own = replace(BASE, iterations=10)
-    trainer = Refiner(random_gaussians(2000), SCENE, settings, own, RUN)
+    model = QuantisedModel(random_gaussians(2000), Rates(), 0.5, BASE)
     for step, most in ((5, 2000), (6, 256)):
-        trainer.step = step
-        rest = trainer.model(1).sh[:, 1:].flatten(start_dim=1)
+        sh = model.splats(SCENE.views[0], Moment(step=step, total=10)).sh
+        assert sh is not None
+        rest = sh[:, 1:].flatten(start_dim=1)
         distinct = max(len(column.unique()) for column in rest.T)
         assert (distinct == 2000) if most == 2000 else (distinct <= 256)
 

@@ -14,7 +14,9 @@ from splatproof.methods.city import block_model, merge, regions
 from splatproof.methods.city import stitch as fast
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.voxel_region import VoxelRegion
-from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+from splatproof.methods.loading import load_origin, load_reconstruction
+from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.partition.boxes import OrientedBox, Region
 from splatproof.reference.stitching import stochastic as stitching
@@ -24,6 +26,7 @@ from splatproof.reference.types.gaussians import Gaussians
 SEEDS = st.integers(0, 2**16)
 D = torch.float64
 OURS = StitchSettings()
+ORIGIN = Origin(method="stitchgs", settings={"eta": 30.0})
 
 
 def generator(seed: int) -> torch.Generator:
@@ -81,7 +84,7 @@ def on_disk(made: list[BlockModel], folder) -> list[BlockModel]:
     stored = []
     for i, block in enumerate(made):
         assert isinstance(block.model, Gaussians)
-        ExplicitModel(model=block.model, method="3dgs").save(folder / str(i))
+        save_model(ExplicitModel(model=block.model), folder / str(i), Origin())
         stored.append(replace(block, model=folder / str(i)))
     return stored
 
@@ -157,13 +160,14 @@ def test_the_merged_folder_holds_what_is_kept_block_after_block(
     kept = fast.stitch(source, OURS, generator(seed))
     shift = torch.tensor([5e5, 4e6, 0], dtype=D)
     counts = merge.write_merged(
-        folder / "m", source, kept, method="stitchgs", settings={"eta": 30.0}, shift=shift,
+        folder / "m", source, kept, origin=ORIGIN, shift=shift,
         units="metres", mode="antialiased",
     )  # fmt: skip
     assert counts == tuple(int(mask.sum()) for mask in kept)
     back = load_reconstruction(folder / "m")
     assert isinstance(back, ExplicitModel)
-    assert (back.units, back.mode, back.method) == ("metres", "antialiased", "stitchgs")
+    assert (back.units, back.mode) == ("metres", "antialiased")
+    assert load_origin(folder / "m") == ORIGIN
     assert torch.equal(back.shift, shift)
     for name in vars(back.model):
         parts = [getattr(b.model, name)[mask] for b, mask in zip(scene, kept, strict=True)]

@@ -9,7 +9,7 @@ from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
 from splatproof.methods.kernels.loss import photometric
 from splatproof.methods.kernels.step import ViewGradients, observe
-from splatproof.methods.training.loop import assemble
+from splatproof.methods.models.gaussian_model import assemble
 from splatproof.reference.checks.agreement import compare_gradients
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe

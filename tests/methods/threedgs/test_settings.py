@@ -11,7 +11,7 @@ from splatproof.methods.backends import CONTRACT, describe_backends, get_backend
 from splatproof.methods.registry import METHODS, get_method
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.schedules import Rates, active_degree, means_rate, settling, shrink
+from splatproof.methods.training.schedules import Rates, active_degree, log_linear, settling, shrink
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ from splatproof.methods.training.schedules import Rates, active_degree, means_ra
         (Settings, {"sh_interval": -1}),
         (Settings, {"initial_opacity": 1.0}),
         (Settings, {"dssim": 1.5}),
-        (Rates, {"opacity": -1.0}),
+        (Rates, {"opacity_logits": -1.0}),
         (Rates, {"means": math.nan}),
         (Density, {"interval": 0}),
         (Density, {"gradient": -1e-4}),
@@ -63,19 +63,19 @@ def test_every_method_has_defaults():
 
 
 @given(step=st.integers(0, 40_000))
-def test_means_rate_falls_log_linearly_to_the_last_and_stays(step):
-    rate = means_rate(Rates(), step, 30_000)
+def test_rate_of_means_falls_log_linearly_to_the_last_and_stays(step):
+    rate = log_linear(Rates().means, Rates().means_final, factor=2.0)(step, 30_000) / 2
     want = 1.6e-4 * 0.01 ** min(1.0, step / 30_000)
     assert rate == pytest.approx(want, rel=1e-12)
 
 
 def test_a_rate_of_zero_freezes():
-    assert means_rate(Rates(means=0.0), 5, 10) == 0
+    assert log_linear(0.0, 1e-6)(5, 10) == 0
 
 
 def test_other_rates_settle_in_the_second_half():
-    assert [settling(Rates(), step, 100) for step in (1, 100)] == [1, 1]
-    factors = [settling(Rates(settle=0.01), step, 100) for step in (1, 50, 75, 100)]
+    assert [settling(1.0)(step, 100) for step in (1, 100)] == [1, 1]
+    factors = [settling(1.0, 0.01)(step, 100) for step in (1, 50, 75, 100)]
     assert factors == pytest.approx([1, 1, 0.1, 0.01])
 
 

@@ -247,7 +247,7 @@ def test_voxels_move_with_their_corner(seed: int, by: tuple[int, int, int]):
 
 def test_thresholds_of_the_settings_are_obeyed(yard: Scene, dense: Scene):
     strict = Settings(dense_cell=CELL, dense=DenseSettings(partners=1, sigma=0.3))
-    fewer = with_points(yard, strict, Run())
+    fewer = with_points(yard, Run(), dense_cell=strict.dense_cell, dense=strict.dense)
     added = len(dense.points) - len(yard.points)
     assert 0 < len(fewer.points) - len(yard.points) < 0.7 * added
 
@@ -269,7 +269,7 @@ def test_new_points_keep_their_distance():
 def test_a_scene_without_tracks_is_returned_as_it_is():
     scene = tiny_scene()
     assert with_dense_points(scene, CELL, 2**28, DenseSettings()) is scene
-    assert with_points(scene, Settings(dense_cell=CELL), Run()) is scene
+    assert with_points(scene, Run(), dense_cell=CELL) is scene
 
 
 @pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])

@@ -1,6 +1,7 @@
 """Adaptive density control: exact counts, disjoint rules, moments, never empty."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 from helpers.tiny_scene import camera, random_gaussians
 from splatproof.methods.training.density import Density, DensityControl, densify, reset_opacity
 from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.parameters import Edit, Parameters
+from splatproof.methods.training.strategy import Observation
 from splatproof.reference.rasterizer.rotation import covariance
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -96,11 +99,12 @@ def test_same_generator_same_children():
 
 
 def test_moments_follow_survivors_and_start_at_zero_for_the_new():
-    adam = Adam({"means": torch.arange(12.0).reshape(4, 3)})
-    adam.leaves()["means"].grad = torch.arange(12.0).reshape(4, 3)
+    parameters = Parameters({"means": torch.arange(12.0).reshape(4, 3)})
+    parameters.rows["means"].grad = torch.arange(12.0).reshape(4, 3)
+    adam = Adam(parameters)
     adam.step({"means": 0.1})
     first, second = adam.first["means"].clone(), adam.second["means"].clone()
-    adam.gather(torch.tensor([2, 0, 0]), torch.tensor([False, False, True]))
+    adam.edit(Edit(parents=torch.tensor([2, 0, 0]), fresh=torch.tensor([False, False, True])))
     assert torch.equal(adam.first["means"][:2], first[[2, 0]])
     assert torch.equal(adam.second["means"][:2], second[[2, 0]])
     assert not adam.first["means"][2].any()
@@ -114,17 +118,20 @@ def test_reset_lowers_only():
 
 
 def test_statistics_are_means_over_the_views_that_saw():
-    control = DensityControl(Density(), iterations=30_000, extent=1.0, count=2)
-    view = camera(0, width=20, height=10)
+    control = DensityControl(Density(), iterations=30_000, extent=1.0)
     gradient = torch.tensor([[3.0, 8.0], [1.0, 1.0]])
-    control.observe(gradient, torch.tensor([1.0, 0.0]), view)
-    control.observe(0 * gradient, torch.tensor([1.0, 0.0]), view)
+    seen = Observation(
+        camera=camera(0, width=20, height=10), radii=torch.tensor([1.0, 0.0]), opacities=None,
+        signed=gradient, absolute=None, rows=None, slots=None, count=2,
+    )  # fmt: skip
+    control.observe(seen)
+    control.observe(replace(seen, signed=0 * gradient))
     assert control.gradient_sum.tolist() == [math.hypot(30, 40), 0.0]
     assert control.seen.tolist() == [2, 0]
 
 
 def test_schedule_of_a_full_run_is_the_release():
-    control = DensityControl(Density(), iterations=30_000, extent=1.0, count=1)
+    control = DensityControl(Density(), iterations=30_000, extent=1.0)
     dense = [step for step in range(1, 30_001) if control.densifies(step)]
     assert dense == list(range(600, 15_000, 100))
     assert [step for step in range(1, 30_001) if control.resets(step)] == [3000, 6000, 9000, 12_000]
@@ -132,7 +139,7 @@ def test_schedule_of_a_full_run_is_the_release():
 
 @pytest.mark.parametrize("iterations", [200, 1000, 2000, 7000])
 def test_a_short_run_is_a_whole_one(iterations):
-    control = DensityControl(Density(), iterations=iterations, extent=1.0, count=1)
+    control = DensityControl(Density(), iterations=iterations, extent=1.0)
     steps = range(1, iterations + 1)
     assert [s for s in steps if control.watches(s)][-1] < 0.51 * iterations
     dense = [s for s in steps if control.densifies(s)]

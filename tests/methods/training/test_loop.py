@@ -12,12 +12,14 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, SplatproofError, UsageError
-from splatproof.methods.backends import get_backend
-from splatproof.methods.models.explicit import FIELDS, load_reconstruction
+from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.loop import Trainer, fit
+from splatproof.methods.training.loop import Trainer
 from splatproof.reference.types.scene import Scene
 
 SHORT = Settings(
@@ -30,7 +32,7 @@ ON_REFERENCE = Run(backend="reference", threads=1)
 
 
 def arrays(model):
-    return {name: getattr(model.gaussians(), name) for name in FIELDS}
+    return {name: getattr(model.bake(), name) for name in FIELDS}
 
 
 def same(one, other) -> bool:
@@ -88,18 +90,14 @@ def test_native_bits_do_not_depend_on_threads():
     assert same(one, two)
 
 
-class ThroughAutograd(Trainer):
-    """The native rasterizer and loss, differentiated by torch."""
-
-    renders_parameters = False
-
-
 def test_the_native_step_trains_as_autograd_does():
     run = replace(ON_REFERENCE, backend="cpu")
     losses = []
-    for kind in (Trainer, ThroughAutograd):
-        trainer = kind(tiny_scene(), SHORT, run, get_backend("cpu"))
-        losses.append([trainer.advance() for _ in range(9)])
+    for native in (True, False):
+        model, plan = prepare(tiny_scene(), SHORT, run)
+        trainer = Trainer(model, replace(plan, native=native), run)
+        assert trainer.path == ("kernels" if native else "autograd")
+        losses.append([trainer.advance()["loss"] for _ in range(9)])
     # later the models part: Adam follows the sign of gradients that are rounded zeros
     assert losses[0] == pytest.approx(losses[1], rel=1e-4)
 
@@ -181,12 +179,11 @@ def test_a_loss_that_is_not_finite_stops_with_the_view():
         fit(replace(scene, views=(scene.views[0], bad)), SHORT, ON_REFERENCE)
 
 
-def test_stages_are_timed_and_the_model_says_how_it_was_made(tmp_path):
+def test_stages_are_timed_and_the_model_can_be_loaded(tmp_path):
     stages = {}
     run = replace(ON_REFERENCE, on_stage=stages.__setitem__)
     model = fit(tiny_scene(), replace(SHORT, iterations=3), run)
     assert set(stages) == {"init", "train"}
     assert stages["train"] > 0
-    model.save(tmp_path)
+    save_model(model, tmp_path, Origin(method="3dgs"))
     assert load_reconstruction(tmp_path, backend="reference").primitives == model.primitives
-    assert model.settings["iterations"] == 3

@@ -7,9 +7,9 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.loop import fit
 
 SETTINGS = Settings(
     iterations=60, sh_degree=1, random_background=True,
@@ -31,7 +31,7 @@ def killed_at(step: int):
 
 
 def means(settings: Settings, run: Run) -> torch.Tensor:
-    return fit(tiny_scene(), settings, run).gaussians().means
+    return fit(tiny_scene(), settings, run).bake().means
 
 
 def test_a_killed_run_continues_bit_for_bit(tmp_path):
@@ -50,11 +50,11 @@ def test_backgrounds_change_the_run_and_its_draws_follow_the_seed():
 
 def test_what_the_photos_show_becomes_opaque():
     scene = tiny_scene()
-    camera = scene.train_views[0].camera
+    view = scene.train_views[0]
     longer = replace(SETTINGS, iterations=300)
     alphas = [
         float(fit(scene, replace(longer, random_background=random), RUN)
-              .render(camera, torch.zeros(3)).alpha.mean())
+              .render(view, torch.zeros(3)).alpha.mean())
         for random in (True, False)
     ]  # fmt: skip
     assert alphas[0] > alphas[1]

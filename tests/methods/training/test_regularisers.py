@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.backends import get_backend
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.loop import Trainer, fit
+from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.regularisers import (
     HIDDEN,
     OPAQUEST,
@@ -68,16 +68,15 @@ def test_both_routes_give_the_same_step():
     """The kernels' step and the graph's, from the same draws."""
     steps = []
     for native in (True, False):
-        trainer = Trainer(tiny_scene(), SETTINGS, RUN, get_backend("cpu"))
-        trainer.renders_parameters = native
+        trainer = Trainer(*prepare(tiny_scene(), SETTINGS, RUN), RUN)
+        trainer.native = native
         trainer.step = 40
+        tensors = trainer.model.parameters.trained
         with torch.no_grad():  # spheres have no gradient by their quaternions
-            trainer.adam.parameters["scales"][:, 0] += 0.5
-        trainer.adam.leaves()
-        loss, _, _ = trainer.backward(trainer.views[0])
-        gradients = {n: v.grad.clone() for n, v in trainer.adam.parameters.items()
-                     if v.grad is not None}  # fmt: skip
-        steps.append((loss, gradients))
+            tensors["log_scales"][:, 0] += 0.5
+        values, _ = trainer.backward(trainer.plan.views[0])
+        gradients = {n: v.grad.clone() for n, v in tensors.items() if v.grad is not None}
+        steps.append((values["loss"], gradients))
     assert steps[0][0] == pytest.approx(steps[1][0], rel=1e-5)
     for name, gradient in steps[0][1].items():
         # Sums of float32 in another order: 1.5e-7 of the norm was seen.
@@ -92,7 +91,7 @@ def test_the_pull_makes_the_model_fainter():
     without = replace(SETTINGS, dropout=0.0, opacity_weight=0.0, iterations=200)
     opacity = [
         float(fit(tiny_scene(), replace(without, opacity_weight=weight), RUN)
-              .gaussians().opacities.mean())
+              .bake().opacities.mean())
         for weight in (0.0, 0.3)
     ]  # fmt: skip
     assert opacity[1] < opacity[0]

@@ -8,12 +8,13 @@ import torch
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.backends import get_backend
 from splatproof.methods.run import Run
+from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.parameters import Parameters
 
 SETTINGS = Settings(
     iterations=40, sh_degree=1, views_per_step=3, dropout=0.2, random_background=True,
@@ -22,34 +23,39 @@ SETTINGS = Settings(
 RUN = Run(backend="cpu", threads=1)
 
 
+def started() -> Trainer:
+    """A trainer at step 0."""
+    return Trainer(*prepare(tiny_scene(), SETTINGS, RUN), RUN)
+
+
 @pytest.mark.parametrize("native", [True, False])
 def test_a_step_follows_the_mean_of_its_views(native: bool):
     """Against gradients that are taken view by view and averaged by hand, draw for draw."""
-    trainer, other = (Trainer(tiny_scene(), SETTINGS, RUN, get_backend("cpu")) for _ in range(2))
-    trainer.renders_parameters = other.renders_parameters = native
+    trainer, other = started(), started()
+    trainer.native = other.native = native
     other.step = 1
-    losses, sums = [], {n: torch.zeros_like(v) for n, v in other.adam.parameters.items()}
+    tensors = other.model.parameters.trained
+    losses, sums = [], {n: torch.zeros_like(v) for n, v in tensors.items()}
     for _ in range(3):
-        other.adam.leaves()
-        loss, _, _ = other.backward(other.views[other.next_view()])
-        losses.append(loss)
-        for name, value in other.adam.parameters.items():
+        values, _ = other.backward(other.plan.views[other.order.next(other.generator)])
+        losses.append(values["loss"])
+        for name, value in tensors.items():
             if value.grad is not None:
                 sums[name] += value.grad
                 value.grad = None
-    by_hand = Adam({n: v.detach() for n, v in other.adam.parameters.items()})
-    for name, value in by_hand.parameters.items():
+    by_hand = Parameters({n: v.detach() for n, v in tensors.items()})
+    for name, value in by_hand.rows.items():
         value.grad = sums[name] / 3
-    by_hand.step(other.learning_rates())
-    assert trainer.advance() == pytest.approx(sum(losses) / 3, rel=1e-6)
-    for name, value in trainer.adam.parameters.items():
-        assert torch.equal(value.detach(), by_hand.parameters[name].detach()), name
+    Adam(by_hand).step(other.rates())
+    assert trainer.advance()["loss"] == pytest.approx(sum(losses) / 3, rel=1e-6)
+    for name, value in trainer.model.parameters.trained.items():
+        assert torch.equal(value.detach(), by_hand.rows[name].detach()), name
 
 
 def test_density_control_counts_every_view():
-    trainer = Trainer(tiny_scene(), SETTINGS, RUN, get_backend("cpu"))
+    trainer = started()
     trainer.advance()
-    assert float(trainer.control.seen.max()) == 3
+    assert float(trainer.plan.density.state()["seen"].max()) == 3
 
 
 def test_a_killed_run_continues_bit_for_bit(tmp_path):

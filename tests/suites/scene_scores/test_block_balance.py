@@ -1,6 +1,6 @@
 import pytest
 
-from splatproof.methods.city.train_block import BlockFacts
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.metrics.scene_registry import BLOCKS, SCENE_METRICS
 from splatproof.suites.scene_scores.block_balance import FIELDS, balance_metrics
 

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics, seen_by
@@ -36,18 +36,20 @@ class Shows:
     alpha: float = 1.0
     primitives: int = 1
 
-    def render(self, camera: Camera, background=None) -> RenderOutput:
+    kind: ClassVar[str] = "shows"
+
+    def render(self, view: View, background=None) -> RenderOutput:
         del background
-        size = (camera.height, camera.width)
+        size = view.size
         return RenderOutput(
             colour=torch.zeros(*size, 3), alpha=torch.full(size, self.alpha),
             depth=torch.full(size, self.depth), radii=torch.zeros(1),
         )  # fmt: skip
 
-    def gaussians(self):
+    def bake(self, view=None):
         pytest.fail("geometry is judged by what a model renders, not by its primitives")
 
-    def save(self, folder):
+    def store(self, folder):
         pytest.fail("scoring does not write models")
 
 

@@ -16,7 +16,7 @@ from splatproof.suites.studies.study import STUDIES
 def rows(tmp_path_factory) -> dict[str, dict]:
     folder = tmp_path_factory.mktemp("size")
     scene, protocol = tiny_scene(), load_protocol("default")
-    fitted = ExplicitModel(model=random_gaussians(300, degree=3), method="3dgs")
+    fitted = ExplicitModel(model=random_gaussians(300, degree=3))
     base = size.quality(scene, fitted, fitted.model, protocol)["psnr"]
     found = [
         size.row(kind, scene, fitted, base, protocol, folder / "m")
@@ -59,7 +59,7 @@ def test_a_format_that_is_not_installed_is_a_note(tmp_path):
         raise MissingError("no package gsply")
 
     kind = size.Format(name="spz 3", gate=None, write=missing, read=missing)
-    fitted = ExplicitModel(model=random_gaussians(3), method="3dgs")
+    fitted = ExplicitModel(model=random_gaussians(3))
     row = size.row(kind, tiny_scene(), fitted, 0.0, load_protocol("default"), tmp_path / "m")
     assert "gsply" in row["note"]
     assert "bytes" not in row

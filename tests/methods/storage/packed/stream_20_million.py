@@ -16,7 +16,8 @@ import torch
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.stitch import stitch
-from splatproof.methods.models.explicit import ARRAYS, write_description
+from splatproof.methods.models.base import ARRAYS, Origin, write_description
+from splatproof.methods.models.explicit import ExplicitModel, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.reader import unpack_packed
 from splatproof.methods.storage.packed.rows import FolderRows
@@ -48,19 +49,16 @@ def main(folder: Path) -> dict[str, float]:
         place = folder / f"block{i}"
         shapes = {name: (EACH, *shape) for name, shape in SHAPES.items()}
         write_float_stream(place / ARRAYS, shapes, slices(centre, generator))
-        write_description(
-            place, method="synthetic", settings={}, mode="classic", shift=zero, units="sfm",
-            primitives=EACH, degree=3,
-        )  # fmt: skip
+        facts = explicit_facts(mode="classic", shift=zero, units="sfm", primitives=EACH, degree=3)
+        write_description(place, ExplicitModel.kind, Origin(method="synthetic"), facts)
         blocks.append(BlockModel(region=box, model=place))
     seconds = {}
     start = time.perf_counter()
     kept = stitch(blocks, StitchSettings(), generator)
     seconds["stitch"] = time.perf_counter() - start
     start = time.perf_counter()
-    counts = write_merged(
-        folder / "merged", blocks, kept, method="synthetic", settings={}, shift=zero
-    )
+    origin = Origin(method="synthetic")
+    counts = write_merged(folder / "merged", blocks, kept, origin=origin, shift=zero)
     seconds["merge"] = time.perf_counter() - start
     for block in blocks:
         assert isinstance(block.model, Path)

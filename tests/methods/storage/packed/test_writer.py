@@ -15,9 +15,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
+from helpers.baking import baked
 from helpers.sh_models import model
 from splatproof.base.errors import DataError
-from splatproof.methods.models.explicit import ExplicitModel, load_reconstruction
+from splatproof.methods.loading import load_origin, load_reconstruction
+from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.packed import records as packing_records
 from splatproof.methods.storage.packed import streams as packing_streams
 from splatproof.methods.storage.packed import writer as packing
@@ -106,8 +109,8 @@ def test_facts_come_back_and_the_harness_opens_the_file(folder):
     write_packed(path, model(20, 2, 0), facts=facts)
     back = load_reconstruction(path, backend="reference")
     assert isinstance(back, ExplicitModel)
-    assert (back.mode, back.units, back.method) == ("antialiased", "metres", "3dgs")
-    assert back.settings == {"iterations": 5}
+    assert (back.mode, back.units) == ("antialiased", "metres")
+    assert load_origin(path) == Origin(method="3dgs", settings={"iterations": 5})
     assert back.backend == "reference"
     assert torch.equal(back.shift, facts.shift)
     assert same(back.model, read_packed(path)[0])
@@ -120,7 +123,7 @@ def test_a_file_of_the_reference_opens(folder):
     assert same(found, reference.unpack(packed))
     assert facts.mode == "classic"
     unpack_packed(folder / "v1", folder / "v1_model")
-    assert same(load_reconstruction(folder / "v1_model").gaussians(), found)
+    assert same(baked(load_reconstruction(folder / "v1_model")), found)
 
 
 @settings(max_examples=10)
@@ -128,7 +131,7 @@ def test_a_file_of_the_reference_opens(folder):
 def test_folders_stream_to_the_same_file_and_back(tmp_path_factory, count, seed, sort):
     folder = tmp_path_factory.mktemp("stream")
     whole = model(count, 2, seed)
-    ExplicitModel(model=whole, method="3dgs").save(folder / "model")
+    save_model(ExplicitModel(model=whole), folder / "model", Origin())
     kept = FileSettings(sort=sort)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(packing, "CHUNK", 16)
@@ -136,11 +139,11 @@ def test_folders_stream_to_the_same_file_and_back(tmp_path_factory, count, seed,
         write_packed(folder / "disk", FolderRows(folder / "model"), settings=kept)
     assert (folder / "memory").read_bytes() == (folder / "disk").read_bytes()
     assert unpack_packed(folder / "disk", folder / "back") == count
-    assert same(load_reconstruction(folder / "back").gaussians(), read_packed(folder / "disk")[0])
+    assert same(baked(load_reconstruction(folder / "back")), read_packed(folder / "disk")[0])
 
 
 def test_a_folder_that_is_not_what_it_says_is_not_packed(tmp_path):
-    ExplicitModel(model=model(9, 1, 0), method="3dgs").save(tmp_path)
+    save_model(ExplicitModel(model=model(9, 1, 0)), tmp_path, Origin())
     arrays = tmp_path / "model.safetensors"
     arrays.write_bytes(arrays.read_bytes()[:-1] + b"\0")
     with pytest.raises(DataError, match="sha256"):

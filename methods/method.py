@@ -1,0 +1,41 @@
+"""What a method is: a name, settings, a fit, what it costs, and the models that it leaves."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from splatproof.methods.models.base import Reconstruction, Stored
+from splatproof.methods.run import Run
+from splatproof.reference.types.scene import Scene
+
+Loader = Callable[[Path, Stored, str], Reconstruction]
+"""load(folder, stored, backend): the model of a folder whose model.json and arrays were read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cost:
+    """What a fit will probably take, right within a factor of two."""
+
+    cpu_seconds: float
+    """CPU seconds of training on backend cpu, all processes together."""
+    memory_mb: float
+    """Peak memory of its fullest process in 2^20 bytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A way to reconstruct a scene."""
+
+    name: str
+    """What suites and the command line call it."""
+    settings: type
+    """Frozen dataclass with a default for every field; an ablation is a setting, never a fork."""
+    fit: Callable[[Scene, Any, Run], Reconstruction]
+    """fit(scene, settings, run): train on scene.train_views only."""
+    cost: Callable[[Any, Scene], Cost]
+    """cost(settings, scene): before anything is trained; no image is read."""
+    description: str
+    """One line."""
+    loaders: Mapping[str, Loader] = field(default_factory=dict)
+    """How to load the kinds of models that only this method leaves, by kind."""

@@ -1,0 +1,88 @@
+"""Training of method 3dgs, and the parts of it that blocks and refinements share."""
+
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.gaussian_model import GaussianModel
+from splatproof.methods.run import Run
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training import initialise
+from splatproof.methods.training.density import DensityControl
+from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.session import run_key, train
+from splatproof.methods.training.terms import ImageTerm, ParameterTerm, Photometric, mean_opacity
+from splatproof.reference.types.scene import Scene
+
+
+def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
+    """Train on scene.train_views and return the model.
+
+    The optimizer steps on every iteration, also on those that densify (in the release it does not).
+
+    Args:
+        scene: With sparse points and training views.
+        settings: What is chosen about the method.
+        run: Where checkpoints go; one that is there already is continued.
+
+    Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
+        another run; SplatproofError if the loss stops being finite.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5 and Alg. 1.
+    """
+    model = train(run, lambda: prepare(started(scene, settings, run), settings, run))
+    return ExplicitModel(
+        model=model.gaussians(), shift=scene.shift, units=scene.units, backend=run.backend,
+        mode=settings.mode,
+    )  # fmt: skip
+
+
+def started(scene: Scene, settings: Settings, run: Run) -> Scene:
+    """The scene with the points that training starts from, as the settings say.
+
+    Args:
+        scene: With its own points, if it has any.
+        settings: random_points, dense_cell and dense count.
+        run: Seed of the draw and bound on images in memory.
+    """
+    return initialise.with_points(
+        scene, run, random_points=settings.random_points, dense_cell=settings.dense_cell,
+        dense=settings.dense,
+    )  # fmt: skip
+
+
+def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, Plan]:
+    """The model at its start, and the plan of its training.
+
+    Args:
+        scene: With the points to start from.
+        settings: What is chosen about the method.
+        run: Seed, background and backend are part of the plan's key.
+
+    Raises: DataError if there is no point or no training view.
+    """
+    start = initialise.from_points(
+        scene, degree=settings.sh_degree, opacity=settings.initial_opacity
+    )
+    size = initialise.extent(scene)
+    model = GaussianModel(
+        start, settings.rates, extent=size, mode=settings.mode,
+        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+    )  # fmt: skip
+    return model, Plan(
+        steps=settings.iterations,
+        views=scene.train_views,
+        terms=terms(settings),
+        density=DensityControl(settings.density, iterations=settings.iterations, extent=size),
+        key=run_key(scene, settings, run),
+        views_per_step=settings.views_per_step,
+        random_background=settings.random_background,
+    )
+
+
+def terms(settings: Settings) -> tuple[ImageTerm | ParameterTerm, ...]:
+    """What method 3dgs minimises.
+
+    Args:
+        settings: dssim and opacity_weight count.
+    """
+    image = Photometric(dssim=settings.dssim)
+    return (image, mean_opacity(settings.opacity_weight)) if settings.opacity_weight else (image,)

@@ -1,0 +1,54 @@
+"""One whole fit around the trainer: threads, stages timed, a killed run continued."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+from splatproof.methods.run import Run
+from splatproof.methods.training.contract import Model
+from splatproof.methods.training.loop import Plan, Trainer, scene_digest, threads
+from splatproof.reference.types.scene import Scene
+
+M = TypeVar("M", bound=Model)
+
+
+def run_key(scene: Scene, settings: Any, run: Run, *special: str) -> str:
+    """Everything that a trained model depends on beside code and machine, as text.
+
+    Args:
+        scene: Its training cameras and points count; photos are known by name.
+        settings: Frozen dataclass of the method.
+        run: Its seed, background, backend and device count.
+        special: What else it depends on.
+    """
+    return json.dumps(
+        [scene.name, scene_digest(scene), asdict(settings), run.seed, run.background, run.backend,
+         run.device, *special]
+    )  # fmt: skip
+
+
+def train(run: Run, prepare: Callable[[], tuple[M, Plan]]) -> M:
+    """Train a model to the end of its plan, or continue it, and return it.
+
+    Stages "init" (prepare and resume) and "train" are timed, and the record says whether the
+    kernels' own step or autograd computed the gradients.
+
+    Args:
+        run: Where checkpoints go, and who is told.
+        prepare: Makes the model and the plan; called with the run's threads.
+
+    Raises: UsageError if a checkpoint belongs to another run; SplatproofError if the loss stops
+        being finite.
+    """
+    with threads(run.threads):
+        started = time.perf_counter()
+        model, plan = prepare()
+        trainer = Trainer(model, plan, run)
+        trainer.resume()
+        run.on_stage("init", time.perf_counter() - started)
+        run.on_fact("gradients by", trainer.path)
+        trainer.train()
+        run.on_stage("train", trainer.seconds)
+    return model

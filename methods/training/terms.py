@@ -1,0 +1,90 @@
+"""What training minimises: named, weighted terms of an image, and of the parameters themselves."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatproof.methods.kernels.loss import photometric
+from splatproof.methods.training.contract import Model, Moment
+from splatproof.methods.training.parameters import Parameters
+from splatproof.methods.training.regularisers import opacity_pull
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import View
+from splatproof.reference.types.splats import Splats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frame:
+    """One view of one step, rendered: what image terms are functions of."""
+
+    view: View
+    moment: Moment
+    splats: Splats
+    output: RenderOutput
+    image: Float[Tensor, "h w 3"]
+    """What is compared with the photo: the output's colours after the model's `finish_image`."""
+    truth: Float[Tensor, "h w 3"]
+    """The photo, in [0, 1]."""
+    mask: Bool[Tensor, "h w"] | None
+    """Pixels that count; None: all."""
+    model: Model
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Term:
+    """A weighted part of the loss that a rendered view has; curves show it by its name."""
+
+    name: str
+    """Lower case, unique among the terms of a method."""
+    loss: Callable[[Frame], Float[Tensor, ""]]
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photometric:
+    """(1 - l) L1 + l (1 - SSIM) of image and photo: the term that the kernels' own step knows.
+
+    Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 7.
+    """
+
+    dssim: float = 0.2
+    """Weight l of 1 - SSIM, 0 to 1."""
+    name: str = "photometric"
+    weight: float = 1.0
+
+    def loss(self, frame: Frame) -> Float[Tensor, ""]:
+        """The term of one view."""
+        return photometric(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
+
+
+ImageTerm = Term | Photometric
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParameterTerm:
+    """A part of the loss that depends on the parameters alone, with its gradient written by hand."""
+
+    name: str
+    add: Callable[[Parameters], float]
+    """Adds the term's gradient to the parameters' .grad where they have one; returns its value."""
+
+
+def mean_opacity(weight: float) -> ParameterTerm:
+    """The term weight * mean(opacity): what no photo needs fades away.
+
+    Args:
+        weight: Factor, >= 0 (3DGS-MCMC: 0.01).
+
+    Source: Kheradmand et al. 2024, "3D Gaussian Splatting as Markov Chain Monte Carlo", Eq. 12.
+    """
+
+    def add(parameters: Parameters) -> float:
+        logits = parameters.rows["opacity_logits"]
+        if logits.grad is not None:
+            logits.grad += opacity_pull(logits.detach(), weight)
+        return weight * float(torch.sigmoid(logits.detach()).mean())
+
+    return ParameterTerm(name="mean opacity", add=add)

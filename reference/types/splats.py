@@ -1,0 +1,48 @@
+"""What rasterizers take and give gradients to: the activated primitives of one view."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from splatproof.reference.types.gaussians import Gaussians
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Splats:
+    """Activated Gaussians as one view sees them, and where each was decoded from."""
+
+    means: Float[Tensor, "n 3"]
+    """World positions in scene units."""
+    quaternions: Float[Tensor, "n 4"]
+    """(w, x, y, z) of any norm; the rasterizers normalise them."""
+    scales: Float[Tensor, "n 3"]
+    """Standard deviations in scene units, >= 0."""
+    opacities: Float[Tensor, " n"]
+    """Opacities in [0, 1]."""
+    sh: Float[Tensor, "n k 3"] | None = None
+    """Spherical-harmonic coefficients, k in {1, 4, 9, 16}; exactly one of `sh` and `colours`."""
+    colours: Float[Tensor, "n c"] | None = None
+    """Colours of 1 to 32 channels."""
+    rows: Int[Tensor, " n"] | None = None
+    """Row of the model that each splat was decoded from; -1: from none (virtual). None: splat i is
+    row i."""
+    slots: Int[Tensor, " n"] | None = None
+    """Where a row decodes to several splats: row * k + place among its k. None: not told apart."""
+
+    def __post_init__(self) -> None:
+        """Refuse splats with no colour or two."""
+        if (self.sh is None) == (self.colours is None):
+            raise ValueError("give exactly one of sh and colours")
+
+    def __len__(self) -> int:
+        """Return the number of splats."""
+        return len(self.means)
+
+
+def activated(gaussians: Gaussians) -> Splats:
+    """The splats of explicit Gaussians: row i is splat i, from wherever it is seen."""
+    return Splats(
+        means=gaussians.means, quaternions=gaussians.quaternions, scales=gaussians.scales,
+        opacities=gaussians.opacities, sh=gaussians.sh,
+    )  # fmt: skip

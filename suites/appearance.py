@@ -1,0 +1,102 @@
+"""What a model may know of a test image's light: a protocol's `appearance`, carried out."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.methods.models.base import Adapts, Reconstruction
+from splatproof.metrics.colour_fit import fit_colours
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reference.types.scene import View
+
+ALIKE = 0.866
+"""Least cosine between the directions of two views that look alike: 30 degrees."""
+
+
+def shown(view: View, training: Sequence[View], model: Reconstruction, protocol: Protocol) -> View:
+    """The view that a model is asked to render for a scored one: without its image, with its light.
+
+    none, exposure: no appearance. nearest: that of the nearest training view. half, oracle: a code
+    that the model fits to the image's left half or to all of it, where the model can (`Adapts`).
+
+    Args:
+        view: One that is scored.
+        training: What the model was trained on.
+        model: What is scored.
+        protocol: Its `appearance` says what may be used.
+    """
+    asked = view.without_truth()
+    if protocol.appearance == "nearest":
+        return replace(asked, appearance=nearest(view, training).name)
+    if protocol.appearance in ("half", "oracle") and isinstance(model, Adapts):
+        columns = usable_columns(view.camera.width, protocol)
+        code = model.fit_appearance(asked, view.load()[:, columns], columns)
+        return replace(asked, appearance=code)
+    return asked
+
+
+def exposed(
+    view: View, render: Float[Tensor, "h w 3"], protocol: Protocol
+) -> Float[Tensor, "h w 3"]:
+    """A render under protocols that fit exposure: an affine map of its colours, fitted on the left half.
+
+    Args:
+        view: The scored view; its left half is looked at.
+        render: What the model shows of it.
+        protocol: Others than "exposure" leave the render alone.
+    """
+    if protocol.appearance != "exposure":
+        return render
+    left = torch.zeros(view.size, dtype=torch.bool)
+    left[:, usable_columns(view.camera.width, protocol)] = True
+    if protocol.masked and view.load_mask is not None:
+        left &= view.load_mask()
+    return fit_colours(render.clamp(0, 1), view.load(), left, "cc_affine")
+
+
+def usable_columns(width: int, protocol: Protocol) -> slice:
+    """Columns of a test image that its appearance may be fitted on: the left half, or all as an oracle.
+
+    On odd widths the middle column belongs to neither half.
+
+    Args:
+        width: Of the image, in pixels.
+        protocol: Its `appearance`.
+    """
+    return slice(0, width if protocol.appearance == "oracle" else width // 2)
+
+
+def nearest(view: View, training: Sequence[View]) -> View:
+    """The training view whose light a view most probably has.
+
+    Views of the same sensor come before others, then those that look in nearly the same direction
+    (within 30 degrees, as long as there are any), and of these the one whose centre is nearest.
+
+    Args:
+        view: Any view.
+        training: At least one.
+
+    Source: spec of DLG-GS's test protocol: same sensor and direction before nearest centre.
+    """
+    same = [other for other in training if other.sensor == view.sensor] or list(training)
+    towards = [float(other.camera.rotation[2] @ view.camera.rotation[2]) for other in same]
+    alike = [other for other, cosine in zip(same, towards, strict=True) if cosine >= ALIKE] or [
+        max(zip(towards, range(len(same)), same, strict=True))[2]
+    ]
+    return min(alike, key=lambda other: float((other.camera.centre - view.camera.centre).norm()))
+
+
+def told(model: Reconstruction, protocol: Protocol) -> str:
+    """What a record says of the appearance of its test views.
+
+    Args:
+        model: What was scored.
+        protocol: The rules.
+    """
+    rule = protocol.appearance
+    if rule in ("half", "oracle") and not isinstance(model, Adapts):
+        return f"{rule}: this kind of model has none to fit"
+    return rule
