@@ -10,11 +10,14 @@ bench: setup
 	$(BIN)/bench run quick
 	$(BIN)/bench report
 
+# a worker a core; a file's tests share what its fixtures made, so they stay on one worker
 test: setup-dev
-	$(BIN)/pytest -q
+	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile
 
+# budgets of time and memory are measured alone; planted faults share nothing
 test-slow: setup-dev
-	$(BIN)/pytest -q -m slow
+	$(BIN)/pytest -q -m slow --ignore tests/mutations
+	$(BIN)/pytest -q -m slow -n auto --maxprocesses 8 tests/mutations
 
 # odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer
 fuzz: setup-dev

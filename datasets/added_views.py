@@ -18,9 +18,9 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
     Points and their tracks stay the scene's: no test view observes any.
 
     Args:
-        scene: What is trained on.
-        tests: In the same original frame; its shift may be another.
-        protocol: Whose `train_views` and `scored` are applied.
+        scene: The scene that is trained on.
+        tests: A scene in the same original frame; its shift may be another.
+        protocol: Its `train_views` and `scored` say which views train and which are scored.
     Raises: DataError where a view's name is in both, or the units differ.
     """
     both = {view.name for view in scene.views} & {view.name for view in tests.views}

@@ -1,4 +1,4 @@
-"""From what an adapter has read to a Scene under a protocol: the one place for all adapters."""
+"""Makes a Scene of what an adapter has read, by a protocol's rules: one place for all adapters."""
 
 import copy
 import hashlib
@@ -183,7 +183,7 @@ class Pinhole:
     """What a photo's camera becomes under a protocol."""
 
     K: Float[Tensor, "3 3"]
-    """Of the truth image."""
+    """Intrinsics of the truth image, in its pixels."""
     size: tuple[int, int]
     """(width, height) of the truth image."""
     undistortion: Undistortion | None

@@ -24,7 +24,7 @@ class Box:
     """A thing at one moment."""
 
     track: str
-    """The same for a thing at all moments."""
+    """Name of the thing, the same at all moments."""
     kind: str
     """One of splatproof.datasets.moving_masks.KINDS."""
     frame: int
@@ -48,8 +48,8 @@ def in_motion(boxes: Iterable[Box], times: Sequence[float]) -> list[Box]:
     own at which its track is known; of a track that is known at one moment alone it is 0.
 
     Args:
-        boxes: Of all moments.
-        times: Of each moment in seconds.
+        boxes: All boxes of a drive, in any order.
+        times: Time of each moment in seconds; a box's `frame` is an index into them.
     Source: threshold of drivestudio's waymo_preprocess.py; KITTI states no speeds, so taken from the
         boxes: ours.
     """
@@ -77,9 +77,9 @@ def covered(
     """Pixels whose centres lie within the outline of a box; what stands before it is not cut out.
 
     Args:
-        boxes: Of one moment.
-        K: Of a pinhole camera.
-        world_to_camera: Its pose.
+        boxes: Boxes of one moment, in the scene's frame.
+        K: Intrinsics of a pinhole camera, in pixels.
+        world_to_camera: Pose of that camera, OpenCV axes.
         size: (width, height).
     """
     mask = np.zeros(size[::-1], dtype=bool)
@@ -94,7 +94,13 @@ def covered(
 def box_outline(
     box: Box, K: Float64[np.ndarray, "3 3"], world_to_camera: Float64[np.ndarray, "4 4"]
 ) -> Float64[np.ndarray, "n 2"]:
-    """Convex outline in pixels of the part of a box that lies before the camera; may be empty."""
+    """Convex outline in pixels of the part of a box that lies before the camera; may be empty.
+
+    Args:
+        box: A box in the scene's frame.
+        K: Intrinsics of a pinhole camera, in pixels.
+        world_to_camera: Pose of that camera, OpenCV axes.
+    """
     local = box.corners @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     ends = [(local[a], local[b]) for a, b in EDGES]
     cuts = [

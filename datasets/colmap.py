@@ -49,6 +49,9 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
 def photo_folder(scene: Path, protocol: Protocol) -> Path:
     """The protocol's image folder; "photos" and "images" are two names of the full-size one.
 
+    Args:
+        scene: Folder that has the folder of photos.
+        protocol: Its `images` names the folder.
     Raises: DataError if it is not there.
     """
     wanted = [protocol.images]
@@ -64,7 +67,13 @@ def photo_folder(scene: Path, protocol: Protocol) -> Path:
 
 
 def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
-    """The registered images of a model, their files in the folder `photos`."""
+    """The registered images of a model, their files in the folder `photos`.
+
+    Args:
+        model: The checked model.
+        photos: Folder of the photos that the model's images name; copies N times smaller lie in
+            a folder whose name ends in _N.
+    """
     several = len({image.camera_id for image in model.images}) > 1
     posed = []
     for image in model.images:

@@ -35,7 +35,13 @@ class ModelIndex:
 
 
 def parameter_count(path: Path, model: int | str) -> int:
-    """Number of parameters of a camera model, by COLMAP's id or name."""
+    """Number of parameters of a camera model.
+
+    Args:
+        path: File that has the camera, for errors.
+        model: COLMAP's id of the camera model, or its name.
+    Raises: DataError for a model that COLMAP does not know.
+    """
     try:
         kind = pycolmap.CameraModelId(model) if isinstance(model, int) else model
         name = kind if isinstance(kind, str) else kind.name
@@ -46,7 +52,13 @@ def parameter_count(path: Path, model: int | str) -> int:
 
 
 def check_references(folder: Path, suffix: str, index: ModelIndex) -> None:
-    """Raise DataError on the first id that is double or that nothing answers to."""
+    """Raise DataError on the first id that is double or that nothing answers to.
+
+    Args:
+        folder: The model's folder, for errors.
+        suffix: ".bin" or ".txt", for errors.
+        index: Ids and references as read from the files.
+    """
     for what, ids in (
         ("cameras", index.cameras),
         ("images", index.image_ids),

@@ -38,7 +38,7 @@ class Model:
     images: tuple[pycolmap.Image, ...]
     """Registered images, sorted by name."""
     sha256: str
-    """Over the names and bytes of all model files."""
+    """Hash of the names and bytes of all model files, in hex."""
 
 
 def find_model(scene: Path) -> Path:

@@ -18,7 +18,12 @@ KEY = "depth"
 
 
 def depth_path(scene: Path, name: str) -> Path:
-    """File of a view's depth; `name` is the photo's name inside the photo folder."""
+    """Path of the file that has a view's true depth, whether it exists or not.
+
+    Args:
+        scene: The scene's folder.
+        name: Name of the photo inside the photo folder.
+    """
     return (scene / FOLDER / name).with_suffix(".npz")
 
 

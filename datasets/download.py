@@ -45,9 +45,9 @@ def download(
     Args:
         url: http or https.
         target: A file that is there with this checksum already is left alone.
-        sha256: Of the file, in hex.
+        sha256: Checksum that the whole file must have, in hex.
         report: Told the progress.
-        timeout: Seconds.
+        timeout: Seconds without an answer after which a connection counts as broken.
         wait: Seconds before a broken connection is tried again.
 
     Raises:

@@ -23,7 +23,7 @@ def files_sha256(
     It depends neither on where the folder lies nor on the files' times: a copy has the same.
 
     Args:
-        scene: As opened.
+        scene: The scene; its `sources` are the files.
         known: A file whose size and time of change are those in here is not read again; what is
             read is added.
         report: Told (files looked at, files in all).

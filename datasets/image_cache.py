@@ -41,7 +41,12 @@ class TensorCache:
         return len(self._kept)
 
     def get(self, key: Hashable, make: Callable[[], Tensor]) -> Tensor:
-        """Return the tensor of a key, from memory or by calling `make`."""
+        """Return the tensor of a key, from memory or by calling `make`.
+
+        Args:
+            key: Names the tensor.
+            make: Computes the tensor where it is not kept; not called otherwise.
+        """
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)

@@ -37,8 +37,8 @@ class PosedPhoto:
     sky: Path | None = None
     """Mask image of the photo's size: above 0 where there is sky."""
     moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
-    """By kind ("vehicles", "people"), what moves: a mask image of the photo's size, above 0 there, or
-    what makes such a mask. Empty: not known."""
+    """What moves: kind ("vehicles", "people") to a mask image of the photo's size, above 0 where such
+    a thing is, or to what makes such a mask. Empty: not known."""
     time: float | None = None
     """Seconds from any start."""
     sensor: str = ""
@@ -49,7 +49,7 @@ class Sweep:
     """One turn of a LiDAR."""
 
     time: float
-    """As the photos'."""
+    """Seconds from the same start as the photos' times."""
     path: Path
     read: Callable[[], Float64[np.ndarray, "n 3"]]
     """Reads all its points, in the scene's frame."""
@@ -83,8 +83,8 @@ def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> 
     """Points without tracks.
 
     Args:
-        positions: In the scene's frame.
-        colours: uint8 RGB, n x 3.
+        positions: Places in the scene's frame.
+        colours: RGB of each, uint8, n x 3.
     """
     return SparsePoints(
         positions=torch.from_numpy(positions),
@@ -95,6 +95,6 @@ def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> 
 
 
 def copy_factor(folder: str) -> int:
-    """N of a folder of copies NAME_<N>, whose photos have 1/N of the calibrated sides; else 1."""
+    """How many times smaller than calibrated a folder's photos are: N for NAME_<N>, else 1."""
     named = re.search(r"_(\d+)$", folder)
     return max(int(named.group(1)), 1) if named else 1

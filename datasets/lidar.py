@@ -20,7 +20,7 @@ def sample_sweeps(sweeps: Sequence[Sweep], most: int = MOST_POINTS) -> SparsePoi
     PVG draws from all sweeps at once, with replacement, after reading all; equal shares: ours.
 
     Args:
-        sweeps: Of a scene.
+        sweeps: All sweeps of a scene that may be used, in order of time.
         most: Bound on the number of points.
     """
     share = -(-most // max(len(sweeps), 1))

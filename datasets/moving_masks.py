@@ -8,17 +8,17 @@ from splatproof.base.errors import DataError
 KINDS = ("vehicles", "people")
 """What moves; the names of the masks of a view."""
 FOLDER = "moving"
-"""Of the masks in a scene folder of ours: moving/<kind>/<stem>.png."""
+"""Folder of the masks in a scene folder of ours: moving/<kind>/<stem>.png."""
 OURS = {kind: kind for kind in KINDS}
 
 
 def moving_masks(root: Path, name: str, folders: Mapping[str, str] = OURS) -> dict[str, Path]:
-    """Mask files of a photo by kind; empty where the set has no folder of masks.
+    """Kind of what moves to the photo's mask file; empty where the set has no folder of masks.
 
     Args:
         root: The folder of masks.
-        name: Of the mask files inside each kind's folder.
-        folders: Kind to its folder's name.
+        name: Name of the photo's mask file inside each kind's folder.
+        folders: Kind of what moves to the name of its folder below `root`.
     Raises: DataError naming a file that is missing while the folder is there.
     """
     if not root.is_dir():

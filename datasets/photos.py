@@ -1,5 +1,6 @@
-"""Photo files: which there are, how large they are, and their pixels. 8-bit RGB or grey, or 16-bit
-RGB as PNG.
+"""Photo files: which there are, how large they are, and their pixels.
+
+They are 8-bit RGB or grey, or PNG of 16-bit RGB.
 """
 
 from collections.abc import Iterator
@@ -56,8 +57,9 @@ def photo_size(path: Path) -> tuple[int, int]:
 def read_photo(
     path: Path, background: tuple[float, float, float] | None = None
 ) -> Float[Tensor, "h w 3"]:
-    """Pixels of a photo: float32 sRGB in [0, 1] as stored (k / 255, of 16 bits k / 65535), grey
-    repeated to RGB.
+    """Pixels of a photo as float32 sRGB in [0, 1], grey repeated to RGB.
+
+    Values are as stored: k / 255 of 8 bits, k / 65535 of 16 bits.
 
     The EXIF orientation is not applied: COLMAP does not apply it either, and the camera's size
     and pixels must mean the same.
@@ -67,7 +69,7 @@ def read_photo(
         background: sRGB in [0, 1] that transparent pixels are laid on, a c + (1 - a) b in sRGB
             as NeRF and 3DGS do; None: a transparent photo is refused.
 
-    Raises: DataError if the file is missing, cut short, not 8-bit, or transparent.
+    Raises: DataError if the file is missing, cut short, of another pixel format, or transparent.
     """
     with _opened(path) as image:
         _check(path, image, transparent=background is not None)

@@ -15,7 +15,7 @@ def chosen_part(folder: Path, layout: Layout, protocol: Protocol) -> Layout:
         folder: The scene's folder, whose name `clips` knows.
         layout: What the adapter read.
         protocol: The rules.
-    Returns: With what is not used in `left_out`.
+    Returns: The layout of what is used; its `left_out` names the photos that are not, and why.
     Raises: DataError for a camera that the scene does not have, or a clip beyond its end.
     """
     return _clipped(folder, _chosen_sensors(folder, layout, protocol), protocol)

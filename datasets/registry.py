@@ -17,7 +17,7 @@ from splatproof.datasets.files import sha256_of
 from splatproof.datasets.progress import bar
 
 FILE = "registry.toml"
-"""Beside this module; a data root may hold one of its own with further scenes."""
+"""The registry beside this module; a data root may hold one of its own with further scenes."""
 SCENE = "<scene>"
 """Stands for the scene's name in a set's `folders` and `get`."""
 DEFAULT_ROOTS = ("data", "../shared/data")
@@ -50,9 +50,9 @@ class SceneEntry:
     url: str = ""
     """Archive that `bench scenes get` downloads."""
     sha256: str = ""
-    """Of that archive."""
+    """Sha256 of that archive, in hex."""
     world: str = ""
-    """For made scenes: the procedural world."""
+    """Name of the procedural world that makes the scene; "" where none does."""
     preset: str = ""
     seed: int = 0
     part: str = ""
@@ -160,8 +160,8 @@ def find_scene(name: str, report: Report | None = None) -> Path:
     """Folder of a registered scene; a made one is made when it is asked for first.
 
     Args:
-        name: As in `bench scenes list`.
-        report: Told (views done, views in all) while a scene is made; None: a bar on stderr.
+        name: A name that `bench scenes list` has.
+        report: Told (steps done, steps in all) while a scene is made; None: a bar on stderr.
 
     Raises: UsageError for an unknown name; MissingError for a scene that is not on this machine,
         saying where it was looked for and how to get it.
@@ -195,7 +195,13 @@ def made_folder(entry: SceneEntry) -> Path:
 
 
 def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
-    """Make a made scene in the cache; a second process waits and finds it there."""
+    """Make a made scene in the cache unless it is there; a second process waits and finds it.
+
+    Args:
+        entry: A scene whose kind is "made".
+        report: Told (steps done, steps in all) while the world is made; None: a bar on stderr.
+    Returns: The scene's folder.
+    """
     from splatproof.datasets.procedural import worlds
 
     folder = made_folder(entry)
@@ -211,7 +217,12 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
 def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) -> Path:
     """Download and unpack a scene below the first data root; the archive is deleted then.
 
-    Raises: MissingError if it has to be got by hand.
+    Args:
+        entry: A scene with the `url` and the `sha256` of its archive.
+        report: Told (bytes so far, bytes in all or 0 where the server does not say).
+    Returns: The scene's folder; one that is there already is left alone.
+    Raises: MissingError if it has to be got by hand, or the download fails; DataError for an
+        archive with another checksum or one that cannot be unpacked.
     """
     if not entry.url:
         raise MissingError(absence(entry))
@@ -227,7 +238,12 @@ def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) ->
 
 
 def changed_files(entry: SceneEntry, folder: Path) -> list[str]:
-    """Files of a scene that are missing or differ from the registry's checksums."""
+    """Files of a scene that are missing or differ from the registry's checksums.
+
+    Args:
+        entry: A scene; its `files` has the checksums that are known.
+        folder: The scene's folder on this machine.
+    """
     return [
         name
         for name, digest in sorted(entry.files.items())

@@ -29,7 +29,7 @@ def scaled_size(width: int, height: int, protocol: Protocol) -> tuple[int, int]:
 
     Args:
         width: Width of the full-size (undistorted) image in pixels.
-        height: Its height in pixels.
+        height: Height of the full-size image in pixels.
         protocol: Gives `width`, `factor` or `max_width`, and `size_rule`: "round" is half up, not
             to even.
 

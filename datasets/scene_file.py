@@ -70,7 +70,12 @@ def _up(path: Path, value: object) -> tuple[float, float, float] | None:
 
 
 def write_scene_file(folder: Path, scene: SceneFile) -> None:
-    """Write folder/scene.toml, in one step."""
+    """Write folder/scene.toml, in one step.
+
+    Args:
+        folder: The scene's folder, which exists.
+        scene: What to write; tables are sorted by key.
+    """
     lines = [f"units = {_text(scene.units)}"]
     if scene.up is not None:
         lines.append(f"up = [{', '.join(repr(float(x)) for x in scene.up)}]")

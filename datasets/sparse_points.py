@@ -39,6 +39,10 @@ def seen_in_training(points: SparsePoints, train: tuple[int, ...]) -> SparsePoin
     """Points without those that only held-out views see; points that no view sees stay.
 
     Tracks keep their held-out views: they are facts about the model, not pixels.
+
+    Args:
+        points: Points with their tracks.
+        train: Indices of the training views.
     """
     lengths = points.track_starts.diff()
     rows = torch.repeat_interleave(torch.arange(len(points)), lengths)

@@ -1,4 +1,4 @@
-"""Which views train and which are scored, by a protocol's rules, and a hash that names the outcome."""
+"""A protocol's rules say which views train and which are scored; a hash names the outcome."""
 
 import difflib
 import fnmatch
@@ -22,7 +22,7 @@ def split_views(
         protocol: `test_names` wins over `hold` when it is given; `hold` 0 holds nothing out.
             With hold_unit "time" the sorted different times are counted instead of the names.
             `train_views` and `scored` are applied then (see `chosen_views`).
-        times: Of each view, for hold_unit "time".
+        times: Seconds of each view (None: unknown); read for hold_unit "time" alone.
 
     Returns: (train, test), each increasing.
     Raises:
@@ -72,9 +72,12 @@ def chosen_views(train: tuple[int, ...], test: tuple[int, ...], protocol: Protoc
 
 
 def spread_evenly(size: int, count: int) -> list[int]:
-    """`count` of 0 ... size - 1 at equal steps, both ends among them; one: the middle.
+    """Indices at equal steps, both ends among them: i-th = floor(i (size - 1) / (count - 1) + 1/2).
 
-    Step i is floor(i (size - 1) / (count - 1) + 1/2). Source: ours.
+    Args:
+        size: Number of things to choose from; indices are 0 to size - 1.
+        count: How many to choose, 1 to size; 1 chooses the middle.
+    Source: ours.
     """
     if count == 1:
         return [(size - 1) // 2]
@@ -124,6 +127,11 @@ def split_hash(names: Sequence[str], train: Sequence[int], test: Sequence[int]) 
     """Sha256 of a line ROLE NAME for each view in name order: equal splits, equal hash.
 
     A view's role is train, test, "train test" where it is both, or none.
+
+    Args:
+        names: Names of all views, sorted.
+        train: Indices of the training views.
+        test: Indices of the scored views.
     """
     roles = [(set(train), "train"), (set(test), "test")]
     lines = [

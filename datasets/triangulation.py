@@ -25,7 +25,7 @@ from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 SEED = 0
-"""Of the verification of matches and the triangulation, which draw samples."""
+"""Seed of the verification of matches and of the triangulation, which draw samples."""
 VERSION = "2"
 """Changes when other points would come out of equal views."""
 Report = Callable[[int, int], None]
@@ -39,7 +39,7 @@ def with_triangulated(scene: Scene) -> Scene:
     views hardly any others are left. Poses and intrinsics are not touched. No point may come out.
 
     Args:
-        scene: Its own points are replaced.
+        scene: The scene, whose own points are replaced.
     Raises: DataError with fewer than two training views.
     Source: StratoSplat, Sec. 4.1 (implementation details); Schoenberger and Frahm 2016 (COLMAP).
     """

@@ -28,7 +28,7 @@ from splatproof.datasets.undistort import (
 )
 
 _SHARE = 1e-4
-"""Of a pixel, below which a share is rounding of the bilinear weights."""
+"""Share of a pixel; a smaller one is rounding of the bilinear weights."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +54,7 @@ class Truth:
     sky: Path | None = None
     """Mask image of the photo: above 0 where there is sky."""
     moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
-    """By kind, mask image of the photo or what makes one: above 0 where something moves."""
+    """Kind of what moves: mask image of the photo, above 0 where it is, or what makes such a mask."""
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
@@ -94,12 +94,15 @@ class Truth:
         return shrink_mask(inside & valid_pixels(positions), self.size, self.filter)
 
     def sky_mask(self) -> Bool[Tensor, "h w"]:
-        """Pixels that are sky by more than half their area. Raises: DataError naming the file."""
+        """Pixels of which more than half is sky. Raises: DataError naming the file."""
         assert self.sky is not None
         return self._mostly(self._flag(self.sky))
 
     def moving_masks(self) -> dict[str, Bool[Tensor, "h w"]]:
-        """By kind, pixels that move by more than half their area. Raises: DataError naming the file."""
+        """Each kind of what moves, and the pixels that it covers by more than half their area.
+
+        Raises: DataError naming the file.
+        """
         return {
             kind: self._mostly(
                 self._flag(source)

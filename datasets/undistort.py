@@ -1,4 +1,4 @@
-"""From any COLMAP camera model to a pinhole: the pinhole's size and K, and where its pixels lie.
+"""Replaces any COLMAP camera by a pinhole: the pinhole's size and K, and where its pixels lie.
 
 Geometry is COLMAP's own camera model in float64; pixels are sampled bilinearly, as COLMAP's
 image_undistorter does, so the images equal its images before their 8-bit step.
@@ -27,7 +27,7 @@ class Undistortion:
 
     camera: pycolmap.Camera
     K: Float[Tensor, "3 3"]
-    """Of the pinhole, float64, pixels at full size."""
+    """Intrinsics of the pinhole, float64, in its own pixels."""
     width: int
     height: int
     masked: bool
@@ -186,6 +186,10 @@ def undistort_image(
     """Sample a photo bilinearly at positions of `photo_positions`; zeros where they are NaN.
 
     Within half a pixel of the photo's border the nearest pixel's value holds.
+
+    Args:
+        image: The photo, or a smaller copy of it.
+        positions: Where each pixel of the pinhole lies, in shares of the photo's width and height.
     """
     grid = (2 * positions - 1).nan_to_num(nan=-9.0)[None]
     sampled = grid_sample(

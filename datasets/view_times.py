@@ -23,19 +23,33 @@ class Moment:
 
 
 def sky_path(scene: Path, name: str) -> Path:
-    """File of a view's sky mask; `name` is the photo's name inside the photo folder."""
+    """Path of the file that has a view's sky mask, whether it exists or not.
+
+    Args:
+        scene: The scene's folder.
+        name: Name of the photo inside the photo folder.
+    """
     return (scene / SKY / name).with_suffix(".png")
 
 
 def write_moments(scene: Path, moments: Mapping[str, Moment]) -> None:
-    """Write views.json, by photo name."""
+    """Write views.json.
+
+    Args:
+        scene: The scene's folder.
+        moments: Name of the photo: when it was taken, and by which camera.
+    """
     table = {name: asdict(moments[name]) for name in sorted(moments)}
     write_bytes(scene / NAME, (json.dumps(table, indent=1) + "\n").encode())
 
 
 def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
-    """Read views.json of the views `names`; empty where the scene has none.
+    """Read views.json.
 
+    Args:
+        scene: The scene's folder.
+        names: Names of the views, each of which the file must have.
+    Returns: Name of the photo: its moment; empty where the scene has no such file.
     Raises: DataError if it is no such table, or a view is missing in it.
     """
     path = scene / NAME

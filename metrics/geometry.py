@@ -43,7 +43,7 @@ def geometry_scores(
     distance of a counted reference point is to the nearest of all reconstructed ones.
 
     Args:
-        reconstruction: Reconstructed points.
+        reconstruction: Reconstructed points, in the frame and unit of the reference.
         reference: True points, evenly sampled, since every one weighs the same.
         threshold: Distance up to which (included) a point counts as found, > 0.
         counted: Which reference points count; None: all.

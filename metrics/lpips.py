@@ -19,7 +19,8 @@ TAPS = {"vgg": (3, 8, 15, 22, 29), "alex": (1, 4, 7, 9, 11)}
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """The release's normalisation of images in [-1, 1]."""
 EPSILON = 1e-8
-"""Inside the square root of a feature's length, as in torchmetrics; the release adds 1e-10 outside."""
+"""Added inside the square root of a feature's length, as in torchmetrics; the release adds 1e-10
+outside."""
 
 
 def lpips_vgg_m11(
@@ -30,9 +31,9 @@ def lpips_vgg_m11(
     """LPIPS by VGG-16 on inputs mapped to [-1, 1], as its authors prescribe.
 
     Args:
-        image: What is scored, in [0, 1].
+        image: What is scored, in [0, 1], both sides at least 16.
         target: The truth, in [0, 1].
-        mask: Must leave every pixel valid: LPIPS has no masked form.
+        mask: Must leave every pixel valid, or be None: LPIPS has no masked form.
     Returns: >= 0, 0 for equal images; no upper bound.
     Raises: MissingError without torchmetrics (its heads) or weights; DataError on a mask, see also
         metrics.pairs.check_pair.
@@ -46,7 +47,15 @@ def lpips_alex_m11(
     target: Float[Tensor, "_h _w 3"],
     mask: Bool[Tensor, "_h _w"] | None = None,
 ) -> float:
-    """LPIPS by AlexNet on inputs mapped to [-1, 1]; else as `lpips_vgg_m11`."""
+    """LPIPS by AlexNet on inputs mapped to [-1, 1]; else as `lpips_vgg_m11`.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 31.
+        target: The truth, in [0, 1].
+        mask: Must leave every pixel valid, or be None: LPIPS has no masked form.
+    Returns: >= 0, 0 for equal images; no upper bound.
+    Raises: As lpips_vgg_m11.
+    """
     return _lpips("lpips_alex_m11", "alex", image, target, mask, mapped=True)
 
 
@@ -55,7 +64,15 @@ def lpips_vgg_01(
     target: Float[Tensor, "_h _w 3"],
     mask: Bool[Tensor, "_h _w"] | None = None,
 ) -> float:
-    """LPIPS by VGG-16 on inputs left in [0, 1], as the 3DGS release calls it (its issue 1239)."""
+    """LPIPS by VGG-16 on inputs left in [0, 1], as the 3DGS release calls it (its issue 1239).
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 16.
+        target: The truth, in [0, 1].
+        mask: Must leave every pixel valid, or be None: LPIPS has no masked form.
+    Returns: >= 0, 0 for equal images; no upper bound.
+    Raises: As lpips_vgg_m11.
+    """
     return _lpips("lpips_vgg_01", "vgg", image, target, mask, mapped=False)
 
 
@@ -78,11 +95,11 @@ def distance(
     """d = sum_l mean_hw sum_c w_lc (y_lc - y'_lc)^2, y_l the features of layer l at unit length.
 
     Args:
-        first: In [-1, 1].
-        second: In [-1, 1].
-        features: The network's layers.
-        taps: Which layers are compared.
-        heads: w_l of each, >= 0.
+        first: One image, in [-1, 1].
+        second: The other image, in [-1, 1].
+        features: Layers of the network, with their weights.
+        taps: Indices of the layers whose output is compared, ascending.
+        heads: Weights w_l >= 0 of each compared layer's channels.
     """
     total = first.new_zeros(())
     pair = torch.cat([first, second])

@@ -16,7 +16,7 @@ class Pair:
     image: Float[np.ndarray, "h w 3"]
     """Float64 in [0, 1]; 0 where a pixel does not count, so that its content cannot matter."""
     target: Float[np.ndarray, "h w 3"]
-    """As image."""
+    """Float64 in [0, 1]; 0 where a pixel does not count."""
     valid: Bool[np.ndarray, "h w"]
     """True where a pixel counts."""
 
@@ -68,7 +68,7 @@ def check_values(
     """Refuse valid pixels that are not finite or, if `bounded`, outside [0, 1].
 
     Args:
-        image: Any image.
+        image: The image to be checked.
         valid: True where a pixel is looked at.
         what: Name of the image, for errors.
         bounded: Whether values must be in [0, 1]; else they need only be finite.
@@ -91,7 +91,12 @@ def check_values(
 
 
 def mean_over(values: Float[np.ndarray, "h w *c"], where: Bool[np.ndarray, "h w"]) -> float:
-    """Mean of the values (over channels too) where `where` holds; nan where it never does."""
+    """Mean of the values (over channels too) where `where` holds; nan where it never does.
+
+    Args:
+        values: Value at each pixel, in any unit.
+        where: True where a pixel counts.
+    """
     chosen = values[where]
     return float(chosen.mean()) if chosen.size else float("nan")
 

@@ -40,11 +40,11 @@ def score_part(
     of SSIM at the rim of a part looks beyond it, as the release of OmniRe does.
 
     Args:
-        metric: One of OVER.
+        metric: Name of a metric in OVER.
         image: What is scored, in [0, 1].
         target: The truth, in [0, 1].
-        mask: Pixels that count; None: all.
-        part: The part.
+        mask: True where a pixel counts; None: everywhere.
+        part: True where a pixel belongs to the part.
     Source: Chen et al. 2025 (OmniRe), release drivestudio: models/video_utils.py.
     """
     pair = check_pair(image, target, mask, metric=metric)
@@ -53,7 +53,12 @@ def score_part(
 
 
 def part_key(part: str, metric: str) -> str:
-    """Name of a metric over a part, such as moving_psnr."""
+    """Name of a metric over a part, such as moving_psnr.
+
+    Args:
+        part: Name of the part, one of PARTS.
+        metric: Name of a metric in OVER.
+    """
     return f"{part}_{metric}"
 
 
@@ -76,7 +81,7 @@ def _psnr(pair: Pair, where: Bool[np.ndarray, "h w"]) -> float:
 
 
 def _inside(pair: Pair, where: Bool[np.ndarray, "h w"]) -> float:
-    """Of SSIM without padding: windows that lie inside the image."""
+    """SSIM without padding over `where`: only windows that lie inside the image count."""
     inside = windows_valid(np.ones_like(where), WINDOW, beyond_border=False)
     return mean_over(ssim_map(pair.image, pair.target), where & inside)
 

@@ -51,7 +51,7 @@ def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Prot
     """Check the rules one by one and make a protocol of them.
 
     Args:
-        name: Of the protocol.
+        name: Name of the protocol.
         rules: Key to value, as read from TOML.
         where: Name of the file, for errors.
     Raises: UsageError on an unknown key, a wrong type or value, or rules that contradict.

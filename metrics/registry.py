@@ -25,14 +25,15 @@ class Metric:
     name: str
     function: MetricFunction
     unit: str
-    """Empty: none."""
+    """Name of the unit; empty: none."""
     higher_is_better: bool
     range: tuple[float, float]
     source: str
     masked: bool = True
     """Whether it can be taken over valid pixels only."""
     load_weights: Callable[[], str] | None = None
-    """Loads its network and returns the weights' sha256; MissingError without. None: needs none."""
+    """Loads the metric's network and returns the sha256 of its weights; raises MissingError where
+    they are not on this machine. None: the metric needs no weights."""
 
 
 def find_metric(name: str) -> Metric:
@@ -50,7 +51,7 @@ def load_weights(names: Iterable[str]) -> dict[str, str]:
     """Load what these metrics need, before long work depends on it.
 
     Args:
-        names: Of metrics.
+        names: Names of metrics in METRICS.
     Returns: Metric name -> sha256 of its weights, for the record; only metrics that have some.
     Raises: UsageError on an unknown name, MissingError where something is not on this machine.
     """

@@ -10,9 +10,9 @@ class SceneMetric:
 
     name: str
     unit: str
-    """Empty: none."""
+    """Name of the unit; empty: none."""
     higher_is_better: bool | None
-    """None: neither."""
+    """None: neither higher nor lower is better."""
     range: tuple[float, float]
     source: str
 

@@ -33,9 +33,9 @@ class Prepared:
     """What is scored, after the protocol's rules were applied."""
 
     render: Float[Tensor, "h w 3"]
-    """Clamped to [0, 1] and rounded; float32."""
+    """What the method shows, clamped to [0, 1] and rounded; float32."""
     truth: Float[Tensor, "h w 3"]
-    """As it came, in [0, 1]; float32."""
+    """What the camera saw, unaltered, in [0, 1]; float32."""
     mask: Bool[Tensor, "h w"] | None
     """True where a pixel counts; None: everywhere."""
 
@@ -52,10 +52,10 @@ def prepare(
 
     Args:
         render: Any finite values; those outside [0, 1] are clamped.
-        truth: In [0, 1]; never altered.
-        protocol: Whose `rounding`, `masked` and `region` are applied, in this order.
+        truth: What the camera saw, in [0, 1]; never altered.
+        protocol: Its rules `rounding`, `masked` and `region` are applied.
         mask: True where a pixel counts; dropped where the protocol is not masked.
-        name: Of the view, for errors.
+        name: Name of the view, for errors.
     Raises: DataError on different sizes, pixels that are not finite, truth outside [0, 1], and
         a mask that leaves nothing.
     """
@@ -85,8 +85,8 @@ def round_to_8_bit(
     """k / 255 with k = floor(255 x + 0.5) (round half up) or floor(255 x) (truncate).
 
     Args:
-        image: In [0, 1].
-        rounding: "float" returns the image as it is.
+        image: Values in [0, 1].
+        rounding: How 255 x becomes whole; "float" returns the image as it is.
     """
     if rounding == "float":
         return image
@@ -98,6 +98,10 @@ def region_columns(width: int, region: Literal["full", "right_half"]) -> slice:
 
     The right half starts at ceil(width / 2) and the left one, on which appearance may be fitted,
     ends at floor(width / 2): on odd widths the middle column belongs to neither.
+
+    Args:
+        width: Width of the image in pixels.
+        region: Part of the image that the protocol scores.
     """
     return slice((width + 1) // 2 if region == "right_half" else 0, width)
 
@@ -116,13 +120,13 @@ def score_image(
     cc_affine_psnr: the fit is made on the rounded render and its result is not rounded again.
 
     Args:
-        name: Of the view.
+        name: Name of the view.
         render: What the method shows, any finite values.
         truth: What the camera saw, in [0, 1].
-        protocol: The rules.
-        mask: True where a pixel counts.
+        protocol: Rules that say which metrics are taken, and how.
+        mask: True where a pixel counts; None: everywhere.
         moving: What moves, by kind; with it the protocol's `parts` are scored too, nan for a part
-            that has no pixel here. Empty: not known of this image.
+            that has no pixel here. Empty: not known of this image. None: no part is scored.
     Returns: valid_share is the share of the region's pixels that were scored; truth_sha256
         hashes the region's truth, masked pixels included.
     Raises: DataError where the images cannot be scored, UsageError on an unknown metric,

@@ -41,7 +41,7 @@ class SeamView:
     image: Float[Tensor, "h w 3"]
     """Render of the whole model, in [0, 1]."""
     truth: Float[Tensor, "h w 3"]
-    """In [0, 1]."""
+    """What the camera saw, in [0, 1]."""
     depth: Float[Tensor, "h w"]
     """Depth of the whole model in scene units."""
     seam: Bool[Tensor, "h w"]
@@ -59,16 +59,16 @@ class SeamSums:
     """Sums over the seam pixels of some views."""
 
     pixels: int = 0
-    """All pixels, seam or not."""
+    """Number of all pixels, seam or not."""
     seam_pixels: int = 0
     squared_error: float = 0.0
-    """Of ||I - I^||_2^2, the channels summed."""
+    """Sum of ||I - I^||_2^2 between truth and render, the channels summed."""
     block_difference: float = 0.0
-    """Of |I_a - I_b|_1, the channels summed."""
+    """Sum of |I_a - I_b|_1 between the two leading blocks alone, the channels summed."""
     jump: float = 0.0
-    """Of |grad D_a - grad D_b|_1, in scene units a pixel."""
+    """Sum of |grad D_a - grad D_b|_1 between these two blocks, in scene units a pixel."""
     gradient: float = 0.0
-    """Of |grad D|_1, in scene units a pixel."""
+    """Sum of |grad D|_1 of the whole model's depth, in scene units a pixel."""
 
     def __add__(self, other: "SeamSums") -> "SeamSums":
         """Sums over the views of both."""

@@ -23,9 +23,9 @@ def partition_seam_mask(
     competitive rim 1 < d <= 1.1.
 
     Args:
-        camera: Of the view.
+        camera: Camera that saw the depth.
         depth: z-depth of the surface in scene units; pixels that are not finite are on no seam.
-        regions: Of the partition's blocks, in the scene's frame.
+        regions: Regions of the partition's blocks, in the scene's frame.
     Returns: All False for fewer than two regions.
     Source: ours, after StitchGS, Sec. 5.1 (the band) and 3.2.3 (d_i).
     """
@@ -53,7 +53,7 @@ def surface_points(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor,
     """X = R^T (z K^-1 (x + 0.5, y + 0.5, 1) - t) of every pixel (x, y), float64.
 
     Args:
-        camera: Of the view.
+        camera: Camera that saw the depth.
         depth: z-depth in scene units, as large as the camera's image.
     """
     y, x = torch.meshgrid(

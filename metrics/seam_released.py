@@ -44,7 +44,7 @@ def seam_mask_released(
     Args:
         depth: z-depth in scene units, rendered or of a monocular prior; not > 0 or not finite:
             nothing is there and the pixel is no seam.
-        camera: That the depth was seen by.
+        camera: Camera that saw the depth.
         boxes: The blocks' boxes before the margin.
         margin: Share by which half-extents grow.
     """
@@ -57,7 +57,12 @@ def seam_mask_released(
 
 
 def back_project(depth: Float[Tensor, "h w"], camera: Camera) -> Float[Tensor, "h w 3"]:
-    """World points of pixel centres: R^T (z K^-1 (i + 0.5, j + 0.5, 1) - t); float64."""
+    """World points of pixel centres: R^T (z K^-1 (i + 0.5, j + 0.5, 1) - t); float64.
+
+    Args:
+        depth: z-depth of each pixel in scene units.
+        camera: Camera that saw the depth.
+    """
     height, width = depth.shape
     rows, columns = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([columns + 0.5, rows + 0.5, torch.ones(height, width)], dim=2).double()
@@ -81,9 +86,9 @@ def seam_view_released(
 
     Args:
         image: The render, in [0, 1].
-        truth: In [0, 1].
+        truth: What the camera saw, in [0, 1].
         depth: The rendered depth in scene units.
-        seam: The seam mask, see `seam_mask_released`.
+        seam: True where a pixel is on the seam, from `seam_mask_released`.
     Raises: DataError where an image is not in [0, 1] or a depth not finite.
     """
     if not bool(depth.isfinite().all()):

@@ -15,16 +15,16 @@ from splatproof.reference.types.render import RenderOutput
 
 
 class BlockPictures(Protocol):
-    """Each block's Gaussians alone."""
+    """Pictures of each block's Gaussians alone, as `render_blocks` returns them."""
 
     @property
     def colours(self) -> Float[Tensor, "b h w 3"]:
-        """Not clamped."""
+        """Colour over the background; not clamped."""
         ...
 
     @property
     def depths(self) -> Float[Tensor, "b h w"]:
-        """0 where nothing is drawn."""
+        """z-depth in scene units; 0 where nothing is drawn."""
         ...
 
 
@@ -43,9 +43,10 @@ def render_seam_view(
     """Render the whole model, each block's share of it, and each block alone.
 
     Args:
-        rasterize: Of any backend, with the signature of splatproof.reference.rasterizer.rasterize.
-        camera: Of the test view.
-        gaussians: The merged model.
+        rasterize: Rasterizer of any backend, with the signature of
+            splatproof.reference.rasterizer.rasterize.
+        camera: Camera of the test view.
+        gaussians: The merged model, all blocks together.
         blocks: Block of each Gaussian, 0 to b - 1.
         distances: Normalised distance of each Gaussian to the oriented box of its own block.
         truth: The test image, in [0, 1].

@@ -13,7 +13,7 @@ from splatproof.metrics.pairs import Pair, check_pair, mean_over
 WINDOW = 11
 """Side of the Gaussian window in pixels (Wang et al. 2004)."""
 SIGMA = 1.5
-"""Its standard deviation in pixels."""
+"""Standard deviation of the Gaussian window in pixels."""
 C1 = 0.01**2
 C2 = 0.03**2
 """Stabilisers (k L)^2 for the data range L = 1."""
@@ -22,7 +22,7 @@ UNIFORM_WINDOW = 7
 SCALES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Standard deviations of the multi-scale Gaussians in pixels, widest last."""
 SCALES_WINDOW = 33
-"""Side of their window in pixels, 2 sigma of the widest to each side."""
+"""Side of the multi-scale windows in pixels: 2 sigma of the widest to each side."""
 
 
 def ssim_3dgs(
@@ -130,7 +130,12 @@ def ms_ssim_kornia(
 def ssim_map(
     image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w 3"]:
-    """SSIM at each pixel and channel under the 11x11 Gaussian: luminance times structure."""
+    """SSIM at each pixel and channel under the 11x11 Gaussian: luminance times structure.
+
+    Args:
+        image: What is scored, in [0, 1]; float64, since E[x^2] - E[x]^2 cancels.
+        target: The truth, in [0, 1]; float64.
+    """
     luminance, structure = similarity_terms(image, target, WINDOW, SIGMA)
     return luminance * structure
 
@@ -141,10 +146,11 @@ def similarity_terms(
     """l = (2 mx my + C1) / (mx^2 + my^2 + C1) and cs = (2 sxy + C2) / (sx^2 + sy^2 + C2).
 
     Args:
-        x: Float64, since E[x^2] - E[x]^2 cancels.
-        y: As x.
+        x: One image, in [0, 1]; float64, since E[x^2] - E[x]^2 cancels.
+        y: The other image, in [0, 1]; float64.
         window: Side in pixels of the Gaussian that weighs the moments; zeros beyond the border.
-        sigma: Its standard deviation in pixels.
+        sigma: Standard deviation of that Gaussian in pixels.
+    Returns: l and cs at each pixel and channel.
     """
 
     def blur(values: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:

@@ -1,1 +1,1 @@
-"""Doors: public data sets in their own layouts, each turned into our conventions where it enters."""
+"""Adapters: each reads one public layout of files and turns it into our conventions."""

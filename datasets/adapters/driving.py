@@ -1,4 +1,4 @@
-"""What the doors of driving data share: tables of numbers, LiDAR files, cameras of a car."""
+"""What the adapters of driving data share: tables of numbers, LiDAR files, cameras of a car."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -52,7 +52,16 @@ def read_table(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
 def entry(
     path: Path, table: dict[str, Float64[np.ndarray, " n"]], names: Sequence[str], *shape: int
 ) -> Float64[np.ndarray, "..."]:
-    """A matrix of a table under one of its names. Raises: DataError naming file and key."""
+    """A matrix of a table, looked up under the names that different releases give it.
+
+    Args:
+        path: The table's file, for errors.
+        table: As `read_table` returns it.
+        names: Keys to try in this order.
+        shape: Rows and columns of the matrix, whose numbers stand row by row.
+    Returns: The matrix under the first name that the table has.
+    Raises: DataError naming the file and the key.
+    """
     for name in names:
         if name in table:
             values = table[name]
@@ -86,10 +95,10 @@ def sweep(
 
     Args:
         path: The file; it is read when asked for.
-        time: As the photos'.
-        to_world: From the file's frame to the scene's.
-        columns: Numbers a row.
-        first: Column of x; y and z follow.
+        time: Seconds from the same start as the photos' times.
+        to_world: Motion from the file's frame to the scene's.
+        columns: Numbers in a row.
+        first: Index of the column of x; y and z follow.
     """
     return Sweep(time=time, path=path, read=lambda: _points(path, to_world, columns, first))
 
@@ -127,6 +136,12 @@ def frame_names(folder: Path) -> list[str]:
 
 
 def present(frames: Sequence[str], find: Callable[[str], Path]) -> list[tuple[int, Path]]:
-    """(index, file) of the frames whose file is there: sets lack single sweeps."""
+    """The frames whose file is there: sets lack single sweeps.
+
+    Args:
+        frames: Names of all frames, in order of time.
+        find: Path of the file that a frame should have.
+    Returns: (index of the frame, its file) for each file that exists.
+    """
     files = [(i, find(frame)) for i, frame in enumerate(frames)]
     return [(i, path) for i, path in files if path.is_file()]

@@ -25,7 +25,7 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
 EARTH_RADIUS = 6378137.0
-"""Metres, of the Mercator projection of the devkit."""
+"""Radius in metres of the devkit's Mercator projection."""
 CAMERAS = ("02", "03")
 RAW_CALIBRATIONS = ("calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
 
@@ -36,7 +36,8 @@ class Rig:
 
     K: dict[str, Float64[np.ndarray, "3 3"]]
     to_imu: dict[str, Float64[np.ndarray, "4 4"]]
-    """Of each camera, OpenCV axes, of "lidar", and of "rectified", where labels lie."""
+    """Motion to the IMU's frame from each camera's (OpenCV axes), from "lidar", and from "rectified", the
+    frame in which labels lie."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,6 +76,10 @@ def open_raw(folder: Path, protocol: Protocol) -> Scene:
 
     Where it has tracklet_labels.xml, masks of what moves are outlines of its boxes.
 
+    Args:
+        folder: The drive's folder, with image_02, image_03, oxts and velodyne_points.
+        protocol: Cameras and clips that are used, image sizes, and which views are held out.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Geiger et al. 2013, "Vision meets Robotics", and its devkit; pykitti 0.3.
     """
     paths = [folder.resolve().parent / name for name in RAW_CALIBRATIONS]
@@ -113,6 +118,10 @@ def open_tracking(folder: Path, protocol: Protocol) -> Scene:
 
     Poses are the set's own: PVG and MARS turn the cameras by a further hand-tuned degree.
 
+    Args:
+        folder: The sequence's folder of photos, training/image_02/<sequence>.
+        protocol: Cameras and clips that are used, image sizes, and which views are held out.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: KITTI tracking benchmark, devkit; Chen et al. 2023 (PVG), scene/kittimot_loader.py.
     """
     root, sequence = folder.resolve().parents[1], folder.resolve().name

@@ -20,7 +20,7 @@ TYPES = {
 }
 """KITTI's types and their kinds, cyclists with people as OmniRe has them; "": left out."""
 COLUMNS = 17
-"""Of a line of label_02; an eighteenth, the score, is allowed."""
+"""Columns of a line of label_02; an eighteenth, the score, is allowed."""
 Motions = Sequence[Float64[np.ndarray, "4 4"]]
 
 
@@ -33,7 +33,7 @@ def read_labels(path: Path, to_scene: Motions) -> list[Box]:
 
     Args:
         path: The file.
-        to_scene: Of each frame, from camera 0 rectified.
+        to_scene: Motion of each frame, from the rectified frame of camera 0 to the scene's frame.
     Raises: DataError naming file and line.
     Source: KITTI tracking benchmark, devkit readme.
     """
@@ -78,7 +78,7 @@ def read_tracklets(path: Path, to_scene: Motions) -> list[Box]:
 
     Args:
         path: The file.
-        to_scene: Of each frame, from the LiDAR.
+        to_scene: Motion of each frame, from the LiDAR's frame to the scene's frame.
     Raises: DataError naming the file and the tracklet.
     Source: Geiger et al. 2013, devkit: readTracklets.
     """

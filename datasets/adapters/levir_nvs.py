@@ -25,6 +25,10 @@ def open_levir_nvs(folder: Path, protocol: Protocol) -> Scene:
     Numbers are separated by commas or spaces. The set ships no split in a scene's folder: the
     protocol's holds. No sparse points.
 
+    Args:
+        folder: The scene's folder, with Cams and Images.
+        protocol: Image sizes, and which views are held out.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Wu et al. 2022 (ImMPI), data release.
     """
     cameras = sorted((folder / "Cams").glob("*.txt"))

@@ -30,6 +30,10 @@ def open_llff(folder: Path, protocol: Protocol) -> Scene:
     have another ending, so the n-th photo of a folder is the n-th row. No sparse points; the
     least near and greatest far bound become the fact `depth_bounds`.
 
+    Args:
+        folder: The scene's folder, with poses_bounds.npy and folders of photos.
+        protocol: Folder of photos, image sizes, and which views are held out.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Mildenhall et al. 2019 (LLFF), release: llff/poses/pose_utils.py and README.
     """
     path = folder / FILE

@@ -45,6 +45,10 @@ def open_matrix_city(folder: Path, protocol: Protocol) -> Scene:
     A whole part is its pose/block_all where there is one, else all blocks in train and test.
     Test views are those of the folder test. No sparse points.
 
+    Args:
+        folder: A split's folder pose/<block>, or the folder of a whole part.
+        protocol: Image sizes; the split is the set's, unless it names the test views.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Li et al. 2023 (MatrixCity), release: README and scripts/load_aerial.py, load_street.py.
     """
     if (folder / WHOLE).is_dir():

@@ -40,6 +40,10 @@ def open_mega_nerf(folder: Path, protocol: Protocol) -> Scene:
     The photos are undistorted already (the key `distortion` tells of the originals). The set
     has no sparse points. Positions are metres; up is -x, exactly.
 
+    Args:
+        folder: The scene's folder, with coordinates.pt, train and val.
+        protocol: Image sizes; the split is the set's, unless it names the test views.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Turki et al. 2022, release: scripts/colmap_to_mega_nerf.py, mega_nerf/ray_utils.py.
     """
     coordinates = folder / "coordinates.pt"

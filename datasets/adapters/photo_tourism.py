@@ -26,6 +26,10 @@ def recognises(folder: Path) -> bool:
 def open_photo_tourism(folder: Path, protocol: Protocol) -> Scene:
     """Read a scene; photos without an id in the split's table are left out, as in NeRF-W.
 
+    Args:
+        folder: The scene's folder, with dense and one .tsv.
+        protocol: Folder of photos, image sizes; the split is the table's, unless it names the
+            test views.
     Raises: DataError for a table that is missing, damaged, or lists a photo with an id that the
         model does not have.
 

@@ -1,4 +1,4 @@
-"""What doors share: checked numbers and poses, turned to OpenCV axes."""
+"""What the adapters share: checked numbers and poses, turned to OpenCV axes."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,7 +18,16 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 def pinhole_camera(
     width: int, height: int, fx: float, fy: float, cx: float, cy: float
 ) -> pycolmap.Camera:
-    """An undistorted camera; all in pixels, pixel centres at .5."""
+    """An undistorted camera; everything in pixels, pixel centres at .5.
+
+    Args:
+        width: Width of the photo.
+        height: Height of the photo.
+        fx: Focal length along x.
+        fy: Focal length along y.
+        cx: Principal point from the photo's left edge.
+        cy: Principal point from the photo's upper edge.
+    """
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[fx, fy, cx, cy])
 
 
@@ -48,14 +57,28 @@ def checked_pose(matrix: object, where: str) -> Float64[np.ndarray, "3 4"]:
 
 
 def positive(value: object, where: str, name: str) -> float:
-    """A finite number above 0. Raises: DataError naming the file and the field."""
+    """A value from a file as a finite number above 0.
+
+    Args:
+        value: What the file has, of any type.
+        where: File and frame, for errors.
+        name: Name of the field, for errors.
+    Raises: DataError naming the file and the field.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
         raise DataError(f"{where}: {name} is {value!r}, expected a number above 0")
     return float(value)
 
 
 def find_photo(stem: Path, suffixes: Sequence[str], listed_in: Callable[[], str]) -> Path:
-    """The image file of a stem with one of the suffixes. Raises: DataError naming the stem."""
+    """The photo that a file names without its suffix.
+
+    Args:
+        stem: Path of the photo without a suffix.
+        suffixes: Suffixes to try in this order, each with its dot.
+        listed_in: Gives the name of the file that lists the photo; called for the error alone.
+    Raises: DataError naming the stem where there is no such file.
+    """
     for suffix in suffixes:
         path = stem.with_name(stem.name + suffix)
         if path.is_file():

@@ -65,7 +65,13 @@ def read_frames(
 
 
 def opengl_pose(frame: dict[str, object], where: str) -> Float64[np.ndarray, "3 4"]:
-    """Camera to world of a frame, its camera axes turned to OpenCV's."""
+    """Camera to world of a frame, its camera axes turned to OpenCV's.
+
+    Args:
+        frame: One entry of the list `frames` of a transforms file.
+        where: File and frame, for errors.
+    Raises: DataError where its `transform_matrix` is no rigid motion.
+    """
     pose = checked_pose(frame.get("transform_matrix"), where)
     pose[:, :3] = pose[:, :3] @ OPENGL_TO_OPENCV
     return pose
@@ -80,6 +86,10 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Pixels
     where the image of `mask_path` is black are not used; copies have theirs in masks_N.
 
+    Args:
+        folder: The scene's folder, with transforms.json.
+        protocol: Copies of the photos to read, image sizes, undistortion, and the split where the
+            file has none.
     Raises: DataError for cameras that are no pinhole even undistorted, or for files.
 
     Source: nerfstudio 1.1, nerfstudio_dataparser.py.
@@ -213,6 +223,11 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
     Transparent pixels are laid on the protocol's background. Validation views are left out.
     The frame is Blender's: z is up. The set has no sparse points.
 
+    Args:
+        folder: The scene's folder, with the two transforms files and the photos that they name.
+        protocol: Image sizes, and the background behind transparent pixels; the split is the
+            files', unless it names the test views.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Mildenhall et al. 2020, data release.
     """
     photos = []

@@ -41,6 +41,10 @@ def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
     faster than 1 m/s is masked: by rectangles around its box (dynamic_masks) or, where they are, by
     segments inside those (fine_dynamic_masks). Boxes (instances) are not read: nothing needs them.
 
+    Args:
+        folder: The sequence's folder.
+        protocol: Cameras and clips that are used, image sizes, undistortion, held-out views.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Chen et al. 2025 (OmniRe), release drivestudio: datasets/waymo, datasets/base/pixel_source.py.
     """
     frames = driving.frame_names(folder / "ego_pose")
@@ -100,6 +104,10 @@ def open_pvg(folder: Path, protocol: Protocol) -> Scene:
     A frame's calib has P0 to P4 and Tr_velo_to_cam_0 to _4, vehicle to camera with OpenCV axes;
     the export drops the distortion. LiDAR rows are 6 float32 in the vehicle's frame.
 
+    Args:
+        folder: The sequence's folder.
+        protocol: Cameras and clips that are used, image sizes, and which views are held out.
+    Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
     Source: Chen et al. 2023 (PVG), release: scripts/waymo_converter.py, scene/waymo_loader.py.
     """
     frames = driving.frame_names(folder / "calib")

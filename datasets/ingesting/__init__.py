@@ -1,1 +1,1 @@
-"""From a folder of photos to a scene folder: survey, structure from motion, GPS alignment."""
+"""Makes a scene folder from a folder of photos: survey, structure from motion, GPS alignment."""

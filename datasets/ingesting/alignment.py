@@ -1,4 +1,4 @@
-"""From the frame of structure from motion to metres east, north, up, by the photos' GPS."""
+"""The photos' GPS takes a model from its own frame to metres east, north and up."""
 
 import math
 from dataclasses import dataclass
@@ -62,9 +62,9 @@ def align(
 
     Args:
         rotations: World to camera of the registered photos with GPS.
-        centres: Their camera centres.
-        metres: Their GPS positions from `local_metres`; altitudes may be nan.
-        seed: Of RANSAC.
+        centres: Camera centres of these photos, in the model's frame.
+        metres: GPS positions of these photos from `local_metres`; altitudes may be nan.
+        seed: Decides which samples RANSAC draws.
 
     Returns: The alignment, or in words why there is none.
     """

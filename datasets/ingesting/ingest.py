@@ -50,7 +50,7 @@ def ingest_photos(
         out: Scene folder to make; must not exist.
         max_image_size: Longest side in pixels at which features are looked for.
         threads: CPU threads.
-        seed: Of everything that draws random numbers; equal seeds give equal scenes.
+        seed: Starts everything that draws random numbers; equal seeds give equal scenes.
         report: Told (step, done, total) as work goes on.
         say: Told, one line each, what a person should know.
 

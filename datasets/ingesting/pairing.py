@@ -1,4 +1,7 @@
-"""Which photos are matched with which: by GPS, all with all, or by order and likeness."""
+"""Which photos are matched with which.
+
+All with all where they are few; else the nearest by GPS, or the next by name and the most alike.
+"""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -38,8 +41,8 @@ def nearest(positions: Float64[np.ndarray, "n d"], of: Sequence[int]) -> Pairs:
     """Each photo with its nearest ones on the map.
 
     Args:
-        positions: Of each photo, e.g. east and north in metres.
-        of: Photo index of each position.
+        positions: Place of each photo that has one, e.g. east and north in metres.
+        of: Index of the photo that each position belongs to.
     """
     count = min(NEIGHBOURS + 1, len(of))
     near = np.asarray(KDTree(positions).query(positions, k=count)[1]).reshape(len(of), count)
@@ -47,7 +50,12 @@ def nearest(positions: Float64[np.ndarray, "n d"], of: Sequence[int]) -> Pairs:
 
 
 def alike(signatures: Float32[np.ndarray, "n d"], wanting: Sequence[int]) -> Pairs:
-    """Each wanting photo with those whose signatures have the largest dot product."""
+    """Each wanting photo with those whose signatures have the largest dot product.
+
+    Args:
+        signatures: Signature of every photo, of length 1 or all zeros (see `vlad`).
+        wanting: Indices of the photos that get partners.
+    """
     likeness = signatures[list(wanting)] @ signatures.T
     best = np.argsort(-likeness, axis=1, kind="stable")[:, : ALIKE + 1]
     return _unordered((a, int(b)) for a, row in zip(wanting, best, strict=True) for b in row)
@@ -58,7 +66,7 @@ def vlad(descriptors: Sequence[np.ndarray], seed: int) -> Float32[np.ndarray, "n
 
     Args:
         descriptors: SIFT descriptors of each photo, n x 128, uint8; may be empty.
-        seed: Of the sample and of k-means.
+        seed: Decides which descriptors are sampled and where k-means starts.
 
     Source: Jegou et al. 2010, "Aggregating local descriptors into a compact image
         representation", Sec. 3; power normalisation as in their later work.

@@ -35,7 +35,13 @@ class Structure:
 
 
 def extract(work: Structure, photos: Sequence[Photo], report: Report) -> None:
-    """SIFT features of every photo; photos of equal lens share one SIMPLE_RADIAL camera."""
+    """Find SIFT features in every photo; photos of equal lens share one SIMPLE_RADIAL camera.
+
+    Args:
+        work: Where the database and the photos are, and the settings.
+        photos: All photos of the scene.
+        report: Told ("features", photos done, photos in all).
+    """
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = work.max_image_size
     options.num_threads = work.threads
@@ -77,7 +83,13 @@ def _cameras(work: Structure, photos: Sequence[Photo]) -> dict[tuple[int, int, s
 
 
 def choose_pairs(work: Structure, photos: Sequence[Photo]) -> tuple[list[tuple[str, str]], str]:
-    """Pairs to match, sorted, and the rule in words."""
+    """Choose which photos are matched with which.
+
+    Args:
+        work: Where the database with the features is.
+        photos: All photos of the scene, sorted by name.
+    Returns: Names of the pairs, sorted, and the rule that chose them in words.
+    """
     located = [i for i, photo in enumerate(photos) if photo.gps is not None]
     count = len(photos)
     if len(located) >= pairing.GPS_SHARE * count:
@@ -110,7 +122,13 @@ def _signatures(work: Structure, photos: Sequence[Photo]) -> np.ndarray:
 
 
 def match(work: Structure, pairs: Sequence[tuple[str, str]], report: Report) -> None:
-    """Match and verify every pair that is not matched yet."""
+    """Match and verify every pair that is not matched yet.
+
+    Args:
+        work: Where the database with the features is, and the settings.
+        pairs: Names of the photos of each pair.
+        report: Told ("matches", pairs done, pairs in all).
+    """
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = work.threads
     verification = pycolmap.TwoViewGeometryOptions()
@@ -173,7 +191,7 @@ def reconstruct(
 
 
 def matched_photos(work: Structure) -> dict[str, int]:
-    """For every photo with features, the most verified matches that it has with another one."""
+    """Each photo with features, and the most verified matches that it has with another one."""
     with pycolmap.Database.open(work.database) as database:
         names = {image.image_id: image.name for image in database.read_all_images()}
         best = dict.fromkeys(names.values(), 0)

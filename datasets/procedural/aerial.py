@@ -199,7 +199,13 @@ SCENES: dict[str, Callable[[int], World]] = {
 
 
 def shots(kind: str, seed: int, settings: Settings) -> list[Shot]:
-    """Nine training views over an arc of 100 degrees, and tests between and beyond them."""
+    """Nine training views over an arc of 100 degrees, and tests between and beyond them.
+
+    Args:
+        kind: Name in SCENES.
+        seed: Decides where the arc begins and how far each view is off it.
+        settings: Size of the pictures and number of test views.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, sum(kind.encode()))))
     start = rng.uniform(0, 2 * np.pi)
     size, focal = (settings.width, settings.height), 1.15 * settings.width
@@ -223,7 +229,12 @@ def shots(kind: str, seed: int, settings: Settings) -> list[Shot]:
 
 
 def plan(seed: int, settings: Settings) -> Plan:
-    """All eight scenes of a seed, each in a folder of its own."""
+    """All eight scenes of a seed, each in a folder of its own.
+
+    Args:
+        seed: Another seed makes other scenes of the same kinds; 0 or more.
+        settings: How the scenes are taken.
+    """
     worlds = {kind: make(seed) for kind, make in SCENES.items()}
     lock, current = Lock(), {}
 

@@ -91,7 +91,12 @@ class Mountain:
     seed: int
 
     def height(self, x: Array, y: Array) -> Array:
-        """Metres: a ridge with gullies."""
+        """Height of a ridge with gullies, in metres.
+
+        Args:
+            x: Places in metres.
+            y: Places in metres, one for each of `x`.
+        """
         p = torch.from_numpy(np.stack([np.ravel(x), np.ravel(y)], axis=1)).float()
         rough = fbm(p, 44.0, 6, 403 + self.seed).numpy().reshape(np.shape(x)).astype(float)
         ridge = np.exp(-(((x + 0.25 * y) / 46) ** 2) - (y / 62) ** 2)
@@ -125,7 +130,12 @@ def _oval(x: Array, y: Array) -> Array:
 
 
 def bowl(x: Array, y: Array) -> Array:
-    """Stands that rise in steps around the pitch. Metres."""
+    """Height of the stands that rise in steps around the pitch, in metres.
+
+    Args:
+        x: Places in metres.
+        y: Places in metres, one for each of `x`.
+    """
     out = (_oval(x, y) - 1) * 30
     rise = np.floor(np.clip(out / 1.25, 0, 11)) * 0.95
     return np.where(out < 15.5, rise, 0.0)
@@ -198,7 +208,12 @@ def yard(surface: Surface) -> Paint:
 
 
 def pond_bed(x: Array, y: Array) -> Array:
-    """Flat lawns with the pond's hollow and low mounds. Metres."""
+    """Height of flat lawns with the pond's hollow and low mounds, in metres.
+
+    Args:
+        x: Places in metres.
+        y: Places in metres, one for each of `x`.
+    """
     shore = np.hypot(x - 12, y - 6) - 13
     mounds = 1.2 * np.sin(0.07 * x) * np.cos(0.08 * y) * np.clip(shore / 12, 0, 1)
     return mounds * np.clip(np.hypot(x + 14, y + 4) / 10 - 1, 0, 1) + 1.3 * np.clip(
@@ -207,7 +222,14 @@ def pond_bed(x: Array, y: Array) -> Array:
 
 
 def near(lines: list[Line], x: Number, y: Number, reach: Number) -> bool:
-    """Whether a place lies within `reach` metres of any of the lines."""
+    """Whether a place lies near any of some lines.
+
+    Args:
+        lines: Corners (x, y) of each line in metres.
+        x: The place in metres.
+        y: The place in metres.
+        reach: Metres below which it is near.
+    """
     p = torch.tensor([[x, y]], dtype=torch.float32)
     return min(float(segment_distance(p, line)[0][0]) for line in lines) < reach
 

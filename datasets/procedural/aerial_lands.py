@@ -24,14 +24,26 @@ Taken = Callable[[Number, Number], bool]
 
 
 def meadow(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Flat in the middle, low waves outside. Metres."""
+    """Height of land that is flat in the middle, with low waves outside, in metres.
+
+    Args:
+        x: Places in metres.
+        y: Places in metres, one for each of `x`.
+    """
     return 0.5 * np.sin(0.05 * x) * np.cos(0.06 * y) * np.clip(np.hypot(x, y) / 60 - 0.6, 0, 1)
 
 
 def ground(
     world: Builder, material: Material, heights: Heights = meadow, step: Number = 4.0
 ) -> None:
-    """The land of a scene; `step` metres between its grid lines in the middle."""
+    """Add the land of a scene.
+
+    Args:
+        world: Gets the land.
+        material: What it looks like.
+        heights: How high it lies.
+        step: Metres between its grid lines in the middle.
+    """
     outer = np.arange(NEAR + COARSE, FAR + COARSE / 2, COARSE)
     axis = np.concatenate([-outer[::-1], np.arange(-NEAR, NEAR + step / 2, step), outer])
     world.add("ground", [(heightfield(axis, axis, heights(*np.meshgrid(axis, axis))), material)])
@@ -45,7 +57,16 @@ def around(
     taken: Taken,
     heights: Heights = meadow,
 ) -> None:
-    """Trees at least `beyond` metres from the middle, fewer and fewer outwards."""
+    """Add trees around the middle, fewer and fewer outwards.
+
+    Args:
+        world: Gets the trees.
+        rng: Draws their places, kinds and sizes.
+        count: How many are tried; those on taken ground or beyond NEAR are dropped.
+        beyond: Metres from the middle within which none stands.
+        taken: Where none may stand.
+        heights: How high the ground lies.
+    """
     for _ in range(count):
         angle, radius = rng.uniform(0, 2 * np.pi), beyond + rng.exponential(16.0)
         x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -59,7 +80,14 @@ def woods(
     heights: Heights = meadow,
     taken: Taken = lambda x, y: False,
 ) -> None:
-    """Woods beyond NEAR."""
+    """Add the woods beyond NEAR.
+
+    Args:
+        world: Gets the trees.
+        seed: Decides their places, kinds and sizes.
+        heights: How high the ground lies.
+        taken: Where no tree may stand.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 16)))
     places = rng.uniform(-250, 250, (420, 2))
     wooded = fbm(torch.from_numpy(places).float(), 40.0, 2, 303).numpy() > 0.5

@@ -8,7 +8,7 @@ from splatproof.datasets.procedural.units import Number
 from splatproof.datasets.procedural.world import Builder
 
 
-def slabs(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _slabs(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """Three long apartment houses with flat roofs."""
     tones = ("d9cfba", "c9b79c", "cfc8be", "b8a68d")
     wall = Facade(tones=tones, storey=2.9, bay=2.9, shutters=False)
@@ -17,10 +17,10 @@ def slabs(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
         place = (centre[0] + (index - 1) * 14.5, centre[1] + rng.uniform(-2, 2), 0.0)
         size = (min(size[0], 10.5), size[1], size[2])
         world.add("building", things.moved(things.flat_house(size, wall, rng), place))
-    scatter_trees(world, centre, rng, 6, 19.0)
+    _scatter_trees(world, centre, rng, 6, 19.0)
 
 
-def old_town(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _old_town(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """Small gabled houses wall to wall around a yard."""
     wall = Facade(bay=2.3, storey=2.7)
     for side in range(4):
@@ -36,10 +36,10 @@ def old_town(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> No
             )
             world.add("building", things.moved(parts, (middle[0], middle[1], 0.0), heading))
             u += length
-    scatter_trees(world, centre, rng, 3, 5.0)
+    _scatter_trees(world, centre, rng, 3, 5.0)
 
 
-def offices(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _offices(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """A tower and a lower wing of glass bands on a plaza."""
     glassy = Facade(tones=("8b939b", "a7a39a", "6f7880"), storey=3.4, bay=2.2, window=(1.9, 2.0),
                     shutters=False)  # fmt: skip
@@ -50,17 +50,17 @@ def offices(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> Non
     )
     wing = things.flat_house((12.0, 11.0, 10.2), glassy, rng)
     world.add("building", things.moved(wing, (x + 11.0 * np.sign(-x + centre[0]), y - 11.0, 0.0)))
-    scatter_trees(world, centre, rng, 7, 18.0, keep=12.0)
+    _scatter_trees(world, centre, rng, 7, 18.0, keep=12.0)
 
 
-def park(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _park(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """Trees around a pavilion."""
     pavilion = things.house(6.0, 5.0, 2.8, 1.8, Facade(tones=("e3ddd0",)))
     world.add("building", things.moved(pavilion, (centre[0] - 3, centre[1] + 1, 0.0), 0.4))
-    scatter_trees(world, centre, rng, 26, 19.0, keep=6.0)
+    _scatter_trees(world, centre, rng, 26, 19.0, keep=6.0)
 
 
-def car_park(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _car_park(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """A supermarket and its cars."""
     hall = things.flat_house((34.0, 14.0, 5.8), Facade(tones=("c3beb4",), storey=5.6, bay=4.5,
                                                       window=(3.2, 2.4), shutters=False), rng)  # fmt: skip
@@ -72,7 +72,7 @@ def car_park(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> No
                     parked_car(world, np.ceil(x / 2.5) * 2.5 + 1.25, y + bay, np.pi / 2, rng)
 
 
-def villas(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
+def _villas(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None:
     """Six houses in gardens with hedges."""
     for column in (-13.0, 0.0, 13.0):
         for row in (-10.0, 10.0):
@@ -87,7 +87,7 @@ def villas(world: Builder, centre: np.ndarray, rng: np.random.Generator) -> None
             world.add("building", things.moved(parts, place, heading))
         if column < 13:
             _hedge(world, centre[0] + column + 6.5, centre[1], int(rng.integers(1 << 30)))
-    scatter_trees(world, centre, rng, 10, 19.0, keep=3.0)
+    _scatter_trees(world, centre, rng, 10, 19.0, keep=3.0)
 
 
 def _hedge(world: Builder, x: Number, y: Number, seed: int) -> None:
@@ -99,14 +99,23 @@ def _hedge(world: Builder, x: Number, y: Number, seed: int) -> None:
     world.later("hedge", make, x, y)
 
 
-BLOCKS = {"slabs": slabs, "old town": old_town, "offices": offices, "park": park,
-          "parking": car_park, "villas": villas}  # fmt: skip
+BLOCKS = {"slabs": _slabs, "old town": _old_town, "offices": _offices, "park": _park,
+          "parking": _car_park, "villas": _villas}  # fmt: skip
 
 
 def tree(
     world: Builder, x: Number, y: Number, rng: np.random.Generator, z: Number = 0.0, detail: int = 2
 ) -> None:
-    """A tree of random kind and size that stands at (x, y, z)."""
+    """Add a tree of random kind and size.
+
+    Args:
+        world: Gets the tree.
+        x: Where it stands along x, in metres.
+        y: Where it stands along y, in metres.
+        rng: Draws its kind, size and shape.
+        z: Height of the ground there, in metres.
+        detail: Subdivisions of each lump of leaves, of 20 * 4^detail triangles.
+    """
     tall, seed = rng.uniform(5.5, 10.0), int(rng.integers(1 << 30))
     grow = things.conifer if rng.random() < 0.18 else things.tree
     spread, heading = tall * rng.uniform(0.55, 0.8), rng.uniform(0, 6)
@@ -117,11 +126,11 @@ def tree(
     world.later("tree", make, x, y)
 
 
-def scatter_trees(
+def _scatter_trees(
     world: Builder, centre: np.ndarray, rng: np.random.Generator, count: int, reach: Number,
     keep: Number = 0.0,
 ) -> None:  # fmt: skip
-    """Trees at random places of a block, at least `keep` metres off its centre."""
+    """Add trees at random places of a block, at least `keep` metres off its centre."""
     for _ in range(count):
         x, y = rng.uniform(-reach, reach, 2)
         if np.hypot(x, y) > keep:
@@ -131,7 +140,15 @@ def scatter_trees(
 def parked_car(
     world: Builder, x: Number, y: Number, heading: Number, rng: np.random.Generator
 ) -> None:
-    """A car of random make at (x, y), along `heading` or against it."""
+    """Add a car of random make.
+
+    Args:
+        world: Gets the car.
+        x: Where it stands along x, in metres.
+        y: Where it stands along y, in metres.
+        heading: Radians counter-clockwise from +x; the car points that way or the opposite one.
+        rng: Draws its make, and which way it points.
+    """
     tones = ("c8cbd0", "2b2d31", "7d8187", "9c2f2a", "2f4d77", "e4e4e0", "4f5a49", "b59a5a")
     tone, length = str(rng.choice(tones)), rng.uniform(3.9, 4.7)
     turned = heading + np.pi * rng.integers(0, 2) + rng.normal(0, 0.02)

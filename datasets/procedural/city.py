@@ -4,41 +4,31 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from splatproof.datasets.procedural.blocks import BLOCKS, parked_car, tree
+from splatproof.datasets.procedural.city_ground import (
+    KINDS,
+    PITCH,
+    RIVER,
+    ROAD,
+    WALK,
+    CityGround,
+    Kinds,
+    height,
+)
 from splatproof.datasets.procedural.daylight import Daylight, Sky
 from splatproof.datasets.procedural.flights import looking, strips
-from splatproof.datasets.procedural.grounds import (
-    asphalt_colour,
-    grass_colour,
-    gravel_colour,
-    paving_colour,
-    plain,
-    water,
-)
+from splatproof.datasets.procedural.grounds import water
 from splatproof.datasets.procedural.noise import fbm
 from splatproof.datasets.procedural.plan import Plan, Shot, Stage, object_seeds, once
 from splatproof.datasets.procedural.shapes import heightfield, polygon
-from splatproof.datasets.procedural.surface import Paint, Surface, layered, step
 from splatproof.datasets.procedural.tiles import Sketch, TiledStage
 from splatproof.datasets.procedural.tracing import Caster
 from splatproof.datasets.procedural.units import Number
 from splatproof.datasets.procedural.world import Builder, World
 
-PITCH = 56.0
-"""Metres from street to street."""
-ROAD = 5.0
-"""Half-width of a carriageway in metres."""
-WALK = 2.6
-"""Width of a pavement in metres."""
-KINDS = ("slabs", "old town", "offices", "park", "parking", "villas")
-"""What a block can be; each has its own density of detail."""
 UNSEEN = "unseen"
 """Group of the views that no method trains on."""
-RIVER = 24.0
-"""Width of the river that runs along the last row of blocks, in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +46,7 @@ class Settings:
     oblique: int = 5
     """Low oblique views that no training view has."""
     facade: int = 5
-    """Views of facades from the streets, likewise."""
+    """Views of facades from the streets, which no training view has either."""
     cell: float = 3.0
     """Metres between the places where sky light is known."""
     samples: int = 3
@@ -64,8 +54,6 @@ class Settings:
     """Blocks whose triangles are kept between views, which then see no more than the blocks about
     them; 0: the whole city stands in memory."""
 
-
-Kinds = tuple[tuple[int, ...], ...]
 
 PRESETS = {
     "small": Settings(),
@@ -77,115 +65,15 @@ PRESETS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class CityGround:
-    """Streets between blocks and what lies inside them."""
-
-    kinds: Kinds
-    """Index into KINDS by column (x) and row (y)."""
-
-    def __call__(self, surface: Surface) -> Paint:
-        """Colour."""
-        p = surface.points[:, :2]
-        table = torch.tensor(self.kinds)
-        size = torch.tensor([table.shape[0], table.shape[1]])
-        grid = p / PITCH + size / 2
-        cell = grid.floor()
-        local = (grid - cell - 0.5) * PITCH
-        column = cell.long().clamp(min=torch.zeros(2, dtype=torch.long), max=size - 1)
-        kind = table[column[:, 0], column[:, 1]]
-        # distance to the nearest street's middle on each axis
-        away = PITCH / 2 - local.abs()
-        outside = ((p.abs() - PITCH * size / 2).amax(dim=1) - ROAD).clamp(min=0)
-        street = away.amin(dim=1)
-        edge = 0.5 * (fbm(p, 1.7, 3, 301) - 0.5)
-        along = torch.where(away[:, 0] < away[:, 1], p[:, 1], p[:, 0])
-        crossing = away.amax(dim=1) < ROAD + WALK
-        dash = (street < 0.12) & (torch.remainder(along / 6, 1) < 0.5) & ~crossing
-        zebra = (
-            (away.amax(dim=1) > ROAD + 0.6)
-            & (away.amax(dim=1) < ROAD + 3.2)
-            & (street < ROAD - 0.4)
-        ) & (torch.remainder(torch.where(away[:, 0] < away[:, 1], p[:, 0], p[:, 1]), 1.1) < 0.55)
-        inner = [
-            (step(0.60, 0.66, fbm(p, 9.0, 3, 302)) * (kind != 4).float(), gravel_colour),
-            ((kind == 1).float(), cobbles),
-            ((kind == 2).float(), plaza),
-            ((kind == 4).float(), parking),
-            (step(0.5, 0.45, self._paths(local) + edge) * (kind == 3).float(), gravel_colour),
-        ]
-        road = step(ROAD + 0.02, ROAD - 0.02, street)
-        walk = step(ROAD + WALK + 0.05, ROAD + WALK, street)
-        kerb = ((street - ROAD).abs() < 0.16).float()
-        city = (outside == 0).float()
-        return Paint(
-            albedo=layered(
-                surface,
-                [
-                    (None, grass_colour),
-                    *((share * city, paint) for share, paint in inner),
-                    (walk * city, pavement),
-                    (kerb * city, plain("b4b0a8")),
-                    (road * city, asphalt_colour),
-                    (0.8 * dash.float() * city, plain("d6d4cc")),
-                    (0.75 * zebra.float() * city, plain("dcdad2")),
-                ],
-            )
-        )
-
-    @staticmethod
-    def _paths(local: Float[Tensor, "n 2"]) -> Float[Tensor, " n"]:
-        """A park's paths: 0 on a winding cross and a ring, growing away from them."""
-        radius = local.norm(dim=1)
-        ring = (radius - 11).abs() / 2.2
-        cross = (local[:, 0] - 4 * torch.sin(local[:, 1] / 7)).abs() / 2.2
-        return torch.minimum(
-            ring, torch.minimum(cross, (local[:, 1] + local[:, 0] * 0.3).abs() / 2.2)
-        )
-
-
-def cobbles(surface: Surface) -> Float[Tensor, "n 3"]:
-    """Setts of an old town."""
-    return paving_colour(surface, (0.5, 0.5), "8f8678")
-
-
-def plaza(surface: Surface) -> Float[Tensor, "n 3"]:
-    """Large slabs between office buildings."""
-    return paving_colour(surface, (1.6, 1.6), "b3aca0")
-
-
-def pavement(surface: Surface) -> Float[Tensor, "n 3"]:
-    """Concrete slabs of a pavement."""
-    return paving_colour(surface, (0.8, 0.8), "9c9890")
-
-
-def parking(surface: Surface) -> Float[Tensor, "n 3"]:
-    """Asphalt with bays 2.5 m wide."""
-    p = surface.points[:, :2]
-    row = torch.remainder(p[:, 1], 16.0)
-    line = (torch.remainder(p[:, 0], 2.5) < 0.14) & ((row < 5) | (row > 11))
-    return layered(surface, [(None, asphalt_colour), (0.85 * line.float(), plain("d8d6cf"))])
-
-
-def height(
-    x: Float[np.ndarray, "..."],
-    y: Float[np.ndarray, "..."],
-    half: Float[np.ndarray, "2"],
-    river: bool,
-) -> Float[np.ndarray, "..."]:
-    """Flat city, a river bed beyond its last row, hills around. Metres."""
-    out = np.maximum(np.abs(x) - half[0], np.abs(y) - half[1])
-    hills = 7 * (np.sin(0.031 * x + 1) + np.cos(0.027 * y)) + 3 * np.sin(0.09 * x - 0.07 * y) + 6
-    if not river:
-        return hills * np.clip((out - 14) / 60, 0, 1)
-    bank = (y - half[1] - 12) / RIVER
-    bed = np.clip(1 - (2 * bank - 1) ** 4, 0, 1) * ((bank > 0) & (bank < 1))
-    rise = np.where(y > half[1], (bank - 1).clip(min=0) * RIVER, out - 14)
-    return hills * np.clip(rise / 60, 0, 1) - 3.0 * bed
-
-
 def build(seed: int, kinds: Kinds, margin: Number, river: bool = True) -> World:
-    """The city of one seed, all at once; arguments as `furnish`."""
+    """The city of one seed, all at once.
+
+    Args:
+        seed: Another seed puts other houses, trees and cars on the same blocks.
+        kinds: Index into KINDS for each block, by column (x) and row (y).
+        margin: Metres of open land around the blocks.
+        river: Whether one runs along the last row.
+    """
     world = Builder()
     furnish(world, seed, kinds, margin, river)
     return world.build()
@@ -196,7 +84,7 @@ def furnish(world: Builder, seed: int, kinds: Kinds, margin: Number, river: bool
 
     Args:
         world: Gets everything.
-        seed: Of everything random.
+        seed: Another seed puts other houses, trees and cars on the same blocks.
         kinds: Index into KINDS for each block, by column (x) and row (y).
         margin: Metres of open land around the blocks.
         river: Whether one runs along the last row.
@@ -219,17 +107,24 @@ def furnish(world: Builder, seed: int, kinds: Kinds, margin: Number, river: bool
     for _ in range(int(0.0016 * 4 * far * (half[1] + margin))):
         x, y = rng.uniform(-far, far), rng.uniform(-half[1] - margin, half[1] + margin)
         beside = max(abs(x) - half[0], abs(y) - half[1]) > 9
-        if beside and not (river and low - 3 < y < high + 3) and wooded(x, y):
+        if beside and not (river and low - 3 < y < high + 3) and _wooded(x, y):
             tree(world, x, y, rng, float(height(np.array([x]), np.array([y]), half, river)[0]))
 
 
-def wooded(x: Number, y: Number) -> bool:
+def _wooded(x: Number, y: Number) -> bool:
     """Where woods stand outside the city."""
     return float(fbm(torch.tensor([[x, y]], dtype=torch.float32), 40.0, 2, 303)[0]) > 0.5
 
 
 def draw_kinds(seed: int, nx: int, ny: int) -> Kinds:
-    """Kinds of nx x ny blocks in random places, each kind equally often."""
+    """Kinds of blocks in random places, each kind as often as the others, give or take one.
+
+    Args:
+        seed: Decides the places.
+        nx: Number of blocks along x.
+        ny: Number of blocks along y.
+    Returns: Index into KINDS for each block, by column (x) and row (y).
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
     cells = [(x, y) for x in range(nx) for y in range(ny)]
     draw = rng.permutation(len(cells))
@@ -258,7 +153,12 @@ def _street_furniture(
 
 
 def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
-    """Nadir lines over the city; oblique and facade views in a group of their own."""
+    """Nadir lines over the city; oblique and facade views in a group of their own.
+
+    Args:
+        seed: Decides how far the flight is off its lines, and where other views look.
+        settings: Extent of the city, the flight over it, size and number of the views.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 1)))
     size, focal = (settings.width, settings.height), 1.05 * settings.width
     half = np.array(settings.blocks) * PITCH / 2
@@ -287,7 +187,7 @@ def shots(seed: int, settings: Settings) -> tuple[Shot, ...]:
 
 
 def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """From above a street's middle, across it, at the houses of a block."""
+    """An eye above a street's middle, and a place across the street, at the houses of a block."""
     axis = int(rng.integers(2))
     half = np.array(settings.blocks) * PITCH / 2
     line = int(rng.integers(0, settings.blocks[axis]))
@@ -303,7 +203,12 @@ def _street_view(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarr
 
 
 def plan(seed: int, settings: Settings) -> Plan:
-    """The whole scene of a seed."""
+    """The whole scene of a seed.
+
+    Args:
+        seed: Another seed makes another city; 0 or more.
+        settings: How large the city is and how it is flown over.
+    """
     kinds = draw_kinds(seed, *settings.blocks)
     half, margin = np.array(settings.blocks) * PITCH / 2, 1.2 * settings.altitude
     sky = Sky(azimuth=0.7, elevation=0.9)

@@ -98,7 +98,12 @@ Height = Float[np.ndarray, "..."] | float
 
 
 def height(x: Height, y: Height) -> Height:
-    """Gently rolling ground, flat in the yard and dug out at the pond. Metres."""
+    """Height of gently rolling ground, flat in the yard and dug out at the pond, in metres.
+
+    Args:
+        x: Places in metres.
+        y: Places in metres, one for each of `x`.
+    """
     hills = 1.6 * np.sin(0.055 * x + 0.6) * np.cos(0.06 * y) + 0.6 * np.sin(0.13 * x - 0.11 * y)
     shore = np.hypot(x - POND[0], y - POND[1]) - POND[2]
     far = np.clip((np.hypot(x, y) - 15) / 25, 0, 1) * np.clip(shore / 8, 0, 1)
@@ -185,7 +190,12 @@ def _trees(world: Builder, rng: np.random.Generator) -> None:
 
 
 def cameras(seed: int, settings: Settings) -> list[Camera]:
-    """Two oblique rings and nadir lines over the farm."""
+    """Two oblique rings and nadir lines over the farm.
+
+    Args:
+        seed: Decides how far each view is off its ring or line.
+        settings: Size and number of the views.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 1)))
     middle = np.array([0.0, 0.5, 1.0])
     size, focal = (settings.width, settings.height), 0.95 * settings.width
@@ -197,7 +207,12 @@ def cameras(seed: int, settings: Settings) -> list[Camera]:
 
 
 def plan(seed: int = 0, settings: Settings = Settings()) -> Plan:
-    """The whole scene of a seed."""
+    """The whole scene of a seed.
+
+    Args:
+        seed: Another seed makes other trees, tones and small things on the same farm; 0 or more.
+        settings: How large the scene is taken.
+    """
     views = cameras(seed, settings)
     shots = tuple(
         Shot(name=f"view_{index:03d}.png", camera=camera) for index, camera in enumerate(views)

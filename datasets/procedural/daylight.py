@@ -70,7 +70,15 @@ class Daylight:
 
     def __init__(self, caster: Caster, sky: Sky, low: Triple,
                  high: Triple, cell: Number):  # fmt: skip
-        """Fill the volume of the box `low` to `high` (metres) with cells of size `cell`."""
+        """Fill a volume with the light of the sky.
+
+        Args:
+            caster: The world, which throws shadows and hides parts of the sky.
+            sky: Where the sun stands and how bright things are.
+            low: Lowest corner of the volume in metres.
+            high: Highest corner of the volume in metres.
+            cell: Metres between the places where sky light is known, about.
+        """
         self.caster, self.sky = caster, sky
         self.low, self.high = np.array(low, dtype=float), np.array(high, dtype=float)
         shape = np.maximum(np.ceil((self.high - self.low) / cell).astype(int), 2)
@@ -83,7 +91,16 @@ class Daylight:
     def known(cls, caster: Caster, sky: Sky, low: Float[np.ndarray, "3"],
               high: Float[np.ndarray, "3"], cell: Number,
               volume: Float[Tensor, "1 12 x y z"]) -> "Daylight":  # fmt: skip
-        """Light whose volume over the box `low` to `high` is there already (`sky_moments`)."""
+        """Light whose volume is there already.
+
+        Args:
+            caster: The world, which throws shadows.
+            sky: Where the sun stands and how bright things are.
+            low: Lowest corner of the volume in metres.
+            high: Highest corner of the volume in metres.
+            cell: Metres between the places where sky light is known.
+            volume: Light at these places, as `sky_moments` returns it.
+        """
         light = cls.__new__(cls)
         light.caster, light.sky, light.low, light.high = caster, sky, low, high
         light.cell, light.volume = cell, volume
@@ -105,7 +122,13 @@ class Daylight:
         face_normals: Float[np.ndarray, "n 3"],
         normals: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 3"]:
-        """Irradiance over pi at points with unit normals (towards the viewer)."""
+        """Irradiance over pi of sun and sky.
+
+        Args:
+            points: Places on surfaces in metres.
+            face_normals: Unit normals of the triangles there, towards the viewer.
+            normals: Unit shading normals there, towards the viewer.
+        """
         to_sun = self.sky.direction
         facing = (face_normals @ to_sun) > 0
         lit = np.zeros(len(points), dtype=bool)
@@ -113,9 +136,9 @@ class Daylight:
         lit[facing] = ~self.caster.blocked(starts, np.broadcast_to(to_sun, starts.shape))
         cosine = (normals @ torch.from_numpy(to_sun.astype(np.float32))).clamp(min=0)
         sun = torch.from_numpy(lit).float() * cosine
-        return sun[:, None] * torch.tensor(self.sky.sun) + self.skylight(points, normals)
+        return sun[:, None] * torch.tensor(self.sky.sun) + self._skylight(points, normals)
 
-    def skylight(
+    def _skylight(
         self, points: Float[np.ndarray, "n 3"], normals: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n 3"]:
         """Irradiance over pi from sky and surroundings, of degree 1 in the normal."""
@@ -138,6 +161,12 @@ def sky_moments(
     """Mean radiance and 3 x its first moments at a grid of places.
 
     Places inside solids take what their open neighbours have, up to FILLS cells away.
+
+    Args:
+        caster: The world, which hides parts of the sky.
+        sky: Where the sun stands and how bright things are.
+        centres: The places in metres.
+    Returns: Channels: RGB of the mean, then RGB of 3 x the moment along x, along y and along z.
     """
     moments, valid = _look_around(caster, sky, centres.reshape(-1, 3))
     shape = centres.shape[:3]

@@ -109,8 +109,8 @@ def _make_views(plan: Plan, work: Path, report: Report) -> None:
         if shot.group in own:
             _write_corners(work, shot, _corners(plan, shot, frame))
         if plan.driven:
-            write_masks(plan, work, shot, frame)
-        write_frame(work / shot.group, shot.name, frame)
+            _write_masks(plan, work, shot, frame)
+        _write_frame(work / shot.group, shot.name, frame)
 
     missing = [i for i, shot in enumerate(plan.shots)
                if not depth_path(work / shot.group, shot.name).exists()]  # fmt: skip
@@ -164,7 +164,7 @@ def _depths(
         told()
 
 
-def write_frame(folder: Path, name: str, frame: Frame) -> None:
+def _write_frame(folder: Path, name: str, frame: Frame) -> None:
     """Write photos/<name> and depth/<stem>.npz (depth, normal, object), the latter last."""
     encoded, png = cv2.imencode(".png", cv2.cvtColor(frame.colour, cv2.COLOR_RGB2BGR))
     assert encoded
@@ -176,7 +176,7 @@ def write_frame(folder: Path, name: str, frame: Frame) -> None:
     write_bytes(depth_path(folder, name), buffer.getvalue())
 
 
-def write_masks(plan: Plan, work: Path, shot: Shot, frame: Frame) -> None:
+def _write_masks(plan: Plan, work: Path, shot: Shot, frame: Frame) -> None:
     """Write what a view sees through pixels' centres as PNGs, 255 there and 0 elsewhere.
 
     sky/<stem>.png, and moving/<kind>/<stem>.png for each kind of things that move.
@@ -195,7 +195,13 @@ def write_masks(plan: Plan, work: Path, shot: Shot, frame: Frame) -> None:
 
 
 def read_frame(folder: Path, name: str) -> Frame:
-    """Read what `write_frame` wrote; normals have the precision of float16."""
+    """Read a made view's picture and truth; normals have the precision of float16.
+
+    Args:
+        folder: The scene's folder, or that of a group of views inside it.
+        name: Name of the photo.
+    Raises: DataError if the photo cannot be read.
+    """
     path = folder / "photos" / name
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
@@ -227,10 +233,10 @@ def _write_model(folder: Path, shots: Sequence[Shot], sparse: sfm.Sparse) -> Non
     shutil.rmtree(target, ignore_errors=True)
     target.mkdir(parents=True)
     cameras = [shot.camera for shot in shots]
-    colmap_model([shot.name for shot in shots], cameras, sparse).write_binary(target)
+    _colmap_model([shot.name for shot in shots], cameras, sparse).write_binary(target)
 
 
-def colmap_model(
+def _colmap_model(
     names: Sequence[str], cameras: Sequence[Camera], sparse: sfm.Sparse
 ) -> pycolmap.Reconstruction:
     """The COLMAP model of pinhole views and points; views of equal intrinsics share a camera."""

@@ -73,7 +73,7 @@ class Facade:
         v, foot = surface.coords[:, 1], surface.footprint
         tone = palette(list(self.tones), surface.seeds)
         if self.brick:
-            tone = bricks(plane, tone, foot)
+            tone = _bricks(plane, tone, foot)
         stain = fbm(plane * torch.tensor([1.0, 0.35]), 2.4, 5, 62, foot)
         colour = tone * (0.62 + 0.7 * stain)[:, None]
         patches = step(0.60, 0.66, fbm(plane, 3.2, 4, 63, foot))
@@ -83,7 +83,7 @@ class Facade:
         return torch.where((v < 0.45)[:, None], stones(plane, foot), colour)
 
 
-def bricks(
+def _bricks(
     plane: Float[Tensor, "n 2"], tone: Float[Tensor, "n 3"], foot: Float[Tensor, " n"]
 ) -> Float[Tensor, "n 3"]:
     """Courses of bricks 0.5 x 0.18 m with light joints, each brick of its own shade."""
@@ -97,7 +97,12 @@ def bricks(
 
 
 def stones(plane: Float[Tensor, "n 2"], foot: Float[Tensor, " n"]) -> Float[Tensor, "n 3"]:
-    """Rough field stones in mortar."""
+    """Colour of rough field stones in mortar.
+
+    Args:
+        plane: Positions on the wall, across and upwards, in metres.
+        foot: Metres between neighbouring samples; detail that they cannot carry fades out.
+    """
     warped = plane + 0.18 * torch.stack(
         [fbm(plane, 0.7, 2, 66) - 0.5, fbm(plane, 0.7, 2, 67) - 0.5], dim=1
     )

@@ -26,10 +26,10 @@ def looking(
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
-    return posed(eye, np.stack([right, np.cross(forward, right), forward]), size, focal)
+    return _posed(eye, np.stack([right, np.cross(forward, right), forward]), size, focal)
 
 
-def posed(
+def _posed(
     eye: Float[np.ndarray, "3"],
     rotation: Float[np.ndarray, "3 3"],
     size: tuple[int, int],
@@ -51,7 +51,18 @@ def ring(
     count: int, radius: Number, altitude: Number, target: Float[np.ndarray, "3"], phase: Number,
     jitter: Number, rng: np.random.Generator,
 ) -> list[tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]]:  # fmt: skip
-    """Eyes on a circle around the target and what they look at, each a little off."""
+    """Eyes on a circle around a target, each a little off.
+
+    Args:
+        count: Number of views.
+        radius: Metres from the target, on the map.
+        altitude: Metres above the target.
+        target: What is looked at, in metres.
+        phase: Angle of the first eye, in radians counter-clockwise from +x.
+        jitter: Standard deviation of eyes and targets on each axis, in metres.
+        rng: Draws the jitter.
+    Returns: (eye, place that it looks at) of each view.
+    """
     views = []
     for index in range(count):
         angle = phase + 2 * np.pi * index / count
@@ -67,12 +78,13 @@ def strips(
     """Eyes on a serpentine of straight lines along x, looking down.
 
     Args:
-        x: First, last and number of stations of a line, in metres.
-        y: The same across lines.
-        altitude: Metres.
+        x: First and last station of a line in metres, and how many there are.
+        y: First and last line in metres, and how many there are.
+        altitude: Height of the stations in metres.
         tilt: Forward slope of the view, tangent of the angle from straight down.
         jitter: Standard deviation of positions, metres.
-        rng: Of the jitter.
+        rng: Draws the jitter.
+    Returns: (eye, place that it looks at) of each view.
     """
     views = []
     for line, y_line in enumerate(np.linspace(*y)):

@@ -46,7 +46,12 @@ def gravel_colour(surface: Surface) -> Float[Tensor, "n 3"]:
 
 
 def soil_colour(surface: Surface, heading: Number = 0.35) -> Float[Tensor, "n 3"]:
-    """Albedo of a field in rows of young crop on brown soil."""
+    """Albedo of a field in rows of young crop on brown soil.
+
+    Args:
+        surface: The points.
+        heading: Direction of the rows, in radians counter-clockwise from +x.
+    """
     p, foot = surface.points[:, :2], surface.footprint
     across = torch.tensor([-torch.sin(torch.tensor(heading)), torch.cos(torch.tensor(heading))])
     bend = fbm(p, 9.0, 2, 21) * 0.8
@@ -72,7 +77,13 @@ def asphalt_colour(surface: Surface) -> Float[Tensor, "n 3"]:
 def paving_colour(
     surface: Surface, size: tuple[float, float] = (0.9, 0.6), tone: str = "a59c8e"
 ) -> Float[Tensor, "n 3"]:
-    """Albedo of stone slabs laid in courses, each with its own shade."""
+    """Albedo of stone slabs laid in courses, each with its own shade.
+
+    Args:
+        surface: The points.
+        size: Sides of a slab along x and y, in metres.
+        tone: Mean colour as an sRGB code.
+    """
     p, foot = surface.points[:, :2], surface.footprint
     row = torch.floor(p[:, 1] / size[1])
     x = p[:, 0] / size[0] + 0.5 * torch.remainder(row, 2)
@@ -106,7 +117,13 @@ def water(surface: Surface) -> Paint:
 def segment_distance(
     points: Float[Tensor, "n 2"], line: list[tuple[float, float]]
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """Distance of points to a polyline, and how far along it the nearest place is, in metres."""
+    """How far points lie from a line of several segments.
+
+    Args:
+        points: Positions in metres.
+        line: Corners (x, y) of the line in metres, two or more.
+    Returns: Distance of each point, and how far along the line its nearest place is, in metres.
+    """
     best = torch.full_like(points[:, 0], torch.inf)
     along = torch.zeros_like(best)
     walked = 0.0

@@ -35,7 +35,13 @@ class Lamps:
         face_normals: Float[np.ndarray, "n 3"],
         normals: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 3"]:
-        """Irradiance over pi: sum_k P cos(axis)^m max(0, n.l) / d^2 over lamps that are seen."""
+        """Irradiance over pi: sum_k P cos(axis)^m max(0, n.l) / d^2 over lamps that are seen.
+
+        Args:
+            points: Places on surfaces in metres.
+            face_normals: Unit normals of the triangles there, towards the viewer.
+            normals: Unit shading normals there, towards the viewer.
+        """
         total = torch.zeros(len(points))
         starts = points + face_normals * START * 5
         for position, axis in zip(self.positions, self.axes, strict=True):

@@ -44,9 +44,9 @@ def sweep(
     Args:
         caster: The world at the moment of the sweep.
         eye: Sensor's place in metres.
-        heading: Radians.
+        heading: Where the sensor's ahead is, in radians counter-clockwise from +x.
         columns: Firings a turn.
-        seed: Of noise and losses.
+        seed: Decides noise and losses.
     """
     rng = np.random.Generator(np.random.PCG64((seed, 41)))
     share = np.linspace(0, 1, BEAMS)

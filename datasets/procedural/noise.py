@@ -77,7 +77,7 @@ def fbm(
 
     Args:
         points: Positions in metres; 2 or 3 columns.
-        wavelength: Of the coarsest octave, in metres.
+        wavelength: Wavelength of the coarsest octave, in metres.
         octaves: How many, each of half the wavelength.
         seed: Another seed gives an unrelated field.
         footprint: Metres between neighbouring samples; octaves that they cannot carry fade out.
@@ -99,7 +99,12 @@ def fbm(
 
 
 def visible(wavelength: Number, footprint: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """How much of a pattern samples can carry: 1 at 4 samples a wavelength, 0 below 2."""
+    """How much of a pattern samples can carry: 1 at 4 samples a wavelength, 0 below 2.
+
+    Args:
+        wavelength: Size of the pattern's features, in metres.
+        footprint: Metres between neighbouring samples.
+    """
     return (wavelength / (2 * footprint) - 1).clamp(0, 1)
 
 

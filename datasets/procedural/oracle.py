@@ -28,7 +28,7 @@ class Cloud:
     """Object ids."""
 
     def part(self, rows: Bool[np.ndarray, " n"]) -> "Cloud":
-        """Some of the points."""
+        """The points in the given rows."""
         return Cloud(
             points=self.points[rows], normals=self.normals[rows], objects=self.objects[rows]
         )
@@ -44,7 +44,7 @@ def surface_cloud(world: World, per_square_metre: Number, seed: int) -> Cloud:
     Args:
         world: The world.
         per_square_metre: Mean density.
-        seed: Of the places.
+        seed: Decides the places.
     """
     rng = np.random.Generator(np.random.PCG64((seed, 61)))
     corner = world.vertices[world.faces]
@@ -67,6 +67,11 @@ def sightings(caster: Caster, cloud: Cloud, cameras: Sequence[Camera]) -> Int[np
     """How many cameras see each point: in the image, nothing before it, not too steeply.
 
     Both sides of a triangle count as surface, since thin things have no inside.
+
+    Args:
+        caster: The world, which hides points from cameras.
+        cloud: The points.
+        cameras: Pinhole cameras in the world's frame.
     """
     count = np.zeros(len(cloud), dtype=np.int64)
     for camera in cameras:
@@ -88,11 +93,18 @@ def sightings(caster: Caster, cloud: Cloud, cameras: Sequence[Camera]) -> Int[np
 def visible_surface(
     caster: Caster, cloud: Cloud, cameras: Sequence[Camera], least: int = 1
 ) -> Cloud:
-    """The part of the surface that at least `least` cameras see: what a method can know."""
+    """The part of the surface that enough cameras see: what a method can know.
+
+    Args:
+        caster: The world, which hides points from cameras.
+        cloud: Points on its surface.
+        cameras: Pinhole cameras in the world's frame.
+        least: Number of cameras that must see a point.
+    """
     return cloud.part(sightings(caster, cloud, cameras) >= least)
 
 
-def facades(world: World, cloud: Cloud) -> Cloud:
+def _facades(world: World, cloud: Cloud) -> Cloud:
     """The upright part of buildings."""
     building = np.array([kind in ("building", "house", "barn") for kind in world.kinds])
     return cloud.part(building[cloud.objects] & (np.abs(cloud.normals[:, 2]) < UPRIGHT))
@@ -101,7 +113,14 @@ def facades(world: World, cloud: Cloud) -> Cloud:
 def blind_facades(
     caster: Caster, cloud: Cloud, training: Sequence[Camera], tests: Sequence[Camera]
 ) -> Cloud:
-    """Facades that a test view sees and no training view did: the blind spots of a flight."""
-    walls = facades(caster.world, cloud)
+    """Facades that a test view sees and no training view did: the blind spots of a flight.
+
+    Args:
+        caster: The world, which hides points from cameras.
+        cloud: Points on its surface.
+        training: Cameras of the training views.
+        tests: Cameras of the test views.
+    """
+    walls = _facades(caster.world, cloud)
     walls = walls.part(sightings(caster, walls, tests) > 0)
     return walls.part(sightings(caster, walls, training) == 0)

@@ -89,7 +89,12 @@ def once(make: Callable[[], Stage]) -> Callable[[Shot], Stage]:
 
 
 def object_seeds(count: int, seed: int) -> Float[np.ndarray, " objects"]:
-    """A number in [0, 1) for each object id."""
+    """A number in [0, 1) for each object id, for textures.
+
+    Args:
+        count: Number of object ids, the sky's 0 among them.
+        seed: Another seed gives unrelated numbers.
+    """
     return np.random.Generator(np.random.PCG64((seed, 77))).random(count)
 
 
@@ -102,6 +107,12 @@ def code_hash() -> str:
 
 
 def content_hash(world: str, settings: Mapping[str, object], seed: int) -> str:
-    """Twelve hex digits that name a made scene's content: world, settings, seed and code."""
+    """Twelve hex digits that name a made scene's content: world, settings, seed and code.
+
+    Args:
+        world: Name of the world.
+        settings: What was chosen, as plain values.
+        seed: The world's seed.
+    """
     text = f"{world} {sorted(settings.items())!r} {seed} {code_hash()}"
     return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -32,7 +32,13 @@ class Lighting(Protocol):
         face_normals: Float[np.ndarray, "n 3"],
         normals: Float[Tensor, "n 3"],
     ) -> Float[Tensor, "n 3"]:
-        """Irradiance over pi at points with geometric and shading normals towards the viewer."""
+        """Irradiance over pi at points of surfaces.
+
+        Args:
+            points: Places on surfaces in metres.
+            face_normals: Unit normals of the triangles there, towards the viewer.
+            normals: Unit shading normals there, towards the viewer.
+        """
         ...
 
 
@@ -53,7 +59,13 @@ class Frame:
 def pixel_rays(
     camera: Camera, pixels: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Origins and directions in the world through image positions; camera z of a direction is 1."""
+    """Rays through positions in an image.
+
+    Args:
+        camera: Pinhole camera in metres.
+        pixels: Positions (x, y) in pixels, pixel centres at .5.
+    Returns: Origins and directions in the world; the camera's z of a direction is 1.
+    """
     intrinsics = camera.K.numpy()
     x = (pixels[:, 0] - intrinsics[0, 2]) / intrinsics[0, 0]
     y = (pixels[:, 1] - intrinsics[1, 2]) / intrinsics[1, 1]
@@ -78,7 +90,7 @@ def take(
         lighting: What lights it.
         camera: Pinhole camera in metres.
         samples: Strata a pixel on each axis; samples^2 rays, one at random in each stratum.
-        seed: Of the samples' places.
+        seed: Decides where in its stratum each ray lies.
         exposure: Factor on linear light before it is clamped and encoded.
         seeds: A number in [0, 1) for each object id, for textures.
     """
@@ -100,7 +112,16 @@ def take(
 def strata(
     width: int, top: int, rows: int, samples: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "n 2"]:
-    """One random position in each of samples x samples cells of every pixel of some rows."""
+    """One random position in each of samples x samples cells of every pixel of some rows.
+
+    Args:
+        width: Pixels in a row.
+        top: First of the rows.
+        rows: Number of rows.
+        samples: Cells of a pixel on each axis.
+        rng: Draws the positions inside the cells.
+    Returns: Positions (x, y) in pixels, row by row, pixel by pixel.
+    """
     y, x, j, i = np.meshgrid(
         np.arange(rows) + top, np.arange(width), np.arange(samples), np.arange(samples),
         indexing="ij",
@@ -113,7 +134,13 @@ def strata(
 def truth(
     caster: Caster, camera: Camera
 ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w 3"], Int[np.ndarray, "h w"]]:
-    """Depth, normal and object id through the centre of every pixel."""
+    """Depth, normal and object id through the centre of every pixel.
+
+    Args:
+        caster: The world.
+        camera: Pinhole camera in metres.
+    Returns: As the fields `depth`, `normal` and `object` of a Frame.
+    """
     size = (camera.height, camera.width)
     y, x = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5, indexing="ij")
     origins, ways = pixel_rays(camera, np.stack([x.ravel(), y.ravel()], axis=1))
@@ -137,7 +164,16 @@ def shade(
     samples: int,
     seeds: Float[np.ndarray, " objects"],
 ) -> Float[Tensor, "n 3"]:
-    """Linear radiance along the rays through image positions."""
+    """Linear radiance along the rays through image positions.
+
+    Args:
+        caster: The world.
+        lighting: What lights it.
+        camera: Pinhole camera in metres.
+        pixels: Positions (x, y) in pixels, pixel centres at .5.
+        samples: Rays a pixel on each axis; textures show no finer detail than these can carry.
+        seeds: A number in [0, 1) for each object id, for textures.
+    """
     world = caster.world
     origins, ways = pixel_rays(camera, pixels)
     hits = caster.first(origins, ways)

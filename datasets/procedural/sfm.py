@@ -56,7 +56,7 @@ class Corners:
     """Metres from the camera that found the corner."""
 
     def part(self, rows: Int[np.ndarray, " k"]) -> "Corners":
-        """Some of them."""
+        """The corners in the given rows."""
         return Corners(
             positions=self.positions[rows], normals=self.normals[rows],
             colours=self.colours[rows], distance=self.distance[rows],
@@ -67,7 +67,7 @@ def corners(camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, 
     """The strongest corners of a picture, lifted to the world by its true depth.
 
     Args:
-        camera: Of the picture.
+        camera: Camera that took the picture.
         frame: Picture and truth.
         count: Corners at most.
         allowed: Pixels on things that stand still.
@@ -90,7 +90,12 @@ def corners(camera: Camera, frame: Frame, count: int, allowed: Bool[np.ndarray, 
 
 
 def merged(found: Sequence[Corners], focal: float) -> Corners:
-    """All corners, those that several views found counted once."""
+    """All corners, those that several views found counted once.
+
+    Args:
+        found: Corners of each view.
+        focal: Focal length in pixels; with SAME it says how close places must lie to be one.
+    """
     every = Corners(
         positions=np.concatenate([c.positions for c in found]),
         normals=np.concatenate([c.normals for c in found]),
@@ -111,7 +116,14 @@ def seen(
     """Which places a view truly sees well enough to match, and where.
 
     A place is visible where its z lies within the true depths of the 3 x 3 pixels around it. It is
-    matched from distances that differ from its finder's by less than the factor `zoom`.
+    matched from distances that differ from its finder's by less than a factor.
+
+    Args:
+        places: The places.
+        camera: Camera of the view.
+        depth: True z-depth of the view, in metres; inf where nothing is.
+        zoom: That factor, above 1.
+    Returns: Indices of the places, and their positions in pixels.
     """
     local = places.positions @ camera.rotation.numpy().T + camera.translation.numpy()
     z = local[:, 2]
@@ -146,9 +158,9 @@ def imitate(
 
     Args:
         places: True places.
-        cameras: Of the views.
-        sightings: For each view, the places it sees and where (`seen`).
-        seed: Of misses, noise and wrong points.
+        cameras: Camera of each view.
+        sightings: Places that each view sees, and where, as `seen` returns them.
+        seed: Decides misses, noise and wrong points.
 
     Returns: Points seen by at least 3 views (a wrong one: by 2), reprojecting within 4 pixels.
     """
@@ -187,6 +199,12 @@ def observed(
     """The same points as other views observe them, without noise; unobserved ones are left out.
 
     For views that took no part in the reconstruction: registered to it, not added to it.
+
+    Args:
+        sparse: The points.
+        places: True places, which `sparse.place` counts.
+        cameras: Camera of each of the other views.
+        depths: True z-depth of each of these views, in metres; read one after the other.
     """
     found = places.part(sparse.place)
     sightings = [

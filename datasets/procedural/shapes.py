@@ -27,7 +27,13 @@ def placed(
     offset: Triple | Float[np.ndarray, "3"],
     heading: Number = 0.0,
 ) -> Shape:
-    """The shape turned about z by `heading` (radians, counter-clockwise) and moved."""
+    """The shape turned about z and moved.
+
+    Args:
+        shape: Any shape.
+        offset: Motion along x, y and z, in metres.
+        heading: Turn in radians, counter-clockwise.
+    """
     c, s = np.cos(heading), np.sin(heading)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     return replace(
@@ -54,7 +60,7 @@ def polygon(
     """A flat convex polygon, counter-clockwise seen from its front.
 
     Args:
-        corners: In metres.
+        corners: Positions in metres, three or more.
         coords: Texture coordinates of the corners. None: (u, v) in metres along the first edge
             and across it, then the polygon's extent on both axes.
     """
@@ -76,7 +82,13 @@ def polygon(
 
 
 def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: Number, top: Number) -> Shape:
-    """Vertical walls around a counter-clockwise outline; coords (u, v, width, height) each."""
+    """Vertical walls around a counter-clockwise outline; coords (u, v, width, height) each.
+
+    Args:
+        outline: Corners (x, y) in metres, counter-clockwise seen from above.
+        bottom: Height of the lower edge, in metres.
+        top: Height of the upper edge, in metres.
+    """
     outline = np.asarray(outline, dtype=float)
     sides = []
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -90,7 +102,12 @@ def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: Number, top: Number)
 
 
 def box(size: Triple, bottom: Number = 0.0) -> Shape:
-    """An upright box centred on the z axis, with its lid and without its floor."""
+    """An upright box centred on the z axis, with its lid and without its floor.
+
+    Args:
+        size: Extent along x, y and z, in metres.
+        bottom: Height of its open lower side, in metres.
+    """
     x, y, z = size[0] / 2, size[1] / 2, bottom + size[2]
     outline = [[-x, -y], [x, -y], [x, y], [-x, y]]
     return joined(walls(outline, bottom, z), polygon([[*p, z] for p in outline]))
@@ -99,7 +116,15 @@ def box(size: Triple, bottom: Number = 0.0) -> Shape:
 def gable_roof(
     length: Number, width: Number, eave: Number, rise: Number, overhang: Number = 0.4
 ) -> Shape:
-    """Two tiled slopes with the ridge along x, as slabs 0.15 m thick; coords (u, v) up the slope."""
+    """Two tiled slopes with the ridge along x, as slabs 0.15 m thick; coords (u, v) up the slope.
+
+    Args:
+        length: Extent of the walls along x, in metres.
+        width: Extent of the walls along y, in metres.
+        eave: Height of the walls, in metres.
+        rise: Height of the ridge above the walls, in metres.
+        overhang: Metres by which the roof stands out on all sides.
+    """
     x, y = length / 2 + overhang, width / 2 + overhang
     low = eave - rise * overhang / (width / 2)
     ridge, thick = eave + rise, 0.15
@@ -117,7 +142,14 @@ def gable_roof(
 
 
 def gable_ends(length: Number, width: Number, eave: Number, rise: Number) -> Shape:
-    """The two triangles of wall under a gable roof; coords continue those of the walls."""
+    """The two triangles of wall under a gable roof; coords continue those of the walls.
+
+    Args:
+        length: Extent of the walls along x, in metres.
+        width: Extent of the walls along y, in metres.
+        eave: Height of the walls, in metres.
+        rise: Height of the ridge above the walls, in metres.
+    """
     ends = []
     for side in (-1.0, 1.0):
         x, y = side * length / 2, side * width / 2
@@ -134,7 +166,7 @@ def blob(radii: Triple, roughness: Number, seed: int, detail: int = 3) -> Shape:
     Args:
         radii: Half-axes in metres.
         roughness: Relative size of the lumps, 0 (smooth) to about 0.4.
-        seed: Of the lumps.
+        seed: Decides where the lumps are.
         detail: Subdivisions of an icosahedron; faces = 20 * 4^detail.
     """
     unit, faces = _sphere(detail)
@@ -155,7 +187,12 @@ def _sphere(detail: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3
 
 
 def smooth(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Shape:
-    """A smooth-shaded shape; coords are the position and 0."""
+    """A smooth-shaded shape; coords are the position and 0.
+
+    Args:
+        vertices: Positions in metres.
+        faces: Indices of each triangle's vertices, counter-clockwise seen from its front.
+    """
     corner = vertices[faces]
     area = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normals = np.zeros_like(vertices)
@@ -173,7 +210,14 @@ def smooth(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) ->
 def cylinder(
     radius: Number, height: Number, sides: int = 12, top_radius: Number | None = None
 ) -> Shape:
-    """An upright cylinder or cone frustum on z = 0 with a lid; coords are positions."""
+    """An upright cylinder or cone frustum on z = 0 with a lid; coords are positions.
+
+    Args:
+        radius: Radius at the bottom, in metres.
+        height: Height in metres.
+        sides: Number of sides.
+        top_radius: Radius at the top, in metres; 0: a cone without a lid; None: as at the bottom.
+    """
     angles = np.linspace(0, 2 * np.pi, sides, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     upper = radius if top_radius is None else top_radius
@@ -188,7 +232,13 @@ def cylinder(
 def heightfield(
     xs: Float[np.ndarray, " nx"], ys: Float[np.ndarray, " ny"], heights: Float[np.ndarray, "ny nx"]
 ) -> Shape:
-    """Smooth ground over a grid of positions; coords are positions."""
+    """Smooth ground over a grid of positions; coords are positions.
+
+    Args:
+        xs: Positions of the columns, in metres, increasing.
+        ys: Positions of the rows, in metres, increasing.
+        heights: Height of the ground at each of them, in metres.
+    """
     grid_x, grid_y = np.meshgrid(xs, ys)
     vertices = np.stack([grid_x, grid_y, heights], axis=2).reshape(-1, 3)
     index = np.arange(len(vertices)).reshape(heights.shape)

@@ -76,7 +76,12 @@ class Drive:
     """The street at any moment; the last few moments are kept."""
 
     def __init__(self, seed: int, settings: Settings):
-        """Build what stands still."""
+        """Build what stands still.
+
+        Args:
+            seed: Another seed makes another street.
+            settings: How long is driven and what is recorded.
+        """
         self.settings, self.seed = settings, seed
         self.still = street_still.build(seed, settings.speed * settings.frames / RATE + 95.0)
         self.movers = movers(seed)
@@ -169,7 +174,12 @@ def _extras(drive: Drive, folder: Path) -> None:
 
 
 def plan(seed: int, settings: Settings) -> Plan:
-    """The whole scene of a seed."""
+    """The whole scene of a seed.
+
+    Args:
+        seed: Another seed makes another street; 0 or more.
+        settings: How long is driven and what is recorded.
+    """
     drive = Drive(seed, settings)
     tests = [
         f"frame_{i:04d}_{name}.png" for i in range(0, settings.frames, HELD) for name in CAMERAS

@@ -5,7 +5,7 @@ import torch
 
 from splatproof.datasets.procedural import things
 from splatproof.datasets.procedural.blocks import parked_car
-from splatproof.datasets.procedural.city import pavement
+from splatproof.datasets.procedural.city_ground import pavement
 from splatproof.datasets.procedural.facades import Facade, Solid, stones
 from splatproof.datasets.procedural.grounds import asphalt_colour, grass_colour, plain
 from splatproof.datasets.procedural.noise import fbm
@@ -75,7 +75,12 @@ def shopfront(surface: Surface) -> Paint:
 
 
 def build(seed: int, end: Number) -> Builder:
-    """Everything that stands still, as far as `end` metres along the street."""
+    """Everything that stands still.
+
+    Args:
+        seed: Another seed makes other houses, trees and parked cars.
+        end: Metres along the street to which there are houses.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 51)))
     world = Builder()
     far = SIDE_END + 30

@@ -26,7 +26,7 @@ class Surface:
     """Metres between neighbouring samples here."""
 
     def part(self, rows: Int[Tensor, " k"]) -> "Surface":
-        """Some of the points."""
+        """The points in the given rows."""
         return Surface(
             points=self.points[rows], normals=self.normals[rows], coords=self.coords[rows],
             seeds=self.seeds[rows], footprint=self.footprint[rows],
@@ -71,18 +71,35 @@ def to_srgb(linear: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
 def mix(
     a: Float[Tensor, "*n 3"], b: Float[Tensor, "*m 3"], share: Float[Tensor, " k"]
 ) -> Float[Tensor, "k 3"]:
-    """Colours a (share 0) to b (share 1)."""
+    """Colours a (share 0) to b (share 1).
+
+    Args:
+        a: Colours, or one for all.
+        b: Colours, or one for all.
+        share: How much of `b` is in each, in [0, 1].
+    """
     return a + (b - a) * share[:, None]
 
 
 def step(low: Number, high: Number, x: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
-    """Smooth step from 0 at `low` to 1 at `high` (falling where low > high)."""
+    """Smooth step from 0 at `low` to 1 at `high` (falling where low > high).
+
+    Args:
+        low: Where the step leaves 0.
+        high: Where it reaches 1.
+        x: Positions in the unit of both.
+    """
     t = ((x - low) / (high - low)).clamp(0, 1)
     return t * t * (3 - 2 * t)
 
 
 def palette(codes: list[str], choice: Float[Tensor, " n"]) -> Float[Tensor, "n 3"]:
-    """One colour of the list for each number in [0, 1)."""
+    """One colour of the list for each number in [0, 1).
+
+    Args:
+        codes: sRGB codes such as "8a7f6b".
+        choice: Numbers in [0, 1); equal parts of that range stand for the codes in their order.
+    """
     table = torch.stack([rgb(code) for code in codes])
     return table[(choice * len(codes)).long().clamp(0, len(codes) - 1)]
 

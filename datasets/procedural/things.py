@@ -32,7 +32,13 @@ TYRE = Solid(tone="1b1b1c", dirt=0.3)
 
 
 def moved(parts: Parts, offset: Triple, heading: Number = 0.0) -> Parts:
-    """Every part turned about z by `heading` (radians) and moved."""
+    """Every part turned about z and moved.
+
+    Args:
+        parts: Shapes with their materials.
+        offset: Motion along x, y and z, in metres.
+        heading: Turn in radians, counter-clockwise.
+    """
     return [(placed(shape, offset, heading), material) for shape, material in parts]
 
 
@@ -44,7 +50,17 @@ def house(
     wall: Material,
     roof: Material = TILES,
 ) -> Parts:
-    """A gabled house with the ridge along x and a chimney. Metres."""
+    """A gabled house with the ridge along x and a chimney.
+
+    Args:
+        length: Extent along x, in metres.
+        width: Extent along y, in metres.
+        eave: Height of the walls, in metres.
+        rise: Height of the ridge above the walls, in metres.
+        wall: Material of walls and gables.
+        roof: Material of the roof.
+    Returns: Walls, roof and chimney, in this order.
+    """
     x, y = length / 2, width / 2
     outline = [[-x, -y], [x, -y], [x, y], [-x, y]]
     chimney = placed(box((0.9, 0.7, rise * 0.75 + 1.0)), (0.22 * length, 0.12 * width, eave))
@@ -56,7 +72,14 @@ def house(
 
 
 def dormer(width: Number, depth: Number, height: Number, wall: Material) -> Parts:
-    """A small gabled window house that faces -y, for a roof slope."""
+    """A small gabled window house that faces -y, for a roof slope.
+
+    Args:
+        width: Extent along x, in metres.
+        depth: Extent along +y, into the roof, in metres.
+        height: Height of its walls, in metres.
+        wall: Material of walls and gable.
+    """
     outline = [[-width / 2, 0], [width / 2, 0], [width / 2, depth], [-width / 2, depth]]
     roof = placed(gable_roof(depth, width, height, width * 0.35, 0.2), (0, depth / 2, 0), np.pi / 2)
     front = placed(gable_ends(depth, width, height, width * 0.35), (0, depth / 2, 0), np.pi / 2)
@@ -66,7 +89,15 @@ def dormer(width: Number, depth: Number, height: Number, wall: Material) -> Part
 def tree(
     height: Number, spread: Number, seed: int, detail: int = 3, crown: Material = LEAVES
 ) -> Parts:
-    """A broad-leaved tree: a trunk and a crown of several lumps. Metres."""
+    """A broad-leaved tree: a trunk and a crown of several lumps.
+
+    Args:
+        height: Metres.
+        spread: Width of the crown, in metres, about.
+        seed: Decides the shape of the crown.
+        detail: Subdivisions of each lump, of 20 * 4^detail triangles.
+        crown: Material of the crown.
+    """
     rng = np.random.Generator(np.random.PCG64(seed))
     lumps = []
     for index in range(7):
@@ -80,7 +111,14 @@ def tree(
 
 
 def conifer(height: Number, spread: Number, seed: int, detail: int = 3) -> Parts:
-    """A spruce: stacked skirts of needles."""
+    """A spruce: stacked skirts of needles.
+
+    Args:
+        height: Metres.
+        spread: Width of the lowest skirt, in metres, about.
+        seed: Decides the shape of the skirts.
+        detail: Subdivisions of each skirt, of 20 * 4^detail triangles.
+    """
     needles = Leaves(tones=("2f4a2c", "3a5433", "2c4433"), clump=0.7)
     skirts = []
     for index in range(5):
@@ -92,7 +130,14 @@ def conifer(height: Number, spread: Number, seed: int, detail: int = 3) -> Parts
 
 
 def hedge(length: Number, width: Number, height: Number, seed: int) -> Parts:
-    """A trimmed hedge along x, as a row of lumps."""
+    """A trimmed hedge along x, as a row of lumps.
+
+    Args:
+        length: Extent along x, in metres.
+        width: Extent along y, in metres, about.
+        height: Metres, about.
+        seed: Decides the shape of the lumps.
+    """
     count = max(2, int(length / (0.9 * width)))
     places = np.linspace(-length / 2, length / 2, count)
     lumps = [
@@ -106,7 +151,12 @@ def hedge(length: Number, width: Number, height: Number, seed: int) -> Parts:
 
 
 def car(paint: str, length: Number = 4.3) -> Parts:
-    """A car along +x on z = 0: body, cabin, windows, wheels."""
+    """A car along +x on z = 0: body, cabin, windows, wheels.
+
+    Args:
+        paint: Colour of the body as an sRGB code.
+        length: Metres.
+    """
     half, wide = length / 2, 0.88
     profile = np.array(  # side view (x, z) of the body with its cabin, counter-clockwise
         [[-half, 0.35], [half, 0.35], [half, 0.75], [half - 0.75, 0.92], [0.55, 0.98],
@@ -171,7 +221,13 @@ def _wheel(x: Number, y: Number) -> Shape:
 
 
 def flat_house(size: Triple, wall: Material, rng: np.random.Generator) -> Parts:
-    """A block with a flat gravel roof, a parapet, vents and a lift house."""
+    """A block with a flat gravel roof, a parapet, vents and a lift house.
+
+    Args:
+        size: Extent along x, y and z, in metres.
+        wall: Material of the walls.
+        rng: Draws number, places and sizes of the vents.
+    """
     x, y, tall = size[0] / 2, size[1] / 2, float(size[2])
     outline = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
     inner = outline * (1 - 0.35 / np.array([x, y]))

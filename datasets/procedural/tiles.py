@@ -34,7 +34,12 @@ class Sketch(Builder):
     """A builder that notes objects by tile; their triangles are made when a tile is built."""
 
     def __init__(self, size: Number, origin: Pair):
-        """Tiles are squares of `size` metres; tile (0, 0) has its low corner at `origin`."""
+        """Start with nothing noted.
+
+        Args:
+            size: Side of the square tiles, in metres.
+            origin: Low corner (x, y) of tile (0, 0), in metres.
+        """
         super().__init__()
         self.size, self.origin = float(size), np.array(origin, dtype=float)
         self.notes: dict[Tile, list[tuple[int, Callable[[], Parts]]]] = defaultdict(list)
@@ -42,7 +47,13 @@ class Sketch(Builder):
         """What no tile can hold: triangles larger than a tile."""
 
     def add(self, kind: str, parts: Parts) -> int:
-        """Note an object; one wider than a tile is cut along its triangles."""
+        """Note an object; one wider than a tile is cut along its triangles.
+
+        Args:
+            kind: What the object is.
+            parts: Its shapes in the world, with their materials.
+        Returns: The object's id.
+        """
         points = np.concatenate([shape.vertices[:, :2] for shape, _ in parts])
         low, high = points.min(axis=0), points.max(axis=0)
         if (high - low).max() <= self.size:
@@ -60,7 +71,15 @@ class Sketch(Builder):
         return len(self.kinds) - 1
 
     def later(self, kind: str, make: Callable[[], Parts], x: Number, y: Number) -> int:
-        """Note an object that stands around (x, y)."""
+        """Note an object that stands around (x, y).
+
+        Args:
+            kind: What the object is.
+            make: Makes its parts; called each time its tile is built.
+            x: About where it stands along x, in metres; with `y` it decides the tile.
+            y: About where it stands along y, in metres.
+        Returns: The object's id.
+        """
         self.kinds.append(kind)
         cell = self._cells(np.array([x, y], dtype=float))
         self._note((int(cell[0]), int(cell[1])), make)
@@ -101,7 +120,12 @@ class TileCache:
     """The tiles built last."""
 
     def __init__(self, sketch: Sketch, keep: int):
-        """Keep at most `keep` tiles between calls."""
+        """Start with no tile built.
+
+        Args:
+            sketch: What the tiles hold.
+            keep: Number of tiles kept between calls, at most.
+        """
         self.sketch, self.keep = sketch, keep
         self._built: OrderedDict[Tile, World] = OrderedDict()
         self._wide = [sketch.everywhere()] if sketch.wide else []
@@ -130,9 +154,14 @@ class TileCache:
 
 
 def looked_at(sketch: Sketch, camera: Camera, margin: Number) -> tuple[Tile, ...]:
-    """Tiles that a view may see, or see something of that stands up to `margin` metres away.
+    """Tiles that a view may see, and those that may stand or throw shadows into what it sees.
 
     A tile is left out if its box lies outside of one side of the view.
+
+    Args:
+        sketch: What the tiles hold.
+        camera: Camera of the view.
+        margin: Metres by which a tile's box is widened on each side for these others.
     """
     tiles = np.array(sorted(tile for tile, notes in sketch.notes.items() if notes))
     low = sketch.origin + tiles * sketch.size - margin
@@ -159,7 +188,16 @@ class TiledStage:
 
     def __init__(self, sketch: Sketch, sky: Sky, heights: Pair, cell: Number,
                  object_seeds: Float[np.ndarray, " objects"], keep: int):  # fmt: skip
-        """Light lies between `heights` (metres) in cells of at most `cell`; tiles kept: `keep`."""
+        """Start with nothing built.
+
+        Args:
+            sketch: What the tiles hold.
+            sky: Where the sun stands and how bright things are.
+            heights: Lowest and highest place at which sky light is known, in metres.
+            cell: Metres between the places where it is known, about.
+            object_seeds: A number in [0, 1) for each object id, for textures.
+            keep: Number of tiles kept between views, at most.
+        """
         self.sketch, self.sky, self.object_seeds = sketch, sky, object_seeds
         self.cache = TileCache(sketch, keep)
         self.count = int(np.ceil(sketch.size / cell))

@@ -19,7 +19,7 @@ class Hits:
 
     face: Int[np.ndarray, " n"]
     distance: Float[np.ndarray, " n"]
-    """In units of the ray direction's length; inf where nothing was met."""
+    """Distances in lengths of the ray's direction; inf where nothing was met."""
 
 
 class Caster:
@@ -42,7 +42,12 @@ class Caster:
     def first(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Hits:
-        """The first triangle on each ray; its distance is that of the ray and the plane."""
+        """The first triangle on each ray; its distance is that of the ray and the plane.
+
+        Args:
+            origins: Where the rays begin, in metres.
+            directions: Where they go; of any length.
+        """
         face = self._scene.run(
             origins.astype(np.float32), directions.astype(np.float32), query="INTERSECT"
         ).astype(np.int64)
@@ -59,7 +64,13 @@ class Caster:
         directions: Float[np.ndarray, "n 3"],
         reach: Float[np.ndarray, " n"] | None = None,
     ) -> Bool[np.ndarray, " n"]:
-        """Whether anything lies on each ray, up to `reach` (in direction lengths) where given."""
+        """Whether anything lies on each ray.
+
+        Args:
+            origins: Where the rays begin, in metres.
+            directions: Where they go; of any length.
+            reach: How far to look, in lengths of the direction; None: without end.
+        """
         starts, ways = origins.astype(np.float32), directions.astype(np.float32)
         if reach is None:
             return self._scene.run(starts, ways, query="OCCLUDED") == 0
@@ -68,7 +79,12 @@ class Caster:
     def weights(
         self, face: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Barycentric weights of points on faces."""
+        """Barycentric weights of points on faces.
+
+        Args:
+            face: Index of each point's triangle.
+            points: Places on these triangles, in metres.
+        """
         offset = points - self.origin[face]
         b1 = np.einsum("ij,ij->i", offset, self.dual[0][face])
         b2 = np.einsum("ij,ij->i", offset, self.dual[1][face])
@@ -77,7 +93,13 @@ class Caster:
     def visible(
         self, points: Float[np.ndarray, "n 3"], eye: Float[np.ndarray, "3"], slack: float = 0.02
     ) -> Bool[np.ndarray, " n"]:
-        """Whether nothing stands between the eye and each point, but for the last `slack` metres."""
+        """Whether nothing stands between an eye and each point.
+
+        Args:
+            points: Places in metres, none of them the eye's.
+            eye: Where is looked from, in metres.
+            slack: Metres before each point in which nothing counts: its own surface lies there.
+        """
         ways = points - eye
         length = np.linalg.norm(ways, axis=1)
         starts = np.broadcast_to(eye, points.shape)

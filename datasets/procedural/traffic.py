@@ -23,31 +23,47 @@ class Mover:
     kind: str
     """"moving car" (rigid) or "walker" (not rigid)."""
     parts: Callable[[float], Parts]
-    """Its shape at a time, in its own frame: x ahead, origin on the ground."""
+    """The thing's shape at a time in seconds, in its own frame: x ahead, origin on the ground."""
     place: Callable[[float], tuple[float, float, float]]
-    """x, y in metres and heading in radians at a time."""
+    """x, y in metres and heading in radians at a time in seconds."""
 
     def pose(self, time: Number) -> Float[np.ndarray, "4 4"]:
-        """World from own frame."""
+        """Motion from the thing's own frame to the world at a time in seconds."""
         x, y, heading = self.place(time)
         c, s = np.cos(heading), np.sin(heading)
         return np.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 
     def at(self, time: Number) -> Parts:
-        """Its parts in the world."""
+        """The thing's parts in the world at a time in seconds."""
         x, y, heading = self.place(time)
         return things.moved(self.parts(time), (x, y, 0.0), heading)
 
 
 def straight(x: Number, y: Number, speed: Number) -> Callable[[float], tuple[float, float, float]]:
-    """Along x; a negative speed comes towards -x."""
+    """A path along x.
+
+    Args:
+        x: Where it begins along x, in metres.
+        y: Where it runs along y, in metres.
+        speed: Metres a second; negative: towards -x.
+    Returns: Place (x, y in metres) and heading (radians) at a time in seconds.
+    """
     return lambda t: (x + speed * t, y, 0.0 if speed >= 0 else np.pi)
 
 
 def turning(
     x: Number, y: Number, speed: Number, radius: Number, lane: Number
 ) -> Callable[[float], tuple[float, float, float]]:
-    """From the side street at x, coming along +y, through a left-hand bend into -x at y = lane."""
+    """A path out of the side street, along +y and then through a left-hand bend into -x.
+
+    Args:
+        x: Where it begins along x, in metres.
+        y: Where it begins along y, in metres.
+        speed: Metres a second, above 0.
+        radius: Radius of the bend, in metres.
+        lane: y of the lane that it turns into, in metres.
+    Returns: Place (x, y in metres) and heading (radians) at a time in seconds.
+    """
 
     def place(t: Number) -> tuple[float, float, float]:
         done = speed * t
@@ -63,7 +79,13 @@ def turning(
 
 
 def car(paint: str, length: Number, place: Callable[[float], tuple[float, float, float]]) -> Mover:
-    """A car that drives."""
+    """A car that drives.
+
+    Args:
+        paint: Colour of the body as an sRGB code.
+        length: Metres.
+        place: Place (x, y in metres) and heading (radians) at a time in seconds.
+    """
     parts = things.car(paint, length)
     return Mover(kind="moving car", parts=lambda t: parts, place=place)
 
@@ -74,11 +96,11 @@ def walker(
     """A person who walks along x (or across it, along y) with swinging arms and legs.
 
     Args:
-        seed: Of looks and gait.
-        x: Where the walk begins, metres.
-        y: Likewise.
-        speed: Metres a second; negative: backwards along the axis.
-        across: Along y instead of x.
+        seed: Decides looks and gait.
+        x: Where the walk begins along x, in metres.
+        y: Where the walk begins along y, in metres.
+        speed: Metres a second; negative: towards -x or -y.
+        across: Whether the person walks along y instead of x.
         until: Seconds after which the person stands still.
     """
     rng = np.random.Generator(np.random.PCG64((seed, 31)))

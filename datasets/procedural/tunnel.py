@@ -89,7 +89,12 @@ def profile(t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
 
 
 def build(seed: int, settings: Settings) -> World:
-    """The tunnel of one seed."""
+    """The tunnel of one seed.
+
+    Args:
+        seed: Another seed makes other rock and puts other things on the floor.
+        settings: Length of the drive, and how fine the rock is.
+    """
     rng = np.random.Generator(np.random.PCG64((seed, 21)))
     world = Builder()
     start, end = -3.0, settings.length + 12.0
@@ -237,7 +242,12 @@ def _relit_offset(index: int) -> Float[np.ndarray, "3"]:
 
 
 def plan(seed: int, settings: Settings) -> Plan:
-    """The whole scene of a seed."""
+    """The whole scene of a seed.
+
+    Args:
+        seed: Another seed makes another tunnel; 0 or more.
+        settings: Length of the drive and size of the pictures.
+    """
     world = build(seed, settings)
     size, focal = (settings.width, settings.height), 0.64 * settings.width  # 23 mm on 36 mm
     found, lights = [], {}

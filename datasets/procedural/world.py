@@ -41,18 +41,37 @@ class Builder:
     kinds: list[str] = field(default_factory=lambda: ["sky"])
 
     def add(self, kind: str, parts: Parts) -> int:
-        """Add one object made of parts; returns its id."""
+        """Add one object.
+
+        Args:
+            kind: What it is.
+            parts: Its shapes in the world, with their materials.
+        Returns: The object's id.
+        """
         self.kinds.append(kind)
         self.put(len(self.kinds) - 1, parts)
         return len(self.kinds) - 1
 
     def later(self, kind: str, make: Callable[[], Parts], x: Number, y: Number) -> int:
-        """Add one object near (x, y) whose parts may be made at any time; here at once."""
+        """Add one object whose parts may be made at any time; here at once.
+
+        Args:
+            kind: What it is.
+            make: Makes its parts.
+            x: About where it stands along x, in metres; not needed here.
+            y: About where it stands along y, in metres; not needed here.
+        Returns: The object's id.
+        """
         del x, y
         return self.add(kind, make())
 
     def put(self, identity: int, parts: Parts) -> None:
-        """Add the parts of an object that has its id."""
+        """Add parts of an object that has its id.
+
+        Args:
+            identity: The object's id.
+            parts: Its shapes in the world, with their materials.
+        """
         for shape, material in parts:
             if material not in self.materials:
                 self.materials.append(material)

@@ -25,7 +25,13 @@ def _module(world: str) -> Any:
 
 
 def settings_of(world: str, preset: str) -> Any:
-    """The settings of a world's preset. Raises: UsageError for an unknown one."""
+    """The settings of a world's preset.
+
+    Args:
+        world: Name in WORLDS.
+        preset: One of the world's presets.
+    Raises: UsageError for an unknown one.
+    """
     presets = _module(world).PRESETS
     if preset not in presets:
         raise UsageError(f"{preset}: {world} has no such preset; there are {', '.join(presets)}")
@@ -33,12 +39,24 @@ def settings_of(world: str, preset: str) -> Any:
 
 
 def content(world: str, preset: str, seed: int) -> str:
-    """Name of what a world's preset and seed make, as it stands in scene.toml."""
+    """Name of what a world's preset and seed make, as it stands in scene.toml.
+
+    Args:
+        world: Name in WORLDS.
+        preset: One of the world's presets.
+        seed: 0 or more.
+    """
     return content_hash(world, asdict(settings_of(world, preset)), seed)
 
 
 def plan(world: str, preset: str, seed: int) -> Plan:
-    """The views of a world and what they see."""
+    """The views of a world and what they see.
+
+    Args:
+        world: Name in WORLDS.
+        preset: One of the world's presets.
+        seed: 0 or more.
+    """
     return _module(world).plan(seed, settings_of(world, preset))
 
 
@@ -50,7 +68,7 @@ def make(
     Args:
         world: Name in WORLDS.
         preset: One of the world's presets.
-        seed: >= 0.
+        seed: 0 or more.
         folder: New, or this very scene.
         report: Told (steps done, steps in all), two steps a view.
     """

@@ -56,7 +56,7 @@ class VoxelRegion:
     @property
     def centre(self) -> Float64[Tensor, "3"]:
         """Centre of the box around V, in the scene."""
-        return (self.low + self.half) @ self.frame
+        return (self.low + self.half) @ self.frame.contiguous()  # saved ones are: the same bits
 
     def distance(self, points: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
         """d(p) of each position in the scene's frame."""
@@ -76,7 +76,7 @@ class VoxelRegion:
         found = np.empty(len(points))
 
         def work(start: int) -> None:
-            local = points[start : start + CHUNK] @ self.frame.T
+            local = points[start : start + CHUNK] @ self.frame.contiguous().T
             if self.bounds is not None:
                 # a hair inside: on the very face, rounding would put half of them outside
                 hair = INSIDE * self.side

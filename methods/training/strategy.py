@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -58,6 +58,7 @@ class Observation:
         return (gradient * half).norm(dim=1)
 
 
+@runtime_checkable
 class DensityStrategy(Protocol):
     """Decides, while training goes on, which rows stay, are copied, split, made or removed."""
 

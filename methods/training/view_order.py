@@ -1,11 +1,12 @@
 """In which order training looks at the views."""
 
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 
 
+@runtime_checkable
 class ViewOrder(Protocol):
     """Says which view comes next, and goes on where a killed run stopped."""
 

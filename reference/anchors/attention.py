@@ -9,12 +9,12 @@ from torch import Tensor
 from torch.nn import functional
 
 OCTAVES = 4
-"""K of the Fourier code."""
+"""K, the number of frequencies in the Fourier code."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AttentionWeights:
-    """Learnt parameters, for d input numbers (28 in the paper) and d_k of query and key."""
+    """Learnt parameters, for d input numbers (28 in the paper) and d_k numbers of query and key."""
 
     anchor_kernel: Float[Tensor, " a"]
     """1D convolution over the pooled value of each anchor, odd length."""
@@ -28,7 +28,14 @@ class AttentionWeights:
 def create(
     inputs: int, width: int, generator: torch.Generator, dtype: torch.dtype = torch.float32
 ) -> AttentionWeights:
-    """Random projections, and gates that start as plain smoothing."""
+    """Random projections, and gates that start as plain smoothing.
+
+    Args:
+        inputs: Number d of input features an anchor (28 in the paper).
+        width: Number of columns of query, key and value: d_k = d_v.
+        generator: Source of the random projections.
+        dtype: Dtype of the parameters.
+    """
 
     def draw(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator).to(dtype) * inputs**-0.5
@@ -62,6 +69,12 @@ def pooled_gates(inputs: Float[Tensor, "n d"], weights: AttentionWeights) -> Flo
     Anchors have no natural order, so a kernel longer than one over the anchor axis would make the
     result depend on it: the anchor kernel has length 1 unless set otherwise (our decision).
 
+    Args:
+        inputs: Attention inputs x of each anchor: Fourier code, view direction, distance.
+        weights: The two kernels are read.
+
+    Returns: The inputs, each one times two gates in (0, 1): its anchor's and its feature's.
+
     Source: DLG-GS, Eq. 8.
     """
     gates = []
@@ -83,9 +96,10 @@ def local_attention(
     An anchor always sees itself, so no row is empty. The dense form, in O(n^2).
 
     Args:
-        features: Gated inputs.
-        centres: Anchor positions, same unit as the radius.
+        features: Gated inputs, from `pooled_gates`.
+        centres: Anchor positions, in the unit of the radius.
         radius: r >= 0; anchors at exactly r are seen.
+        weights: The three projections are read.
 
     Raises: ValueError if the radius is negative.
 

@@ -14,13 +14,13 @@ class GrowthSettings:
     gradient: float = 2e-4
     """Mean 2D gradient of a voxel's Gaussians from which it grows."""
     density: float = 5.0
-    """Gaussians in a voxel from which it is subdivided finely."""
+    """Number of Gaussians in a voxel from which it is subdivided finely."""
     temporal_gradient: float = 2e-3
     """Mean |d loss / d tau| of a voxel from which it may grow in time."""
     temporal_share: float = 0.25
-    """Share of those voxels that do, drawn at random."""
+    """Share of the voxels above temporal_gradient that do grow in time, drawn at random."""
     fine: int = 2
-    """Subdivision of a dense voxel's edge."""
+    """Number of parts into which the edge of a dense voxel is cut."""
     opacity: float = 0.005
     """Mean opacity of an anchor's Gaussians below which it is pruned."""
     unvisited: int = 500
@@ -29,15 +29,15 @@ class GrowthSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class VoxelStatistics:
-    """Per occupied voxel, over N_g iterations."""
+    """What is known of each occupied voxel after N_g iterations."""
 
     cells: Int[Tensor, "v 3"]
     owner: Int[Tensor, " m"]
     """Row of `cells` of each Gaussian."""
     density: Float[Tensor, " v"]
-    """Gaussians in the voxel."""
+    """Number of Gaussians in the voxel."""
     gradient: Float[Tensor, " v"]
-    """Mean of their mean gradients."""
+    """Mean, over the voxel's Gaussians, of their mean 2D gradients."""
 
 
 def voxel_statistics(
@@ -46,9 +46,9 @@ def voxel_statistics(
     """Local density and average gradient of the neural Gaussians of each voxel.
 
     Args:
-        positions: Means of the Gaussians.
-        gradients: Mean gradient of each one over the N_g iterations.
-        voxel: Edge > 0.
+        positions: Means of the neural Gaussians in scene units.
+        gradients: Mean 2D gradient of each Gaussian over the N_g iterations.
+        voxel: Edge of a voxel in scene units, > 0.
 
     Source: HDGS, Sec. 3.5, "Growing".
     """
@@ -72,6 +72,14 @@ def new_anchors(
     High gradient and high density: a centre in every sub-cell (fine x fine x fine) that holds a
     Gaussian. High gradient, low density: one centre for the whole voxel.
 
+    Args:
+        positions: Means of the neural Gaussians in scene units.
+        statistics: From `voxel_statistics` with the same positions and voxel.
+        voxel: Edge of a voxel in scene units, > 0.
+        settings: Thresholds of gradient and density, and the subdivision of dense voxels.
+
+    Returns: Positions in scene units: first those of whole voxels, then those of sub-cells.
+
     Source: HDGS, Sec. 3.5 (GDG).
     """
     steep = statistics.gradient >= settings.gradient
@@ -88,6 +96,11 @@ def temporal_growth(
 ) -> Bool[Tensor, " v"]:
     """Voxels that grow in time: a random share of those with a high temporal gradient.
 
+    Args:
+        gradient: Mean |d loss / d tau| of each voxel, >= 0.
+        settings: Gradient from which a voxel may grow in time, and the share that does.
+        generator: Source of the random share.
+
     Source: HDGS, Sec. 3.5.
     """
     drawn = torch.rand(len(gradient), generator=generator) < settings.temporal_share
@@ -96,6 +109,10 @@ def temporal_growth(
 
 def update_unvisited(record: Int[Tensor, " n"], visible: Bool[Tensor, " n"]) -> Int[Tensor, " n"]:
     """The unvisited record (UR): iterations since each anchor was last in a view.
+
+    Args:
+        record: Iterations since each anchor was last in a view, up to the iteration before.
+        visible: Which anchors are in the view of this iteration.
 
     Source: HDGS, Sec. 3.5, "Pruning".
     """
@@ -110,7 +127,8 @@ def keep(
     Args:
         opacity: Mean opacity of each anchor's Gaussians over the N_p iterations in which it was
             visible; nan for an anchor that never was (only its record counts).
-        record: From `update_unvisited`.
+        record: Iterations since each anchor was last in a view, from `update_unvisited`.
+        settings: Least opacity, and the longest time out of view.
     """
     faint = opacity < settings.opacity  # nan compares as false
     return ~faint & (record <= settings.unvisited)

@@ -61,6 +61,10 @@ def illumination_factor(
 ) -> Float[Tensor, " e"]:
     """eps_s = tanh(f_HVI(I)): the view's adjustment factor, in (-1, 1).
 
+    Args:
+        image: The view's image, sRGB in [0, 1].
+        weights: Learnt linear layer of f_HVI, from the 12 statistics of `descriptor` to e numbers.
+
     Source: DLG-GS, Eq. 7.
     """
     return torch.tanh(descriptor(image).to(weights) @ weights)

@@ -25,8 +25,8 @@ def adapt_colours(
     Args:
         head: Three layers; 4 outputs: alpha 3, beta 1 for all channels.
         colours: Colours c of the neural Gaussians, in [0, 1].
-        factor: eps_s of the view.
-        attended: f_out of the anchor that generated each Gaussian.
+        factor: eps_s of the view, in (-1, 1).
+        attended: f_out, the attention output, of the anchor that generated each Gaussian.
 
     Source: DLG-GS, Eqs. 12 and 13.
     """
@@ -40,7 +40,13 @@ def mix_colours(
     reference: Float[Tensor, "m 3"],
     share: Float[Tensor, "m 1"],
 ) -> Float[Tensor, "m 3"]:
-    """c~ = beta c + (1 - beta) alpha; beta = 1 keeps c to the bit."""
+    """c~ = beta c + (1 - beta) alpha; beta = 1 keeps c to the bit.
+
+    Args:
+        colours: Colours c of the neural Gaussians, in [0, 1].
+        reference: Colours alpha that the head predicts for the view's light, in [0, 1].
+        share: Share beta of c in the mix, in [0, 1].
+    """
     return share * colours + (1 - share) * reference
 
 
@@ -51,6 +57,12 @@ def colour_loss(
     dssim: float = 0.2,
 ) -> Float[Tensor, ""]:
     """L_color = (1 - l) L1(I_a, I) + l (1 - SSIM(I_r, I)): the base render keeps the structure.
+
+    Args:
+        adapted: Render I_a with the adapted colours c~.
+        original: Render I_r with the colours c as they are.
+        truth: Photo I, sRGB in [0, 1].
+        dssim: Weight l of the structural term, in [0, 1].
 
     Source: DLG-GS, Eq. 16.
     """
@@ -70,6 +82,11 @@ def volume_loss(scales: Float[Tensor, "m 3"]) -> Float[Tensor, ""]:
 def dropout_mask(count: int, probability: float, generator: torch.Generator) -> Bool[Tensor, " m"]:
     """Which Gaussians stay on: uniform draw > gamma.
 
+    Args:
+        count: Number of Gaussians.
+        probability: gamma, the chance of each Gaussian to be off, in [0, 1).
+        generator: Source of the uniform draws.
+
     Raises: ValueError if the probability is not in [0, 1).
 
     Source: DLG-GS, Eq. 18.
@@ -83,6 +100,11 @@ def dropout_loss(
     dropped: Float[Tensor, "h w 3"], full: Float[Tensor, "h w 3"], dssim: float = 0.2
 ) -> Float[Tensor, ""]:
     """L_ARDR = (1 - l) L1 + l (1 - SSIM) between the dropout render and the full one, detached.
+
+    Args:
+        dropped: Render without the Gaussians that `dropout_mask` turned off.
+        full: Render with all Gaussians; the target, through which no gradient flows.
+        dssim: Weight l of the structural term, in [0, 1].
 
     Source: DLG-GS, Eq. 19; the detached side: spec.
     """
@@ -100,12 +122,16 @@ def factor_at_test(
 ) -> Float[Tensor, " e"]:
     """eps_s of a test view, by what it may know; the paper does not say which it used.
 
-    - nearest: of the nearest training view (ties: first). The default: nothing leaks.
-    - half: of the left half of the test image; then only the right half may be scored.
-    - oracle: of the whole test image. It leaks the truth, and its rows are never ranked.
+    - nearest: that of the nearest training view (ties: first). The default: nothing leaks.
+    - half: that of the left half of the test image; then only the right half may be scored.
+    - oracle: that of the whole test image. It leaks the truth, and its rows are never ranked.
 
     Args:
-        train_distances: Distance from the test camera to each training camera.
+        mode: What the view may know, as listed above.
+        weights: Learnt linear layer of f_HVI, as `hvi.illumination_factor` takes it.
+        test_image: The photo of the test view, sRGB in [0, 1]; not read in mode "nearest".
+        train_images: Photos of the training views, sRGB in [0, 1]; only read in mode "nearest".
+        train_distances: Distance from the test camera to each training camera, any unit.
 
     Raises: ValueError for "nearest" without training views.
 

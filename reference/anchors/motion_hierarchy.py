@@ -24,13 +24,13 @@ class HierarchySettings:
     layers: int = 3
     """N: layers 0 to N - 2 hold anchors, layer N - 1 the Gaussians."""
     children: int = 2
-    """k: children of an anchor in the anchor layers."""
+    """k: number of children of an anchor in the anchor layers."""
     gaussians: int = 12
-    """K: Gaussians of one initial anchor; a multiple of k^(N - 2)."""
+    """K: number of Gaussians of one initial anchor; a multiple of k^(N - 2)."""
     features: int = 32
     instance: int = 8
     period: float = 1.0
-    """p of the vibration, unit of time."""
+    """p: after this time the vibration repeats. In the unit of the scene's times."""
 
     @property
     def leaves(self) -> int:
@@ -43,18 +43,18 @@ class MotionAnchors:
     """What is stored: layer 0 and every layer's offsets. Deeper anchors are decoded, never saved."""
 
     centres: Float[Tensor, "n 3"]
-    """mu_0, at the life peak."""
+    """mu_0: positions at the life peak, scene units."""
     features: Float[Tensor, "n f"]
     instances: Float[Tensor, "n h"]
-    """h: inherited by all descendants."""
+    """h: instance features; all descendants of an anchor inherit them."""
     quaternions: Float[Tensor, "n 4"]
     """Orientation of the base covariance that the support network reads; decoding does not."""
     log_scales: Float[Tensor, "n 3"]
     peaks: Float[Tensor, " n"]
-    """tau."""
+    """tau: the time at which an anchor is most visible and stands at its centre."""
     velocities: Float[Tensor, "n 3"]
     log_spans: Float[Tensor, " n"]
-    """Logarithm of beta."""
+    """Logarithm of beta, how long an anchor stays visible around its peak."""
     offsets: tuple[Float[Tensor, "n _ 3"], ...]
     """For layers 1 to N - 1: o_i in units of the scale, k^i rows (the last: K rows) an anchor."""
 
@@ -73,7 +73,7 @@ class HierarchyNetworks:
     """All networks; shared by all anchors."""
 
     layers: tuple[LayerNetworks, ...]
-    """One for each anchor layer 1 to N - 2."""
+    """Residual networks of the anchor layers 1 to N - 2."""
     leaf_position: Mlp
     """Residual of the Gaussians' positions, layer N - 1."""
     colour: Mlp
@@ -96,6 +96,11 @@ def create_networks(
     settings: HierarchySettings, generator: torch.Generator, dtype: torch.dtype = torch.float32
 ) -> HierarchyNetworks:
     """Networks with one hidden layer; residual ones start at zero, so that motion starts rigid.
+
+    Args:
+        settings: Sizes of the hierarchy, which fix the networks' inputs and outputs.
+        generator: Source of the random weights.
+        dtype: Dtype of the parameters.
 
     Raises: ValueError if there are fewer than 2 layers or K is not a multiple of k^(N - 2).
     """
@@ -145,8 +150,8 @@ def decode(
         anchors: The stored layer 0 and offsets.
         networks: From `create_networks` with the same settings.
         settings: Sizes; the offsets must fit them.
-        time: t, unit of time.
-        camera_centre: Where it is seen from.
+        time: t, in the unit of the peaks and of the period.
+        camera_centre: Camera centre in the world, scene units; all but position depends on it.
 
     Source: HDGS, Eqs. 1 to 6.
     """
@@ -215,7 +220,12 @@ def _leaves(
 
 
 def stored_numbers(anchors: MotionAnchors, networks: HierarchyNetworks) -> int:
-    """Numbers that are saved: anchors and networks, not the decoded Gaussians."""
+    """Numbers that are saved: anchors and networks, not the decoded Gaussians.
+
+    Args:
+        anchors: Layer 0 and the offsets of all layers.
+        networks: All networks, biases included.
+    """
     stored = [value for value in vars(anchors).values() if isinstance(value, Tensor)]
     stored += anchors.offsets
     nets = [networks.leaf_position, networks.colour, networks.opacity, networks.shape]

@@ -19,10 +19,10 @@ class Anchors:
     centres: Float[Tensor, "n 3"]
     """Voxel centres, scene units; they never move."""
     offsets: Float[Tensor, "n k 3"]
-    """In units of the anchor's offset scale."""
+    """Where the k Gaussians stand about the centre, in units of the anchor's offset scale."""
     features: Float[Tensor, "n f"]
     log_scales: Float[Tensor, "n 6"]
-    """First three scale the offsets, last three are the base scale of the Gaussians."""
+    """The first three scale the offsets, the last three are the base scale of the Gaussians."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,11 +30,11 @@ class Decoder:
     """The three networks; each reads feature, view direction and, as an option, distance."""
 
     opacity: Mlp
-    """Outputs k, then tanh."""
+    """k outputs, one a Gaussian, then tanh."""
     shape: Mlp
-    """Outputs 7 k: scale 3 (sigmoid), quaternion 4."""
+    """7 k outputs, for each Gaussian a scale factor (3, sigmoid) and a quaternion (4)."""
     colour: Mlp
-    """Outputs 3 k, then sigmoid."""
+    """3 k outputs, then sigmoid."""
 
 
 def create_decoder(
@@ -50,7 +50,9 @@ def create_decoder(
     Args:
         features: Feature channels (the release: 32).
         k: Gaussians an anchor (the release: 10).
+        generator: Source of the random weights.
         extra: Numbers beside the feature: 3 for the direction, 4 with the distance.
+        dtype: Dtype of the parameters.
 
     Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.2 and its release.
     """
@@ -62,6 +64,10 @@ def create_decoder(
 
 def anchor_voxels(points: Float[Tensor, "n 3"], voxel: float) -> Float[Tensor, "m 3"]:
     """Distinct voxel centres round(p / voxel) * voxel of a cloud.
+
+    Args:
+        points: Positions of the cloud in scene units.
+        voxel: Edge of a voxel in scene units, > 0.
 
     Raises: ValueError if the voxel size is not positive.
 
@@ -75,7 +81,12 @@ def anchor_voxels(points: Float[Tensor, "n 3"], voxel: float) -> Float[Tensor, "
 def view_code(
     centres: Float[Tensor, "n 3"], camera_centre: Float[Tensor, "3"]
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 1"]]:
-    """Unit direction from camera to anchor, and distance; direction 0 where they meet."""
+    """Unit direction from camera to anchor, and distance; direction 0 where they meet.
+
+    Args:
+        centres: Anchor positions in the world, scene units.
+        camera_centre: Centre of the camera in the world, scene units.
+    """
     offset = centres - camera_centre.to(centres)
     square = offset.square().sum(dim=1, keepdim=True)
     apart = square > 0
@@ -93,6 +104,12 @@ def decode(
     """Gaussians of all anchors as one camera sees them; slots whose opacity is <= 0 are left out.
 
     mean = centre + offset * exp(ls[:3]), scale = exp(ls[3:]) * sigmoid(.), colour = sigmoid(.).
+
+    Args:
+        anchors: The stored anchors.
+        decoder: The three networks, from `create_decoder`; extra = 4 if they read the distance.
+        camera_centre: Centre of the camera in the world, scene units.
+        with_distance: Whether the networks also read the distance from the camera to the anchor.
 
     Source: Lu et al. 2024, "Scaffold-GS", Eqs. 5 to 7.
     """
@@ -139,6 +156,8 @@ def candidates(
     Args:
         gradients: Sum of 2D gradient norms of each slot.
         counts: How often each slot was drawn.
+        level: Level of the grid, 0 the coarsest, whose cells are to hold the new anchors.
+        threshold: Mean gradient from which a slot asks at level 0; it doubles with each level.
         least: Slots drawn at most this often are left alone.
         draw: Uniform numbers in [0, 1): 1 - 0.5^(level + 1) of the candidates are kept.
 
@@ -160,9 +179,10 @@ def grow(
     element-wise maximum of the features of the anchors whose slots asked for them.
 
     Args:
-        positions: Means of all n * k slots.
-        wanted: Which slots ask for an anchor.
-        cell: Edge of the level's cells, > 0.
+        anchors: The anchors so far, which stay as they are and come first in the result.
+        positions: Means of all n * k slots, in scene units, in the order anchor * k + offset.
+        wanted: Which slots ask for an anchor, from `candidates`.
+        cell: Edge of the level's cells in scene units, > 0.
 
     Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.3 and its release.
     """
@@ -198,6 +218,8 @@ def keep_visible(
     Args:
         opacity_sums: Sum over visits of the anchor's summed positive opacities.
         visits: In how many iterations the anchor was visible.
+        threshold: Least mean, over its visits, of an anchor's summed opacity.
+        least: An anchor with at most this many visits is kept, since too little is known of it.
 
     Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.3 and its release.
     """

@@ -14,6 +14,10 @@ SELF = 13
 def voxelise(positions: Float[Tensor, "n 3"], size: float) -> Int[Tensor, "n 3"]:
     """Voxel of each position, by rounding down; any sign.
 
+    Args:
+        positions: Positions in scene units.
+        size: Edge of a voxel in scene units, > 0.
+
     Raises: ValueError if the size is not positive.
     """
     if not size > 0:
@@ -45,8 +49,8 @@ def contributions(
 
     Args:
         features: One row a site.
-        around: From `neighbours`.
-        weights: One matrix a kernel cell.
+        around: Index of each site's 27 neighbours, -1 for none, from `neighbours`.
+        weights: One matrix W_o a kernel cell, in the order of OFFSETS.
 
     Source: Graham et al. 2018, "3D Semantic Segmentation with Submanifold Sparse Convolutional
         Networks", Sec. 3.
@@ -60,5 +64,11 @@ def convolve(
     around: Int[Tensor, "n 27"],
     weights: Float[Tensor, "27 c d"],
 ) -> Float[Tensor, "n d"]:
-    """Submanifold convolution: the sites that come out are the sites that went in."""
+    """Submanifold convolution: the sites that come out are the sites that went in.
+
+    Args:
+        features: One row a site.
+        around: Index of each site's 27 neighbours, -1 for none, from `neighbours`.
+        weights: One matrix W_o a kernel cell, in the order of OFFSETS.
+    """
     return contributions(features, around, weights).sum(dim=1)

@@ -20,13 +20,19 @@ class SupportNetwork:
     modulation: Mlp
     """MLP_gamma: 4 numbers (alignment, three eigenvalue shares) to c."""
     residual: Mlp
-    """One linear layer, c to c."""
+    """Linear layer of the residual that is added to the features, c to c."""
     gate: Mlp
-    """MLP_g: c to 1, before the sigmoid."""
+    """MLP_g: how much of the residual is added; c to 1, before the sigmoid."""
 
 
 def create(channels: int, generator: torch.Generator, dtype: torch.dtype) -> SupportNetwork:
-    """A network that starts near the identity: its residual layer starts at zero."""
+    """A network that starts near the identity: its residual layer starts at zero.
+
+    Args:
+        channels: Number c of feature channels.
+        generator: Source of the random weights.
+        dtype: Dtype of the parameters.
+    """
     spread = (27 * channels) ** -0.5
     weights = torch.randn(27, channels, channels, generator=generator).to(dtype) * spread
     return SupportNetwork(
@@ -49,6 +55,15 @@ def alignment(
     with the largest scale. The square drops the axis' sign, and the factor fades the direction
     out where the largest eigenvalue is not unique, so that a sphere or a disc gives 0 whichever
     axis is named first (both ours; the paper takes cos theta as it is). 0 for the anchor itself.
+
+    Args:
+        centres: Anchor positions in the world, scene units.
+        quaternions: Orientation (w, x, y, z) of each anchor's base covariance, any norm.
+        scales: Standard deviations of the base covariance in scene units, > 0.
+        around: Index of each anchor's 27 neighbours, -1 for none, from
+            `sparse_convolution.neighbours`.
+
+    Returns: In [0, 1]; 0 where there is no neighbour.
 
     Source: HDGS, Sec. 3.3.
     """
@@ -77,10 +92,11 @@ def support(
     not matter (ours).
 
     Args:
-        features: Anchor features f.
-        centres: Anchor positions; at most one anchor a voxel.
-        quaternions: Orientation of each anchor's base covariance.
-        scales: Standard deviations > 0.
+        network: Parameters of the step.
+        features: Features f of the anchors, one row each.
+        centres: Anchor positions in the world, scene units; at most one anchor a voxel.
+        quaternions: Orientation (w, x, y, z) of each anchor's base covariance, any norm.
+        scales: Standard deviations of the base covariance in scene units, > 0.
         voxel: Edge of the grid's cells, scene units.
 
     Source: HDGS, Eqs. 7 and 8.

@@ -19,9 +19,9 @@ def vibrate(
     Args:
         centres: Positions mu_0 at the life peak, scene units.
         velocities: v at the life peak, scene units a unit of time.
-        peaks: tau, unit of time.
-        time: t, any value; the motion repeats with the period.
-        period: p > 0, unit of time.
+        peaks: tau, the time of each life peak.
+        time: t in the unit of the peaks, any value; the motion repeats with the period.
+        period: p > 0, in the same unit.
 
     Raises: ValueError if the period is not positive.
 
@@ -39,7 +39,9 @@ def life(
     """F(t) = exp(-((t - tau) / beta)^2 / 2), the factor on opacity; 1 at the peak.
 
     Args:
-        spans: beta > 0, unit of time.
+        peaks: tau, the time of each life peak.
+        spans: beta > 0, in the unit of time.
+        time: t, in the same unit.
 
     Raises: ValueError if a span is not positive.
 

@@ -13,8 +13,8 @@ def largest_error(value: Tensor, truth: Tensor, ignore: Bool[Tensor, "h w"] | No
 
     Args:
         value: What is judged, [h, w] or [h, w, c].
-        truth: Of the same shape.
-        ignore: Pixels that do not count, e.g. those at a discontinuity.
+        truth: What is right, in the same shape.
+        ignore: Pixels that do not count, e.g. those at a discontinuity; None: all count.
 
     Returns: 0 where nothing is left to compare.
 
@@ -37,10 +37,15 @@ class GradientAgreement:
     relative_l2: float
     """|value - truth| / |truth|; infinite for NaN, 0 if both are zero."""
     cosine: float
-    """Of the angle between the two; 1 if both are zero, -1 for NaN."""
+    """Cosine of the angle between the two; 1 if both are zero, -1 for NaN."""
 
     def good(self, relative_l2: float = 1e-3, cosine: float = 0.9999) -> bool:
-        """Whether both stay within the given bounds."""
+        """Whether both stay within the given bounds.
+
+        Args:
+            relative_l2: Largest relative L2 distance that still is good, >= 0.
+            cosine: Smallest cosine that still is good, in [-1, 1].
+        """
         return self.relative_l2 <= relative_l2 and self.cosine >= cosine
 
 

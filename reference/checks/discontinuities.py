@@ -29,11 +29,11 @@ def discontinuity_pixels(
 
     Args:
         camera: The pinhole camera.
-        means: As for the rasterizer; give float64 for a meaningful answer, as for all arguments.
-        quaternions: As for the rasterizer.
-        scales: As for the rasterizer.
-        opacities: As for the rasterizer.
-        mode: As for the rasterizer.
+        means: World positions in scene units. Give all arguments in float64: rounding would hide them.
+        quaternions: (w, x, y, z), any norm; zero is the identity.
+        scales: Standard deviations in scene units, >= 0.
+        opacities: Opacity of each Gaussian, in [0, 1].
+        mode: "classic" or "antialiased", as given to the rasterizer.
         band: Relative half-width of a discontinuity, > 0.
 
     Returns: True at a discontinuity.

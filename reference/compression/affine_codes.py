@@ -20,7 +20,7 @@ class AffineCodes:
 
     codes: UInt8[Tensor, "n d"]
     low: Float32[Tensor, " d"]
-    """m, the smallest value."""
+    """m, the smallest value of each dimension."""
     range: Float32[Tensor, " d"]
     """r >= 0, largest minus smallest; 0 stores the constant m."""
 
@@ -48,7 +48,7 @@ def encode(values: Float[Tensor, "n d"], rounding: Rounding = "nearest") -> Affi
     """Codes clip(round(255 (f - m) / r), 0, 255) on the lattice of the values themselves.
 
     Args:
-        values: One row a primitive.
+        values: Numbers to be stored, one row a primitive.
         rounding: "truncate" is what the authors' code does at export, although it trains with
             rounding: it is half a step too low on average.
 
@@ -92,7 +92,7 @@ def fake_quantise(
     that was fixed earlier, values beyond it are clipped and get none.
 
     Args:
-        values: What is trained.
+        values: Parameters that are trained, one row a primitive.
         low: m of each dimension, without gradient.
         reach: r of each dimension, without gradient; where 0, m is the only value.
 

@@ -71,6 +71,10 @@ def decode(data: bytes, *, most_bytes: int = MOST_BYTES) -> PackedModel:
 
     Sizes are compared with each other and with `most_bytes` before anything is allocated.
 
+    Args:
+        data: All bytes of one file.
+        most_bytes: Largest unpacked size that is allowed, in bytes: the bound on memory.
+
     Raises: DataError for anything but an intact file of this version.
     """
     if len(data) < HEADER.size or data[:4] != MAGIC:

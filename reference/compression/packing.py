@@ -36,7 +36,7 @@ class PackedModel:
     means: Float32[Tensor, "n 3"]
     opacity_logits: Float16[Tensor, " n"]
     quaternions: Float16[Tensor, "n 4"]
-    """Of norm 1 before rounding."""
+    """(w, x, y, z), of norm 1 before they were rounded."""
     log_scales: Float16[Tensor, "n 3"]
     dc: Float16[Tensor, "n 3"]
     """SH coefficient 0 of each channel."""
@@ -50,6 +50,10 @@ class PackedModel:
 
 def half(name: str, values: Float[Tensor, "..."]) -> Float16[Tensor, "..."]:
     """Values in half precision.
+
+    Args:
+        name: What the values are, for errors.
+        values: Numbers that are to be rounded.
 
     Raises: DataError where one is not finite or beyond 65504, the largest half-precision number.
     """
@@ -65,6 +69,10 @@ def half(name: str, values: Float[Tensor, "..."]) -> Float16[Tensor, "..."]:
 
 def pack(gaussians: Gaussians, settings: PackSettings) -> PackedModel:
     """Mixed-precision arrays: x float32; opacity, rotation, scale, DC float16; rest 8-bit.
+
+    Args:
+        gaussians: The model; it is left as it is.
+        settings: Spectral gate, weighting of orders and rounding of codes.
 
     Raises: DataError for numbers that are not finite or do not fit their format.
 

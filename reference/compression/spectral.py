@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 GATE = 0.02
-"""gamma of StitchGS, Sec. 4.1.2."""
+"""gamma: energy from which harmonics are kept (StitchGS, Sec. 4.1.2)."""
 Weighting = Literal["coefficients", "orders"]
 
 
@@ -54,7 +54,13 @@ def energy(
 def open_gate(
     rest: Float[Tensor, "n r 3"], gate: float = GATE, weighting: Weighting = "coefficients"
 ) -> Bool[Tensor, " n"]:
-    """Which primitives keep their residual: E >= gamma."""
+    """Which primitives keep their residual: E >= gamma.
+
+    Args:
+        rest: SH coefficients without DC.
+        gate: gamma >= 0, the energy from which a primitive keeps its residual.
+        weighting: How orders are weighed in the energy, see `energy`.
+    """
     return energy(rest, weighting) >= gate
 
 
@@ -62,6 +68,11 @@ def gated(
     rest: Float[Tensor, "n r 3"], gate: float = GATE, weighting: Weighting = "coefficients"
 ) -> Float[Tensor, "n r 3"]:
     """Residual coefficients, 0 where the energy is below gamma; gamma = 0 changes nothing.
+
+    Args:
+        rest: SH coefficients without DC.
+        gate: gamma >= 0, the energy from which a primitive keeps its residual.
+        weighting: How orders are weighed in the energy, see `energy`.
 
     Source: StitchGS, Sec. 3.3.1 (spectral gate).
     """

@@ -35,6 +35,15 @@ def create(
 ) -> CoordinateField:
     """A field near zero everywhere: small random features and weights, zero output layer bias.
 
+    Args:
+        low: Lower corner of the box that the grids cover, scene units; fixes the parameters' dtype.
+        high: Upper corner of the box, above `low` on every axis, scene units.
+        outputs: Number m of values at a position.
+        generator: Source of the random features and weights.
+        resolutions: Samples on each axis of each grid, coarse to fine.
+        channels: Features that each grid holds at a sample.
+        width: Number of units in the network's hidden layer.
+
     Raises: ValueError if the box has no volume.
 
     Source: StratoSplat, Sec. 3.3 asks for a "compact neural field" only; the form is ours.
@@ -61,6 +70,10 @@ def evaluate(field: CoordinateField, positions: Float[Tensor, "n 3"]) -> Float[T
     """Values at world positions: trilinear features of all grids, then a two-layer network.
 
     Differentiable by the parameters and the positions.
+
+    Args:
+        field: The field's parameters.
+        positions: World positions in scene units; outside the box the border's features hold.
     """
     place = 2 * (positions - field.low) / (field.high - field.low) - 1
     place = place[None, :, None, None]  # 1 n 1 1 3: a column of n samples

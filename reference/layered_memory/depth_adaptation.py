@@ -23,13 +23,24 @@ class DepthDenoiser(Protocol):
     def encode(
         self, image: Float[Tensor, "h w 3"], generator: torch.Generator
     ) -> Float[Tensor, "..."]:
-        """Return the noisy latent that denoising starts from."""
+        """Return the noisy latent that denoising starts from.
+
+        Args:
+            image: The view's photo, sRGB in [0, 1].
+            generator: Source of the noise.
+        """
         ...
 
     def denoise(
         self, latent: Float[Tensor, "..."], image: Float[Tensor, "h w 3"], step: int
     ) -> Float[Tensor, "..."]:
-        """Return the clean latent as estimated at this step; differentiable by the latent."""
+        """Return the clean latent as estimated at this step; differentiable by the latent.
+
+        Args:
+            latent: The latent before this step.
+            image: The view's photo, sRGB in [0, 1].
+            step: Number of the step, from 0 to steps - 1.
+        """
         ...
 
     def decode(self, latent: Float[Tensor, "..."]) -> Float[Tensor, "h w"]:
@@ -42,11 +53,11 @@ class AdaptationSettings:
     """How strongly and how long the geometry pulls on the prediction."""
 
     visible_weight: float = 0.1
-    """lambda_vis (paper, Sec. 4)."""
+    """lambda_vis: weight of the memory's guide depth in the loss (paper, Sec. 4)."""
     guidance_steps: int = 20
     """Optimiser steps at each denoising step (ours; the paper names none)."""
     learning_rate: float = 0.2
-    """Adam, for the latent, a and b."""
+    """Step size of Adam for the latent, log a and b."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +70,12 @@ class SparseDepths:
 
 
 def sparse_depths(camera: Camera, points: Float[Tensor, "n 3"]) -> SparseDepths:
-    """z-depths of the points that land in the image, at the pixel they land in."""
+    """z-depths of the points that land in the image, at the pixel they land in.
+
+    Args:
+        camera: The view's camera; points nearer than its near plane are left out.
+        points: World positions of the SfM points that the view sees, scene units.
+    """
     at, z = project_points(camera, points)
     size = at.new_tensor([camera.width, camera.height])
     inside = (z > camera.near) & (at >= 0).all(dim=1) & (at < size).all(dim=1)
@@ -81,6 +97,10 @@ def align(
     given the points' own range, b = min and a = max - min; with fewer than two distinct depths a
     is 1 and b the mean difference; without any point (1, 0). So a is never negative: that would
     turn the depth inside out.
+
+    Args:
+        prediction: Depth in [0, 1] as the denoiser predicts it.
+        sparse: True depths at some of its pixels, scene units; there may be none.
 
     Source: StratoSplat, Sec. 3.2 (learnable scale-shift); the start and its fallbacks: ours.
     """
@@ -111,8 +131,11 @@ def guidance_loss(
     """L = sum_sparse |D - d_sfm| + lambda_vis |(D - D_guide) M_vis|_1, in scene units.
 
     Args:
-        depth: Aligned prediction a D + b.
-        guide: Guide depth of the memory; only read where visible.
+        depth: Aligned prediction a D + b, scene units.
+        sparse: Depths of SfM points in the view, scene units.
+        guide: Guide depth of the memory in scene units; only read where visible.
+        visible: Pixels where the memory has a depth.
+        visible_weight: Weight lambda_vis >= 0 of the guide depth.
 
     Source: StratoSplat, Eqs. 3 and 4.
     """
@@ -131,6 +154,17 @@ def adapt_view(
     generator: torch.Generator,
 ) -> Float[Tensor, "h w"]:
     """z-depth of one view: at every denoising step latent, a and b follow the guidance loss.
+
+    Args:
+        denoiser: Predicts depth from the photo, step by step.
+        image: The view's photo, sRGB in [0, 1].
+        sparse: Depths of SfM points in the view, scene units.
+        guide: Guide depth of the memory in scene units; only read where visible.
+        visible: Pixels where the memory has a depth.
+        settings: Weight of the guide, and steps and learning rate of the guidance.
+        generator: Source of the denoiser's noise.
+
+    Returns: Depth in scene units, without gradient.
 
     Source: StratoSplat, Sec. 3.2, "Sequential Depth Adaptation".
     """
@@ -168,9 +202,15 @@ def adapt_all(
     """Adapt the views in order; each one's depth enters the memory that guides the next.
 
     Args:
+        denoiser: Predicts depth from a photo, step by step.
+        cameras: Cameras of all views.
+        images: Photos of all views, sRGB in [0, 1], each as large as its camera's image.
+        points: SfM points in the world, scene units.
         seen: Which view's track holds which point.
-        order: Indices of the views, first to last.
+        order: Indices of the views to adapt, first to last.
         memory: LDI that holds the sparse points, or is empty.
+        settings: Weight of the guide, and steps and learning rate of the guidance.
+        generator: Source of the denoiser's noise.
         report: Called with each view's index when it is done.
 
     Returns: The final memory, whose layers are P_dense, and each view's z-depth.
@@ -196,10 +236,20 @@ def order_by_coverage(seen: Bool[Tensor, "v n"]) -> list[int]:
 
 
 def order_by_distance(centres: Float[Tensor, "v 3"], reference: Float[Tensor, "3"]) -> list[int]:
-    """Views nearest to the reference camera first; ties by index."""
+    """Views nearest to the reference camera first; ties by index.
+
+    Args:
+        centres: Camera centres of the views, scene units.
+        reference: Centre of the reference camera, scene units.
+    """
     return torch.sort((centres - reference).norm(dim=1), stable=True).indices.tolist()
 
 
 def order_at_random(count: int, generator: torch.Generator) -> list[int]:
-    """A random order, as the paper's Table 4 compares with."""
+    """A random order, as the paper's Table 4 compares with.
+
+    Args:
+        count: Number of views.
+        generator: Source of the order.
+    """
     return torch.randperm(count, generator=generator).tolist()

@@ -18,8 +18,8 @@ class EdgeDiffusion:
         """Choose how far values travel.
 
         Args:
-            steps: Denoising steps.
-            sweeps: Smoothing sweeps a step; values travel about sqrt(sweeps) pixels.
+            steps: Number of denoising steps.
+            sweeps: Number of smoothing sweeps a step; values travel about sqrt(sweeps) pixels.
             contrast: Colour difference (of 1) at which the exchange falls to 1/e.
 
         Raises: ValueError if one of them is not positive.
@@ -33,14 +33,25 @@ class EdgeDiffusion:
     def encode(
         self, image: Float[Tensor, "h w 3"], generator: torch.Generator
     ) -> Float[Tensor, "h w"]:
-        """A little noise around depth 0.5."""
+        """A little noise around depth 0.5.
+
+        Args:
+            image: The view's photo; its size and dtype are those of the latent.
+            generator: Source of the noise.
+        """
         height, width, _ = image.shape
         return 0.1 * torch.randn(height, width, generator=generator).to(image)
 
     def denoise(
         self, latent: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"], step: int
     ) -> Float[Tensor, "h w"]:
-        """Sweeps of exchange with the four neighbours, weighted exp(-(|dI| / contrast)^2)."""
+        """Sweeps of exchange with the four neighbours, weighted exp(-(|dI| / contrast)^2).
+
+        Args:
+            latent: Depth logits before this step.
+            image: The view's photo, sRGB in [0, 1]; values stop where it changes.
+            step: Number of the step; not used, since every step is alike.
+        """
         del step  # every step is alike
         across = self._weights(image[:, 1:] - image[:, :-1])
         down = self._weights(image[1:] - image[:-1])
@@ -56,7 +67,7 @@ class EdgeDiffusion:
         return latent
 
     def decode(self, latent: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-        """Depth in (0, 1)."""
+        """Depth in (0, 1): the sigmoid of the latent."""
         return torch.sigmoid(latent)
 
     def _weights(self, difference: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w"]:

@@ -26,9 +26,9 @@ class LayeredDepth:
     depths: Float[Tensor, " n"]
     """z-depth in the reference camera, strictly increasing within a pixel."""
     positions: Float[Tensor, "n 3"]
-    """World positions."""
+    """World positions of the layers, scene units."""
     colours: Float[Tensor, "n 3"]
-    """sRGB in [0, 1]."""
+    """sRGB colours of the layers, in [0, 1]."""
     counts: Int[Tensor, " n"]
     """How many samples each layer holds."""
     forced: int = 0
@@ -71,8 +71,9 @@ def insert(
     outside the reference image or not in front of it are ignored.
 
     Args:
-        positions: World positions of the new samples.
-        colours: Their sRGB colours in [0, 1].
+        memory: The LDI so far; it is left as it is.
+        positions: World positions of the new samples, scene units.
+        colours: sRGB colours of the new samples, in [0, 1].
 
     Source: StratoSplat, Sec. 3.2, "Layered Memory".
     """
@@ -174,6 +175,10 @@ def render(
     Every layer is drawn as a square as wide as its reference pixel's footprint (at least one
     pixel), nearest first, so that a surface sampled at every reference pixel has no gaps through
     which hidden layers could be seen.
+
+    Args:
+        memory: The layers to be drawn.
+        camera: Camera of the view that they are drawn in; its image has the result's size.
 
     Returns: z-depth in scene units (0 where nothing was drawn) and where something was drawn.
 

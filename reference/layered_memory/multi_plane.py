@@ -26,9 +26,9 @@ class PlaneStack:
     """K parallel planes n . p + d_k = 0, fixed, shared by all views."""
 
     normal: Float[Tensor, "3"]
-    """Unit vector, on the side of up."""
+    """n: unit normal of all planes, on the side of up."""
     offsets: Float[Tensor, " k"]
-    """d_k in scene units."""
+    """d_k of each plane in scene units."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,7 +37,7 @@ class Hits:
 
     positions: Float[Tensor, "r k 3"]
     distances: Float[Tensor, "r k"]
-    """t_k along the unit ray, scene units."""
+    """t_k: distance of each hit from the ray's origin, scene units."""
     valid: Bool[Tensor, "r k"]
 
 
@@ -67,6 +67,11 @@ def plane_normal(points: Float[Tensor, "n 3"], up: Float[Tensor, "3"]) -> Float[
 def plane_stack(points: Float[Tensor, "n 3"], normal: Float[Tensor, "3"], count: int) -> PlaneStack:
     """`count` planes at equal distances over the range of n . p; a single one in the middle.
 
+    Args:
+        points: Dense cloud in scene units, whose range the planes divide.
+        normal: Unit normal n of all planes (plane_normal).
+        count: Number of planes K, at least 1.
+
     Raises: ValueError if there is no point or no plane.
 
     Source: StratoSplat, Sec. 3.3.
@@ -80,7 +85,14 @@ def plane_stack(points: Float[Tensor, "n 3"], normal: Float[Tensor, "3"], count:
 
 
 def pixel_rays(camera: Camera, stride: int) -> Float[Tensor, "r 3"]:
-    """Unit world directions through the middle of every stride x stride cell of pixels."""
+    """Unit world directions through the middle of every stride x stride cell of pixels.
+
+    Args:
+        camera: Pinhole camera of the view; rays start at its centre.
+        stride: Side of a cell in pixels, at least 1; 1 gives a ray a pixel (the paper).
+
+    Returns: Row-major over the cells.
+    """
     rows, columns = torch.meshgrid(
         torch.arange(stride / 2, camera.height, stride),
         torch.arange(stride / 2, camera.width, stride),
@@ -97,8 +109,9 @@ def ray_hits(
     """Hits t_k = -(n . o + d_k) / (n . d), kept where |n . d| > 1e-6 and t_k > near.
 
     Args:
-        origin: Camera centre.
-        directions: Unit ray directions.
+        stack: The planes, from `plane_stack`.
+        origin: Camera centre in the world, scene units.
+        directions: Unit ray directions in the world.
         near: Hits at this distance or nearer are dropped. Scene units.
 
     Source: StratoSplat, Sec. 3.3.
@@ -137,6 +150,9 @@ def virtual_gaussians(
 
     Args:
         outputs: Field values at the n valid hits, in row-major order of (ray, plane).
+        hits: Where the rays of `pixel_rays` meet the planes.
+        camera: The view's camera; its focal length gives the gap between rays.
+        stride: Side of a ray's cell in pixels, as `pixel_rays` was given.
     """
     spacing = hits.distances[hits.valid] * stride / float(camera.K[0, 0])
     scale = outputs[:, 4].exp() * spacing
@@ -157,6 +173,12 @@ def render_joint(
     background: Float[Tensor, "3"] | None = None,
 ) -> RenderOutput:
     """Composite explicit and virtual Gaussians together in one depth order.
+
+    Args:
+        camera: Camera of the view for which `virtual` was made.
+        explicit: Gaussians with parameters of their own.
+        virtual: Gaussians of this view, from `virtual_gaussians`.
+        background: sRGB behind everything; None is black.
 
     Source: StratoSplat, Sec. 3.3, "Joint Training".
     """

@@ -79,7 +79,7 @@ def widen(box: Box, share: float) -> Box:
     """Box longer by `share` of each axis: [low - share/2 (high - low), high + share/2 (high - low)].
 
     Args:
-        box: The core box.
+        box: The core box: bounds of the points that a block owns.
         share: alpha >= 0; the paper's 0.2 adds a tenth of the size on each side.
 
     Source: DPGS, Sec. 3.3, Eq. 7.
@@ -89,12 +89,21 @@ def widen(box: Box, share: float) -> Box:
 
 
 def inside(box: Box, points: Float[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
-    """Which points lie in the box, borders included."""
+    """Which points lie in the box, borders included.
+
+    Args:
+        box: The box, in the frame and unit of the points.
+        points: Positions to be tested.
+    """
     return ((points >= box.low) & (points <= box.high)).all(dim=1)
 
 
 def widen_oriented(box: OrientedBox, margin: float) -> OrientedBox:
     """Box with half-extents e (1 + margin), about the same centre.
+
+    Args:
+        box: A block's box before the margin.
+        margin: Share lambda_margin >= 0 by which each half-extent grows.
 
     Source: StitchGS, Sec. 3.2.1 (T_expand with lambda_margin).
     """
@@ -103,6 +112,10 @@ def widen_oriented(box: OrientedBox, margin: float) -> OrientedBox:
 
 def box_distance(box: OrientedBox, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
     """Normalised distance d(p) = |diag(e)^-1 R (p - c)|_inf: 1 on the box's surface.
+
+    Args:
+        box: The oriented box; it is cast to the points' dtype.
+        points: World positions in scene units.
 
     Source: StitchGS, Sec. 3.2.3 (d_i).
     """

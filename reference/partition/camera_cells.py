@@ -49,8 +49,8 @@ def camera_grid(centres: Float[Tensor, "v 2"], columns: int, rows: int) -> Camer
 
     Args:
         centres: Camera centres on the ground (x, y).
-        columns: m >= 1.
-        rows: n >= 1.
+        columns: Number m >= 1 of columns along x.
+        rows: Number n >= 1 of cells that each column is cut into along y.
 
     Raises: DataError for fewer cameras than cells.
 
@@ -71,6 +71,12 @@ def owner_cell(grid: CameraGrid, points: Float[Tensor, "n 2"]) -> Int64[Tensor, 
     The merge rule: block k keeps the Gaussians whose means it owns. The published code keeps those
     in the widened cell and so doubles what lies in overlaps; the paper's original cell is used here.
 
+    Args:
+        grid: The cells, from `camera_grid`.
+        points: Positions (x, y) in the ground frame, scene units.
+
+    Returns: Block `column * rows + row` of each position.
+
     Source: VastGaussian, Sec. 4.3 (seamless merging).
     """
     inner = grid.column_walls[1:-1].contiguous()
@@ -83,6 +89,12 @@ def in_widened_cell(
     grid: CameraGrid, block: int, points: Float[Tensor, "n 2"], *, margin: float = MARGIN
 ) -> Bool[Tensor, " n"]:
     """Cameras or points in the block's cell, widened by `margin` of its width on each side.
+
+    Args:
+        grid: The cells, from `camera_grid`.
+        block: Number of the block, `column * rows + row`.
+        points: Positions (x, y) of camera centres or points in the ground frame, scene units.
+        margin: Share >= 0 of the cell's width that is added on each side.
 
     Source: VastGaussian, Sec. 4.1 (position-based data selection).
     """
@@ -135,11 +147,11 @@ def select(
     that what it sees beyond the cell is not explained by floaters.
 
     Args:
-        grid: The cells.
-        block: Which of them.
-        frame: Rotation into the ground frame.
-        cameras: Of the training views.
-        points: Sparse points in the world.
+        grid: The cells, from `camera_grid`.
+        block: Number of the block, `column * rows + row`.
+        frame: Rotation into the ground frame (ground_frame).
+        cameras: Cameras of the training views.
+        points: Sparse points in the world, scene units.
 
     Source: VastGaussian, Sec. 4.1.
     """

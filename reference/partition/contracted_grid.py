@@ -36,7 +36,12 @@ def contract(points: Float[Tensor, "n 3"], box: Box) -> Float[Tensor, "n 3"]:
 
 
 def expand(unit: Float[Tensor, "n 3"], box: Box) -> Float[Tensor, "n 3"]:
-    """Inverse of contract: positions of points in (0, 1)^3."""
+    """Inverse of contract: positions of points in (0, 1)^3.
+
+    Args:
+        unit: Contracted positions in (0, 1)^3; the border of the cube stands for infinity.
+        box: The foreground that `contract` was given.
+    """
     v = 4 * unit - 2
     norm = v.abs().amax(dim=1, keepdim=True)
     outside = norm.clamp(min=1)
@@ -85,7 +90,13 @@ def cell_of(unit: Float[Tensor, "n 3"], cells: tuple[int, int, int]) -> Int64[Te
 def strictly_inside(
     unit: Float[Tensor, "n 3"], cells: tuple[int, int, int], cell: int
 ) -> Bool[Tensor, " n"]:
-    """Which contracted positions lie inside the cell and on none of its walls."""
+    """Which contracted positions lie inside the cell and on none of its walls.
+
+    Args:
+        unit: Contracted positions in [0, 1]^3.
+        cells: Number of cells (X, Y, Z).
+        cell: Number of the cell, z XY + y X + x.
+    """
     low, high = _walls(cells, cell)
     return ((unit > low) & (unit < high)).all(dim=1)
 
@@ -96,6 +107,12 @@ def grown_cell(
     """Gaussians in the cell, widened by 0.01 a side until it holds `enough` of them, or all.
 
     The release grows forever in scenes with fewer Gaussians than that.
+
+    Args:
+        unit: Contracted positions of the Gaussians' means in [0, 1]^3.
+        cells: Number of cells (X, Y, Z).
+        cell: Number of the cell, z XY + y X + x.
+        enough: Number of Gaussians that ends the growth.
 
     Source: CityGaussian's release (block_filtering).
     """
@@ -123,9 +140,10 @@ def needed_views(
     Args:
         centres: Contracted camera centres.
         cells: Number of cells (X, Y, Z).
-        cell: The block.
-        change: 1 - SSIM between the coarse model's image of a view and the one without the
-            Gaussians of the grown cell; asked only for cameras outside the cell.
+        cell: Number of the block's cell, z XY + y X + x.
+        change: Takes the index of a view and returns 1 - SSIM between the coarse model's image of
+            it and the one without the Gaussians of the grown cell; asked only for cameras outside
+            the cell.
         threshold: epsilon; 0.05 to 0.12 in the published runs.
 
     Source: CityGaussian, Sec. 3.2, Eq. 4.

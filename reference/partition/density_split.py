@@ -26,7 +26,7 @@ class DensitySettings:
     max_depth: int = 2
     """A rectangle is halved at most this often: at most 2^max_depth blocks."""
     max_blocks: int | None = None
-    """Stop at this many; the rectangle with the most points goes first. None: no limit."""
+    """Stop at this many blocks; the rectangle with the most points goes first. None: no limit."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,6 +79,10 @@ def along(ground: Float[Tensor, "n 2"], axes: Float[Tensor, "2 2"]) -> Float[Ten
 
     A matrix product may round differently for another number of points, and a point on a shared
     edge would change its owner.
+
+    Args:
+        ground: Points (x, y) in the ground frame, scene units.
+        axes: Rows: two orthonormal directions on the ground.
     """
     points = ground.double()
     return points[:, :1] * axes[:, 0] + points[:, 1:] * axes[:, 1]
@@ -92,7 +96,7 @@ def split(ground: Float[Tensor, "n 2"], settings: DensitySettings) -> Rectangles
 
     Args:
         ground: Points on the ground (x, y), not filtered.
-        settings: When to stop.
+        settings: Number of points, halvings and blocks at which to stop.
 
     Raises: DataError without points; UsageError for settings that allow no block.
 
@@ -129,6 +133,10 @@ def owner_rectangle(rectangles: Rectangles, ground: Float[Tensor, "n 2"]) -> Int
 
     The merge rule, with keeps_height: block k keeps the Gaussians in its unwidened rectangle.
     Comparing half-open, each position inside the root has exactly one owner.
+
+    Args:
+        rectangles: The tiles, from `split`.
+        ground: Positions (x, y) in the ground frame, scene units.
     """
     local = along(ground, rectangles.axes)
     at_end = rectangles.highs == rectangles.root[1]
@@ -157,6 +165,10 @@ def height_bounds(heights: Float[Tensor, " n"]) -> tuple[float, float]:
 def keeps_height(heights: Float[Tensor, " n"], bounds: tuple[float, float]) -> Bool[Tensor, " n"]:
     """Which Gaussians the merge keeps: heights within the bounds, lengthened by 1.2 in all.
 
+    Args:
+        heights: Heights of the Gaussians' means (z of the ground frame), scene units.
+        bounds: Lower and upper bound (height_bounds).
+
     Source: BlockGaussian's release (block fusion).
     """
     middle, half = (bounds[0] + bounds[1]) / 2, (bounds[1] - bounds[0]) / 2
@@ -169,7 +181,7 @@ def oriented_boxes(
     """The rectangles as oriented boxes in the world, between two heights.
 
     Args:
-        rectangles: On the ground of `frame`.
+        rectangles: The tiles, from `split`, on the ground of `frame`.
         frame: Rotation into the ground frame (ground_frame).
         heights: Lower and upper bound (height_bounds).
 

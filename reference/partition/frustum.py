@@ -18,6 +18,10 @@ def image_share(camera: Camera, box: OrientedBox) -> float:
     camera never mirrors to the front. The projection of a convex body is the hull of its corners,
     so the hull of what is left of the faces is the box's silhouette within the image.
 
+    Args:
+        camera: The pinhole camera; its image and near plane bound what is seen.
+        box: The box in the world, scene units.
+
     Source: VastGaussian, Sec. 4.1 (visibility by projected area).
     """
     world = corners(box)
@@ -42,6 +46,12 @@ def clip(
     polygon: Float[np.ndarray, "c 3"], planes: Float[np.ndarray, "p 4"]
 ) -> Float[np.ndarray, "k 3"]:
     """Corners of a convex polygon's part inside all half-spaces n . x + d >= 0.
+
+    Args:
+        polygon: Corners in order around a convex polygon.
+        planes: Rows (n, d) of the half-spaces, in the polygon's frame.
+
+    Returns: Corners in the same order; none where nothing is inside.
 
     Source: Sutherland and Hodgman 1974, "Reentrant Polygon Clipping".
     """

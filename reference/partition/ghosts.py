@@ -23,6 +23,12 @@ def block_boxes(
 ) -> tuple[Box, Box]:
     """Core box (bounds of the points the block owns) and auxiliary box (core widened by `rim`).
 
+    Args:
+        points: Points of the whole scene, scene units.
+        labels: Block that owns each point.
+        block: Number of the block whose boxes are wanted.
+        rim: alpha >= 0: the auxiliary box is longer by this share of each axis.
+
     Raises: DataError for a block that owns nothing.
 
     Source: DPGS, Sec. 3.3, Eq. 7.
@@ -39,6 +45,12 @@ def ghosts(
     The paper writes Points(aux) \\ Points(core) for boxes; core boxes of blocks with ragged borders
     overlap, so ownership decides here: else a neighbour's point inside the core box would train in
     two blocks.
+
+    Args:
+        points: Points of the whole scene, scene units.
+        labels: Block that owns each point.
+        block: Number of the block that sees the ghosts.
+        auxiliary: The block's auxiliary box, from `block_boxes`.
 
     Source: DPGS, Sec. 3.3 (auxiliary anchors); by ownership: ours (spec: ODBP, item 5).
     """
@@ -86,11 +98,11 @@ def joint_composite(
 
     Args:
         core_alpha: Opacity of each core Gaussian at each pixel, in [0, 1].
-        core_depth: Camera-space z of the core Gaussians; ties go to the core.
-        core_colour: Colour of the core Gaussians.
-        ghost_alpha: The same of the ghosts.
-        ghost_depth: The same of the ghosts.
-        ghost_colour: The same of the ghosts.
+        core_depth: Camera-space z of the core Gaussians; where z is equal, the core comes first.
+        core_colour: Colour of each core Gaussian.
+        ghost_alpha: Opacity of each ghost at each pixel, in [0, 1].
+        ghost_depth: Camera-space z of the ghosts, in the unit of core_depth.
+        ghost_colour: Colour of each ghost.
 
     Source: DPGS, Sec. 3.3, Eq. 8 (reading: spec, ODBP, item 6).
     """

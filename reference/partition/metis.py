@@ -50,5 +50,10 @@ def cut_graph(
 
 
 def cut_size(edges: Int64[np.ndarray, "e 2"], labels: Int64[np.ndarray, " v"]) -> int:
-    """Number of edges whose ends lie in different parts (DPGS, Eq. 6)."""
+    """Number of edges whose ends lie in different parts (DPGS, Eq. 6).
+
+    Args:
+        edges: Pairs of vertices, each edge once.
+        labels: Part of each vertex.
+    """
     return int((labels[edges[:, 0]] != labels[edges[:, 1]]).sum())

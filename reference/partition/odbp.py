@@ -29,13 +29,14 @@ class OdbpSettings:
     """How a scene is cut into blocks of equal rendering load."""
 
     blocks: int
-    """K, at least 1."""
+    """K, the number of blocks, at least 1."""
     voxel_size: float
     """Side of a voxel in scene units."""
     imbalance: float = 0.05
     """epsilon: every block's load is to be within (1 +- epsilon) of the mean (DPGS, Eq. 6)."""
     seeds: int = 10
-    """METIS seeds an attempt, each with and without asking for connected blocks; the best stays."""
+    """Number of METIS seeds an attempt, each with and without asking for connected blocks; the best
+    result stays."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +54,7 @@ class OdbpPartition:
     loads: Int64[Tensor, " k"]
     """Summed track length of each block's points."""
     edge_cut: int
-    """Edges and bridges of the graph between different blocks."""
+    """Number of edges and bridges of the graph that join different blocks."""
     worst: float
     """Largest |load / mean - 1| over the blocks; 0 where all loads are 0."""
     balanced: bool
@@ -124,7 +125,7 @@ def halve(
     A voxel with one point, or with points that coincide, stays as heavy as it is.
 
     Args:
-        grid: Positions in voxels.
+        grid: Positions in voxels, >= 0 (grid_coordinates).
         loads: Load of each point.
         levels: How often the voxel around each point has been halved so far.
         limit: Heaviest voxel allowed.
@@ -151,6 +152,10 @@ def smallest_cut(graph: VoxelGraph, settings: OdbpSettings) -> Int64[np.ndarray,
 
     Half of the runs ask for connected blocks. Runs that leave a block empty do not count (METIS
     does that below about four voxels a block); slabs stand in where no run is left.
+
+    Args:
+        graph: The voxels with their loads; its edges and bridges connect it.
+        settings: K, epsilon and the number of METIS seeds.
     """
     weights, count = graph.weights, settings.blocks
     if count == 1 or len(weights) < 2 * count:
@@ -171,7 +176,12 @@ def smallest_cut(graph: VoxelGraph, settings: OdbpSettings) -> Int64[np.ndarray,
 
 
 def connected_pieces(graph: VoxelGraph, labels: Int64[np.ndarray, " v"]) -> int:
-    """Number of pieces the blocks consist of, joined by faces and bridges: K if all are connected."""
+    """Number of pieces the blocks consist of, joined by faces and bridges: K if all are connected.
+
+    Args:
+        graph: The voxels, joined by its edges and bridges.
+        labels: Block of each voxel.
+    """
     kept = graph.all_edges[labels[graph.all_edges[:, 0]] == labels[graph.all_edges[:, 1]]]
     return int(components(len(labels), kept).max(initial=-1)) + 1
 
@@ -181,6 +191,12 @@ def slabs(graph: VoxelGraph, count: int) -> Int64[np.ndarray, " v"]:
 
     Each cut lies within half a voxel's load of its target, so that loads differ from the mean by at
     most the heaviest voxel. No slab is empty while there are K voxels.
+
+    Args:
+        graph: The voxels with their loads; where all loads are 0 every voxel counts as 1.
+        count: Number of slabs K, at least 1.
+
+    Returns: Slab of each voxel, in [0, K).
 
     Source: ours.
     """
@@ -202,7 +218,13 @@ def slabs(graph: VoxelGraph, count: int) -> Int64[np.ndarray, " v"]:
 def worst_deviation(
     labels: Int64[np.ndarray, " v"], weights: Int64[np.ndarray, " v"], count: int
 ) -> float:
-    """Largest |load / mean - 1| over the blocks; 0 where all loads are 0."""
+    """Largest |load / mean - 1| over the blocks; 0 where all loads are 0.
+
+    Args:
+        labels: Block of each voxel, in [0, count).
+        weights: Load of each voxel, >= 0.
+        count: Number of blocks; one without voxels counts with load 0.
+    """
     loads = np.bincount(labels, weights=weights, minlength=count)
     return float(np.abs(loads / loads.mean() - 1).max()) if loads.any() else 0.0
 
@@ -212,6 +234,10 @@ def owner(partition: OdbpPartition, positions: Float64[Tensor, "m 3"]) -> Int64[
 
     The merge rule: after training, block k keeps the Gaussians whose means it owns, so that the
     merged model holds each place exactly once, wherever its Gaussians moved.
+
+    Args:
+        partition: The blocks and their voxels.
+        positions: Positions in the frame and unit of the points that were cut.
 
     Source: DPGS, Sec. 3.3 (rigid blocks); positions outside every voxel: ours.
     """

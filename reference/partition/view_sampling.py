@@ -40,7 +40,7 @@ def view_bins(
         centres: Camera centres in the world.
         block_centre: Centre of the block in the world.
         frame: Rotation into the ground frame (ground_frame).
-        settings: Numbers of bins.
+        settings: Numbers of bins around the block and away from it.
 
     Source: StitchGS, Sec. 3.2.2; numbers of bins and percentiles from its release.
     """
@@ -61,7 +61,7 @@ def view_bins(
 def stride(bins: int) -> int:
     """Step that visits all bins before it repeats one: coprime with their number.
 
-    Of those, the nearest to the golden share of the number, the smaller one on a tie.
+    Among these steps it is the one nearest to GOLDEN times `bins`; of two, the smaller.
 
     Source: StitchGS, Sec. 3.2.2 (fixed stride); coprime, its release; golden share, ours.
     """
@@ -79,7 +79,7 @@ def balanced_draws(
 
     Args:
         bins: Bin of each view (view_bins).
-        settings: The uniform share.
+        settings: Share of draws that ignore the bins.
         generator: Source of all randomness.
 
     Raises: DataError without views.

@@ -46,8 +46,8 @@ def covering_views(
         points: Sparse points with their tracks.
         chosen: The points P_k inside the block's widened box.
         view_count: Number of views in the scene.
-        view_share: tau_view in [0, 1].
-        block_share: tau_block in [0, 1].
+        view_share: tau_view in [0, 1]: least share of a view's points that the block must hold.
+        block_share: tau_block in [0, 1]: least share of the block's points that a view must see.
 
     Source: StitchGS, Sec. 3.2.1; BlockGaussian's release (0.3 and 0.1).
     """

@@ -49,6 +49,10 @@ def grid_coordinates(
 
     The grid hangs on the points, so moving or scaling scene and voxel together changes nothing.
 
+    Args:
+        positions: Points in the scene's frame, scene units.
+        voxel_size: Side of an unhalved voxel in scene units, > 0.
+
     Raises: DataError for positions that are not finite or span more than 2^30 voxels;
         UsageError for a voxel size that is not positive.
     """
@@ -100,7 +104,12 @@ def voxel_graph(
 def voxel_centres(
     levels: Int64[np.ndarray, " v"], cells: Int64[np.ndarray, "v 3"]
 ) -> Float64[np.ndarray, "v 3"]:
-    """Centres of the voxels in units of an unhalved voxel: (cell + 1/2) / 2^level."""
+    """Centres of the voxels in units of an unhalved voxel: (cell + 1/2) / 2^level.
+
+    Args:
+        levels: How often each voxel was halved.
+        cells: Integer position of each voxel in the grid of its own level.
+    """
     return (cells + 0.5) / 2.0 ** levels[:, None]
 
 
@@ -111,6 +120,10 @@ def face_neighbours(
 
     Each voxel looks across its six faces for a voxel of its own size or larger; the larger one of
     two neighbours is thus found from the smaller one's side.
+
+    Args:
+        levels: How often each voxel was halved; no voxel lies inside another.
+        cells: Integer position of each voxel in the grid of its own level.
 
     Source: DPGS, Sec. 3.3 (6-connected graph); voxels of mixed size: ours.
     """
@@ -134,7 +147,14 @@ def face_neighbours(
 
 
 def components(count: int, edges: Int64[np.ndarray, "e 2"]) -> Int64[np.ndarray, " v"]:
-    """Component number of each of `count` vertices."""
+    """Component number of each of `count` vertices.
+
+    Args:
+        count: Number of vertices.
+        edges: Pairs of vertices.
+
+    Returns: Numbers from 0 on, equal for vertices that edges connect.
+    """
     ones = np.ones(len(edges), dtype=np.int8)
     matrix = coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(count, count))
     return connected_components(matrix, directed=False)[1].astype(np.int64)
@@ -147,6 +167,10 @@ def bridges(
 
     The length between two components is that of their nearest voxel pair (centre to centre).
     Boruvka's algorithm: in each round every component but the largest takes its shortest way out.
+
+    Args:
+        centres: Centres of the voxels (voxel_centres).
+        edges: Pairs of voxels that are already connected.
 
     Returns: Pairs (low, high), sorted; none for a connected or empty graph.
 
@@ -161,7 +185,7 @@ def bridges(
         order = np.lexsort((outside, inside, length))
         _, first = np.unique(component[inside[order]], return_index=True)
         chosen = np.sort(np.stack([inside, outside], axis=1)[order[np.sort(first)]], axis=1)
-        # Of two ways between the same components, or ways in a ring (ties), later ones are left.
+        # Where two ways join the same components, or ways form a ring (ties), later ones are left.
         joined = np.arange(component.max() + 1)
         for low, high in chosen.tolist():
             a, b = joined[component[low]], joined[component[high]]
@@ -177,6 +201,12 @@ def ways_out(
 
     Looks at 2, 4, 8, ... nearest neighbours; a voxel is done when one of them lies in another
     component, or when its component has a way out that is shorter than all of them.
+
+    Args:
+        centres: Centres of the voxels (voxel_centres).
+        component: Component number of each voxel (components); at least two differ.
+
+    Returns: Voxel inside, voxel outside and the distance between their centres, for each pair.
     """
     tree = KDTree(centres)
     best = np.full(component.max() + 1, np.inf)

@@ -22,7 +22,7 @@ def alphas(
     Args:
         offsets: d, pixel centre minus mean, in pixels.
         covariances: Sigma2 in squared pixels, positive definite.
-        opacities: In [0, 1].
+        opacities: Opacity o of each Gaussian, in [0, 1].
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 4 and its release's thresholds.
     """

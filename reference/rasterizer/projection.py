@@ -25,11 +25,11 @@ class Projected:
     depths: Float[Tensor, " n"]
     """Camera-space z in scene units; the drawing order."""
     covariances: Float[Tensor, "n 2 2"]
-    """Squared pixels, low-pass included."""
+    """2D covariances in squared pixels, low-pass included."""
     compensation: Float[Tensor, " n"]
     """Factor in [0, 1] that mode "antialiased" puts on opacity."""
     in_front: Bool[Tensor, " n"]
-    """Camera-space z > near."""
+    """Whether camera-space z > near; only these Gaussians are drawn."""
 
 
 def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:
@@ -37,6 +37,12 @@ def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"
 
     x/z and y/z are clamped to 1.3 times the half-field tangent, here only: far outside the image
     the linearisation would blow up. The clamped coordinate passes no gradient.
+
+    Args:
+        camera: The pinhole camera; its image size sets the clamp.
+        cam: Camera-space means in scene units, z > 0.
+
+    Returns: Pixels per scene unit; rows d x_pixel and d y_pixel, columns x, y, z of camera space.
 
     Source: Zwicker et al. 2002, "EWA Splatting", Eq. 29; clamp of the 3DGS release.
     """
@@ -62,9 +68,9 @@ def project(
     product loses them.
 
     Args:
-        camera: The pinhole camera.
+        camera: The pinhole camera; its near plane decides what is in front.
         means: World positions in scene units.
-        halves: H = R diag(s) of each Gaussian, from `rotation.half_covariance`.
+        halves: H = R diag(s) of each Gaussian, from `rotation.half_covariance`, in scene units.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 5; compensation: Yu et al. 2024,
         "Mip-Splatting", Eq. 9, with the determinants' ratio.
@@ -94,6 +100,11 @@ def support_box(projected: Projected, opacities: Float[Tensor, " n"]) -> Float[T
 
     Outside this ellipse alpha < 1/255, so culling by it loses nothing.
 
+    Args:
+        projected: The 2D Gaussians, from `project`.
+        opacities: Opacity o of each Gaussian in [0, 1], compensation included; at or below 1/255:
+            empty.
+
     Source: ours (spec: conventions, item 3).
     """
     reach = 2 * torch.log(opacities.clamp(min=ALPHA_MIN) / ALPHA_MIN)
@@ -106,6 +117,12 @@ def screen_radii(
     """Longer half-extent of the support's box in pixels; 0 for a Gaussian that cannot be seen.
 
     Seen means: in front of the near plane, opacity above 1/255 and a box that meets the image.
+
+    Args:
+        camera: The camera that they were projected with; its image size decides what meets the
+            image.
+        projected: The 2D Gaussians, from `project`.
+        opacities: Opacity of each Gaussian in [0, 1], compensation included.
 
     Source: ours; takes the place of the release's 3-sigma radius.
     """

@@ -42,7 +42,7 @@ def rasterize(
         means: World positions in scene units.
         quaternions: (w, x, y, z), normalised here; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
-        opacities: In [0, 1].
+        opacities: Opacity of each Gaussian, in [0, 1].
         colours: Colour of each Gaussian, any number of channels; give this or `sh`.
         sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
         background: Colour behind everything; None is black.

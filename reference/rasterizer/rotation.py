@@ -42,7 +42,7 @@ def half_covariance(
     """The factor H = R diag(s) of each covariance Sigma = H H^T.
 
     Args:
-        quaternions: (w, x, y, z), any norm.
+        quaternions: (w, x, y, z), any norm; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
     """
     return rotation_matrix(quaternions) * scales[:, None, :]
@@ -54,8 +54,8 @@ def covariance(
     """Covariance Sigma = R diag(s^2) R^T of each Gaussian, in squared scene units.
 
     Args:
-        quaternions: (w, x, y, z), any norm.
-        scales: Standard deviations, >= 0.
+        quaternions: (w, x, y, z), any norm; zero is the identity.
+        scales: Standard deviations in scene units, >= 0.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 6.
     """

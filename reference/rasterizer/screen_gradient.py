@@ -21,7 +21,12 @@ class ScreenProbe:
 
     @staticmethod
     def zeros(count: int, like: Tensor) -> "ScreenProbe":
-        """A fresh probe for `count` Gaussians in the dtype of `like`."""
+        """A fresh probe for `count` Gaussians in the dtype of `like`.
+
+        Args:
+            count: Number of Gaussians n.
+            like: Any tensor of the dtype (and device) that the probe is to have.
+        """
         signed, absolute = (like.new_zeros(count, 2, requires_grad=True) for _ in range(2))
         return ScreenProbe(signed=signed, absolute=absolute)
 
@@ -44,6 +49,13 @@ def pixel_offsets(
     pixels: Float[Tensor, "p 2"], means: Float[Tensor, "n 2"], probe: ScreenProbe | None
 ) -> Float[Tensor, "p n 2"]:
     """Offsets pixel - mean; gradients that flow back through them are left in the probe.
+
+    Args:
+        pixels: Pixel centres (x, y), in pixels.
+        means: 2D means (x, y) of the Gaussians, in pixels.
+        probe: Where backward leaves the gradients by the means; None: nowhere.
+
+    Returns: Pixels; entry (i, j) leads from Gaussian j to pixel i.
 
     Source: signed, Kerbl et al. 2023, Sec. 5.2; absolute, Ye et al. 2024, "AbsGS", Eq. 4.
     """

@@ -18,8 +18,8 @@ def basis(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n k"]
     Signs and order are those of the 3DGS release and its .ply files.
 
     Args:
-        directions: Unit vectors.
-        degree: 0 to 3.
+        directions: Unit vectors along which the functions are evaluated.
+        degree: Highest degree of the basis, 0 to 3.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4; constants from its release.
     """
@@ -39,7 +39,12 @@ def basis(directions: Float[Tensor, "n 3"], degree: int) -> Float[Tensor, "n k"]
 
 
 def directions_to(means: Float[Tensor, "n 3"], centre: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
-    """Unit vectors from the camera centre to the means; zero, with zero gradient, where they meet."""
+    """Unit vectors from the camera centre to the means; zero, with zero gradient, where they meet.
+
+    Args:
+        means: World positions of the Gaussians in scene units.
+        centre: Camera centre in the world, scene units.
+    """
     offset = means - centre.to(means)
     zero = (offset == 0).all(dim=1, keepdim=True)
     return torch.where(zero, 0, offset / torch.where(zero, 1, offset).norm(dim=1, keepdim=True))

@@ -23,7 +23,7 @@ class CleanSettings:
 
 
 AS_RELEASED = CleanSettings(volume_of_logs=True)
-"""The authors' code."""
+"""What the authors' code does: it ranks volumes by the product of the log scales."""
 
 
 def preclean(
@@ -35,9 +35,9 @@ def preclean(
     would leave nothing is skipped, so a model is never emptied; numbers that are not finite go first.
 
     Args:
-        opacity_logits: Before the sigmoid.
+        opacity_logits: Opacity of each primitive before the sigmoid.
         log_scales: Natural logarithms of the standard deviations.
-        settings: Thresholds.
+        settings: Least opacity logit, largest scale and the quantile of volumes.
 
     Source: StitchGS, Sec. 3.2.4; never empty: ours (spec: GCR).
     """

@@ -14,7 +14,7 @@ from splatproof.reference.partition.boxes import Region
 RIM = 1.1
 """Normalised distance up to which primitives compete; beyond it they are dropped."""
 CORE, COMPETITIVE, DROPPED = 0, 1, 2
-"""The three zones."""
+"""Numbers of the three zones: kept, competing for the rim, dropped."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,9 +28,9 @@ class StitchSettings:
     normalise: bool = True
     """Divide Q, which has unit 1/length, by its median over all that competes."""
     from_logits: bool = False
-    """Take the opacity LOGIT for alpha in Q."""
+    """Take the opacity LOGIT where Q has the opacity."""
     epsilon: float = 1e-12
-    """Added to the mean scale, in scene units."""
+    """Added to the mean scale in Q, in scene units: no division by 0."""
     keep_unopposed: bool = True
     """Keep what no other block reaches; else it competes with a score of 0."""
 
@@ -62,6 +62,10 @@ def zones(distances: Float[Tensor, " n"]) -> Int64[Tensor, " n"]:
 def quality(block: TrainedBlock, settings: StitchSettings) -> Float64[Tensor, " n"]:
     """Confidence Q(p) = opacity / (mean(exp(log_scale)) + eps), in 1 / scene units.
 
+    Args:
+        block: The primitives to be judged.
+        settings: Whether logits stand in for opacity, and epsilon.
+
     Source: StitchGS, Sec. 3.2.3.
     """
     logits = block.opacity_logits.double()
@@ -80,7 +84,14 @@ def weight(distances: Float64[Tensor, " n"]) -> Float64[Tensor, " n"]:
 def nearest_mean(
     at: Float64[Tensor, "m 3"], means: Float64[Tensor, "n 3"], values: Float64[Tensor, " n"], k: int
 ) -> Float64[Tensor, " m"]:
-    """Mean of the values of the k nearest means, or of all n if there are fewer; n >= 1."""
+    """Mean of the values of the k nearest means, or of all n if there are fewer; n >= 1.
+
+    Args:
+        at: Places to be asked about, scene units.
+        means: Positions that hold the values, at least one, scene units.
+        values: Value at each position.
+        k: Number of neighbours, at least 1.
+    """
     count = min(k, len(means))
     nearest = np.asarray(KDTree(means.numpy()).query(at.numpy(), k=count)[1], dtype=np.int64)
     return values[torch.from_numpy(nearest).reshape(len(at), count)].mean(dim=1)
@@ -90,6 +101,11 @@ def keep_probability(
     own: Float64[Tensor, " n"], rival: Float64[Tensor, " n"], sharpness: float
 ) -> Float64[Tensor, " n"]:
     """P_keep = sigmoid(eta (S_self - max_j S_j)).
+
+    Args:
+        own: Score S_self of each primitive in its own block.
+        rival: Strongest score max_j S_j of another block at its place.
+        sharpness: eta >= 0: 0 gives 1/2 for all, larger values favour the higher score more.
 
     Source: StitchGS, Sec. 3.2.3.
     """
@@ -108,7 +124,7 @@ def keep_probabilities(
 
     Args:
         blocks: All blocks; their order does not matter.
-        settings: How they compete.
+        settings: Number of neighbours, sharpness and the choices in Q.
 
     Raises: UsageError for K < 1 or a sharpness that is negative or not finite.
 
@@ -157,6 +173,13 @@ def stitch(
 
     Numbers are drawn block by block in the order of the boxes' centres, so the order in which the
     blocks are given does not matter.
+
+    Args:
+        blocks: All trained blocks, before their overlaps are cut away.
+        settings: Number of neighbours, sharpness and the choices in Q.
+        generator: Source of the draws.
+
+    Returns: One mask a block, in the order in which the blocks are given.
 
     Source: StitchGS, Sec. 3.2.3; order of the draws: ours.
     """

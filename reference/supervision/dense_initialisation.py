@@ -195,8 +195,10 @@ def reliability(
     """S = C exp(-(e_A^2 + e_B^2) / (2 sigma^2)), in [0, C].
 
     Args:
-        certainty: The matcher's, in [0, 1].
-        error_a: Reprojection error in image A, pixels. error_b: in image B.
+        certainty: Certainty C that the matcher gives each match, in [0, 1].
+        error_a: Reprojection error in image A, pixels.
+        error_b: Reprojection error in image B, pixels.
+        sigma: Error in pixels that costs a factor exp(-1/2), > 0.
 
     Source: DPGS, Eq. 1.
     """
@@ -215,6 +217,14 @@ def points_of_pair(
 
     Dropped: certainty < tau_c, u_B outside image B, behind either camera, rays closer than the
     smallest angle, non-finite, score < tau_s. Two views from one place give no points.
+
+    Args:
+        camera_a: Camera of image A, at the working resolution.
+        camera_b: Camera of image B, at the working resolution.
+        image_a: Photo A, sRGB in [0, 1], which colours the points.
+        warp: W in pixels: pixel u_A of image A lies at u_A + W(u_A) in image B.
+        certainty: Certainty of the match at each pixel of image A, in [0, 1].
+        settings: Thresholds of certainty, angle and score, and sigma.
 
     Source: DPGS, Sec. 3.1.
     """
@@ -245,8 +255,9 @@ def merge_in_voxels(points: DensePoints, size: float) -> DensePoints:
     Several pairs see the same surface; merged, the cloud does not grow with their number.
 
     Args:
-        size: Edge of a voxel, > 0, in scene units. The grid starts at the cloud's lower corner,
-            so that moving the scene does not change the result.
+        points: Points of all pairs.
+        size: Edge of a voxel, > 0, in scene units. The grid starts at the cloud's lower corner, so
+            that moving the scene does not change the result.
 
     Source: ours (spec: DPGS, step 5).
     """

@@ -43,8 +43,8 @@ def match_by_flow(
     pixels in squared 8-bit steps: a flat patch proves nothing. It is 0 where B does not reach.
 
     Args:
-        image_a: sRGB in [0, 1].
-        image_b: Of any size if the homography is given, else of the same size.
+        image_a: The image that is matched at every pixel, sRGB in [0, 1].
+        image_b: The other image, sRGB in [0, 1]; as large as image_a, or of any size with a plane.
         plane: Homography from pixels of A to pixels of B (centres at .5); None: the identity.
 
     Source: flow: Kroeger et al. 2016, "Fast Optical Flow using Dense Inverse Search" (OpenCV);
@@ -80,7 +80,12 @@ def match_by_flow(
 def plane_between(
     pixels_a: Float[Tensor, "n 2"], pixels_b: Float[Tensor, "n 2"]
 ) -> Float[Tensor, "3 3"] | None:
-    """Homography from A to B through shared points, by least median; None with fewer than 8."""
+    """Homography from A to B through shared points, by least median; None with fewer than 8.
+
+    Args:
+        pixels_a: Pixel positions (x, y) of the shared points in image A, centres at .5.
+        pixels_b: Pixel positions (x, y) of the same points in image B.
+    """
     if len(pixels_a) < 8:
         return None
     found, _ = cv2.findHomography(

@@ -47,6 +47,15 @@ def gaussian_depth(
 
     Not normalised by the weights (as the paper prints it): a pixel that nothing covers has 0.
 
+    Args:
+        camera: The pinhole camera, from whose centre distances are taken.
+        means: World positions u_i of the Gaussians, scene units.
+        quaternions: (w, x, y, z), any norm; no gradient flows to them.
+        scales: Standard deviations in scene units, >= 0; no gradient flows to them.
+        opacities: Opacity of each Gaussian, in [0, 1].
+
+    Returns: Blended distance to the camera centre, scene units.
+
     Source: DLG-GS, Eqs. 1 and 2.
     """
     distances = (means - camera.centre.to(means)).norm(dim=1)
@@ -63,7 +72,11 @@ def anchor_depth(
     """D_va: the anchors' distances blended with tau G(p), tau = 0.95; gradients reach anchors only.
 
     Args:
-        anchors: For each Gaussian the position of the anchor that generated it.
+        camera: The pinhole camera, from whose centre distances are taken.
+        anchors: For each Gaussian the position of the anchor that generated it, scene units.
+        means: World positions of the Gaussians, scene units; no gradient flows to them.
+        quaternions: (w, x, y, z), any norm; no gradient flows to them.
+        scales: Standard deviations in scene units, >= 0; no gradient flows to them.
 
     Source: DLG-GS, Eq. 3.
     """
@@ -81,6 +94,10 @@ def normalise_depth(
 
     No gradient flows through the quantiles. A map that is constant, or has no valid pixel, maps
     to 0; so do invalid pixels (also where they are inf or NaN).
+
+    Args:
+        depth: Depth in any unit.
+        valid: Pixels whose depth is known; only these set the range.
 
     Source: ours (the paper: "normalized to a comparable range").
     """
@@ -104,6 +121,10 @@ def appearance_weight(
 ) -> Float[Tensor, "h w"]:
     """w = 1 - clip(|I_a - I_r|, 0, 1), mean over channels, without gradient.
 
+    Args:
+        adapted: Render I_a with the colours adapted to the view's light, in [0, 1].
+        original: Render I_r with the colours as they are, in [0, 1].
+
     Source: DLG-GS, Eq. 15.
     """
     return 1 - (adapted - original).detach().abs().mean(dim=-1).clamp(0, 1)
@@ -120,8 +141,12 @@ def depth_loss(
     """L_depth = l_EC mean(w |D_ng - D_r|) + l_MC mean(w |D_va - D_r|), each map normalised.
 
     Args:
-        reference: Monocular depth (not disparity), relative only.
-        valid: Pixels where it is known.
+        gaussian: D_ng, from `gaussian_depth`.
+        anchor: D_va, from `anchor_depth`.
+        reference: Monocular depth D_r (not disparity), relative only.
+        valid: Pixels where D_r is known.
+        weight: w in [0, 1], from `appearance_weight`.
+        strength: Factors l_EC and l_MC of the two terms.
 
     Source: DLG-GS, Eqs. 4 and 5.
     """

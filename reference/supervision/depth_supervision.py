@@ -15,6 +15,10 @@ def edge_weight(image: Float[Tensor, "h w 3"], beta: float) -> Float[Tensor, "h 
     The 3 x 3 Sobel kernels are divided by 8, so a ramp of slope s has |Sobel| = s a channel; the
     norm runs over both directions and all channels; borders repeat. (The paper leaves both open.)
 
+    Args:
+        image: Photo, sRGB in [0, 1].
+        beta: How fast the weight falls with the strength of an edge, >= 0; 0 gives 1 everywhere.
+
     Source: HDGS, Eq. 12.
     """
     across = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]]).to(image) / 8
@@ -27,6 +31,11 @@ def smoothness_loss(
     depth: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"], beta: float
 ) -> Float[Tensor, ""]:
     """L_sm = 1/N sum w (|dz/dx| + |dz/dy|) with forward differences, zero past the border.
+
+    Args:
+        depth: Rendered depth z, any unit; the loss has the same.
+        image: Photo, sRGB in [0, 1], whose edges may be edges of depth.
+        beta: How fast the weight falls with the strength of an edge, see `edge_weight`.
 
     Source: HDGS, Eq. 12.
     """
@@ -47,7 +56,9 @@ def outlier_loss(
     Args:
         ranks: Soft ranks of the rendered depth, divided by the number of pixels so that delta does
             not depend on the image size (ours).
-        delta: Threshold on e, in the same unit.
+        image: Photo, sRGB in [0, 1], whose edges may be edges of depth.
+        beta: How fast the weight falls with the strength of an edge, see `edge_weight`.
+        delta: Threshold on e, in the unit of the ranks.
         radius: The neighbourhood is (2 radius + 1)^2 pixels, the pixel itself included, clipped at
             the border.
 
@@ -66,6 +77,11 @@ def lidar_loss(
 ) -> Float[Tensor, ""]:
     """Mean |z_rendered - z_lidar| over the pixels that the LiDAR hit; 0 where it hit none.
 
+    Args:
+        depth: Rendered z-depth, scene units.
+        lidar: Measured z-depth, scene units; only read where the LiDAR hit.
+        hit: Pixels that the LiDAR hit.
+
     Source: HDGS, Sec. 3.6 (L1, as in the spec).
     """
     off = torch.where(hit, depth - torch.where(hit, lidar, 0), 0).abs().sum()
@@ -74,6 +90,10 @@ def lidar_loss(
 
 def sky_loss(alpha: Float[Tensor, "h w"], sky: Bool[Tensor, "h w"]) -> Float[Tensor, ""]:
     """Binary cross-entropy that wants alpha 0 in the sky and 1 elsewhere, mean over pixels.
+
+    Args:
+        alpha: Rendered opacity of each pixel, 1 - transmittance, in [0, 1].
+        sky: Pixels that show the sky.
 
     Source: HDGS, Sec. 3.6.
     """

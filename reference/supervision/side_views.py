@@ -41,7 +41,13 @@ class ViewRefiner(Protocol):
 
 
 def is_side_view_step(step: int, steps: int, every: int) -> bool:
-    """Whether the loss applies: every n-th step from the half-way point on (paper: 20k of 40k)."""
+    """Whether the loss applies: every n-th step from the half-way point on (paper: 20k of 40k).
+
+    Args:
+        step: Number of the training step, from 0.
+        steps: Number of steps of the whole training.
+        every: Steps from one use of the loss to the next, at least 1.
+    """
     return step >= steps // 2 and (step - steps // 2) % every == 0
 
 
@@ -77,6 +83,13 @@ def side_loss(
     Pixels that are solid (alpha >= 0.9) and seen by at least two training views are left to those
     views. l1 = 1 - dssim and l_ssim = dssim, as in the main loss (the paper names no values).
 
+    Args:
+        render: Render of the side view; gradients flow through it alone.
+        refined: What the refiner made of the render, in [0, 1].
+        alpha: Rendered opacity of each pixel, in [0, 1].
+        seen_by: How many training views see each pixel's surface.
+        dssim: Weight l_ssim of the structural term, in [0, 1].
+
     Source: DPGS, Eq. 4; the mask: ours (spec).
     """
     proven = (alpha.detach() >= SOLID) & (seen_by >= EVIDENCE)
@@ -97,6 +110,14 @@ def warp_and_fill(
     rendered depth agrees within 2 %; it keeps the render where it has a surface that the photo
     does not see; holes (depth 0) are filled by Telea inpainting.
 
+    Args:
+        camera: Camera of the side view.
+        render: Render of the side view, in [0, 1].
+        depth: Rendered z-depth of the side view in scene units, 0 where empty.
+        reference_camera: Camera of the photo.
+        reference: The photo that guides the side view, sRGB in [0, 1].
+        reference_depth: Rendered z-depth in the photo's view in scene units, 0 where empty.
+
     Source: ours, the floor that learned refiners must beat.
     """
     world = unproject(camera, depth)
@@ -111,14 +132,26 @@ def warp_and_fill(
 
 
 def fill_holes(image: Float[Tensor, "h w 3"], holes: Bool[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
-    """Inpaint the marked pixels (8-bit inside, so they carry 1/255 steps); others are untouched."""
+    """Inpaint the marked pixels (8-bit inside, so they carry 1/255 steps); others are untouched.
+
+    Args:
+        image: sRGB; clamped to [0, 1] for the inpainting.
+        holes: True where a pixel is to be filled.
+    """
     bytes_ = (image.clamp(0, 1) * 255).round().byte().numpy()
     filled = cv2.inpaint(bytes_, holes.numpy().astype(np.uint8), 3, cv2.INPAINT_TELEA)
     return torch.where(holes[..., None], torch.from_numpy(filled).to(image) / 255, image)
 
 
 def unproject(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "n 3"]:
-    """World points of a z-depth map, row-major."""
+    """World points of a z-depth map, row-major.
+
+    Args:
+        camera: Camera that the map belongs to.
+        depth: z-depth of each pixel in scene units, as large as the camera's image.
+
+    Returns: Positions in scene units; pixels of depth 0 land on the camera centre.
+    """
     rows, columns = torch.meshgrid(
         torch.arange(camera.height), torch.arange(camera.width), indexing="ij"
     )

@@ -34,7 +34,12 @@ def soft_rank(values: Float[Tensor, " n"], temperature: float) -> Float[Tensor, 
 
 
 def correlation(a: Float[Tensor, " n"], b: Float[Tensor, " n"]) -> Float[Tensor, ""]:
-    """Pearson correlation in [-1, 1]; 0 with zero gradient where either one is constant."""
+    """Pearson correlation in [-1, 1]; 0 with zero gradient where either one is constant.
+
+    Args:
+        a: One vector of finite numbers.
+        b: The other, in any unit of its own.
+    """
     if len(a) < 2:
         return (a.sum() + b.sum()) * 0
     a, b = a - a.mean(), b - b.mean()
@@ -49,6 +54,11 @@ def spearman(
 ) -> Float[Tensor, ""]:
     """Approximate Spearman correlation: Pearson of the two soft-rank vectors, in [-1, 1].
 
+    Args:
+        a: One vector of finite numbers.
+        b: The other, in the same unit, since both are ranked with one temperature.
+        temperature: tau > 0, in the unit of the values.
+
     Source: HDGS, Eq. 10.
     """
     return correlation(soft_rank(a, temperature), soft_rank(b, temperature))
@@ -61,7 +71,8 @@ def global_depth_loss(
 
     Args:
         rendered: Rendered depth at a sample of pixels.
-        estimated: Monocular depth at the same pixels (depth, not disparity).
+        estimated: Monocular depth (not disparity) at these pixels, scaled to the same spread.
+        temperature: tau > 0 of the soft ranks, in the unit of both depths.
 
     Source: HDGS, Eq. 11.
     """

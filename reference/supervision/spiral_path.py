@@ -15,9 +15,9 @@ class SpiralSettings:
     """Shape of the spiral. The paper gives no numbers: these are ours."""
 
     layers: int = 4
-    """L: orbits, from the flight height down."""
+    """L: number of orbits, from the flight height down."""
     views: int = 12
-    """Views an orbit."""
+    """Number of views on each orbit."""
     radius: float = 1.0
     """Orbit radius in footprint radii; at least 1, so that the orbit encloses the scene."""
     look_up: float = 0.6
@@ -31,6 +31,11 @@ def look_at(
 
     Where the view direction is parallel to up (nadir), the world axis least parallel to it takes
     the place of up.
+
+    Args:
+        eye: Camera centre in the world, scene units.
+        target: World position in the middle of the image, scene units.
+        up: Direction of the image's top in the world, any length > 0.
 
     Raises: ValueError if eye and target coincide.
 
@@ -65,10 +70,11 @@ def spiral_path(
     view, as in the training views) to `look_up` of the orbit's own height (facades in view).
 
     Args:
-        centre: Scene centre on the ground.
+        centre: Scene centre on the ground, scene units.
         up: Unit vector against gravity.
         footprint: Radius of the scene's footprint, > 0, scene units.
         flight_height: H_max above the ground, > 0, scene units.
+        settings: Numbers of orbits and views, radius of the orbits and height they look at.
 
     Raises: ValueError if a length is not positive, or an orbit has no views.
 

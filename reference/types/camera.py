@@ -47,7 +47,14 @@ class Camera:
 
 
 def transform_points(camera: Camera, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    """World points in camera space: x_cam = R x_world + t. In the points' dtype."""
+    """World points in camera space: x_cam = R x_world + t. In the points' dtype.
+
+    Args:
+        camera: The pinhole camera, whose pose is cast to the points' dtype.
+        points: World positions in scene units.
+
+    Returns: Camera-space positions (x right, y down, z forward) in scene units.
+    """
     pose = camera.world_to_camera.to(points)
     return points @ pose[:3, :3].T + pose[:3, 3]
 

@@ -22,7 +22,7 @@ class Gaussians:
     log_scales: Float[Tensor, "n 3"]
     """Natural logarithm of the standard deviation on each local axis."""
     opacity_logits: Float[Tensor, " n"]
-    """Opacity is their sigmoid."""
+    """Opacity before the sigmoid."""
     sh: Float[Tensor, "n k 3"]
     """Spherical-harmonic coefficients, DC first; k = (degree + 1)^2 with degree 0 to 3."""
 

@@ -14,7 +14,7 @@ class Mlp:
     """Weights and biases, first layer first; ReLU between layers, nothing after the last."""
 
     weights: tuple[Float[Tensor, "_ _"], ...]
-    """Each of shape (inputs, outputs)."""
+    """Weight matrix of each layer, of shape (inputs, outputs)."""
     biases: tuple[Float[Tensor, " _"], ...]
 
 
@@ -25,6 +25,8 @@ def create(
 
     Args:
         sizes: Inputs, hidden widths, outputs; at least two numbers.
+        generator: Source of the random weights, which are drawn in torch's default dtype.
+        dtype: Dtype of the parameters.
 
     Source: He et al. 2015, "Delving Deep into Rectifiers", Eq. 10.
     """
@@ -39,7 +41,12 @@ def create(
 
 
 def evaluate(network: Mlp, inputs: Float[Tensor, "n a"]) -> Float[Tensor, "n b"]:
-    """Outputs of the network."""
+    """Outputs of the network.
+
+    Args:
+        network: Layers to apply, first to last, with ReLU between them.
+        inputs: One row a sample, as many columns as the first layer has inputs.
+    """
     values = inputs
     for layer, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
         values = values @ weight + bias
@@ -49,7 +56,12 @@ def evaluate(network: Mlp, inputs: Float[Tensor, "n a"]) -> Float[Tensor, "n b"]
 
 
 def change(network: Mlp, function: Callable[[Tensor], Tensor]) -> Mlp:
-    """The network with a function applied to every parameter (to zero, freeze or copy it)."""
+    """The network with a function applied to every parameter (to zero, freeze or copy it).
+
+    Args:
+        network: The network to start from; it is left as it is.
+        function: Takes one weight matrix or bias vector and returns what stands in its place.
+    """
     return Mlp(
         weights=tuple(function(weight) for weight in network.weights),
         biases=tuple(function(bias) for bias in network.biases),

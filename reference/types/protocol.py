@@ -26,11 +26,11 @@ class Protocol:
     undistort: Literal["crop", "keep"] = "crop"
     """crop: no invalid border pixel is left; keep: all source pixels stay, invalid ones masked."""
     undistort_at: Literal["full", "scaled"] = "full"
-    """When: before the down-scale, or after it as OpenSplat does; the second blurs the truth."""
+    """full: undistort before the down-scale; scaled: after it as OpenSplat does, blurring truth."""
     hold: int = 8
     """Every hold-th of the name-sorted views is test (indices 0, hold, ...); 0: none."""
     hold_first: int = 0
-    """Index of the first held-out one: hold_first, hold_first + hold, ..."""
+    """Index of the first view (or moment) held out; the next are hold, 2 hold, ... later."""
     hold_unit: Literal["view", "time"] = "view"
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
     sensors: tuple[str, ...] = ()
@@ -41,8 +41,8 @@ class Protocol:
     test_names: tuple[str, ...] = ()
     """Names of the test views, or patterns such as "test_*"; when given, `hold` is ignored."""
     train_views: int = 0
-    """Train on this many, spread evenly over the name-sorted views that are not held out. The rest of
-    them is test where no other rule holds any out, else not used. 0: train on all."""
+    """Train on this many views, spread evenly over the name-sorted ones that are not held out. The
+    rest of them is test where no other rule holds any out, else not used. 0: train on all."""
     scored: Literal["held-out", "training"] = "held-out"
     """Which views are scored; "training" (reconstruction) says how well a model fits what it saw."""
     test_folder: str = ""

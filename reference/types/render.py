@@ -28,4 +28,4 @@ class RenderOutput:
     contributor_ids: Int[Tensor, "h w k"] | None = None
     """Indices of the k Gaussians of largest weight, largest first, ties nearest first; -1: none."""
     contributor_weights: Float[Tensor, "h w k"] | None = None
-    """Their compositing weights alpha_i T_i; 0 where there is none."""
+    """Compositing weights alpha_i T_i of these contributors; 0 where there is none."""

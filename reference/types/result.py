@@ -64,7 +64,7 @@ class Result:
     pose_noise: str = TRUE_POSES
     """Level of the noise that the poses of training views had; see datasets.pose_noise."""
     images: tuple[ImageScore, ...]
-    """Sorted by name."""
+    """Scores of the test images, sorted by name."""
     metrics: dict[str, float]
     """Means over images of each per-image metric, then scene-level ones (psnr_of_mean_mse)."""
     stages: dict[str, float]
@@ -82,7 +82,7 @@ class Result:
     model_sha256: str
     """Hash of the saved model's arrays."""
     curve: tuple[tuple[int, dict[str, float]], ...] = ()
-    """(step, values) logged while training."""
+    """Pairs (step, values by name) that were logged while training."""
     environment: dict[str, str] = field(default_factory=dict)
     """Versions, git commit, machine, threads, SIMD level, backend."""
     scene_facts: dict[str, str] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import TRUE_POSES, Result
 
 VERSION = 1
-"""Of the format; a reader refuses every other."""
+"""Version of the format; a reader refuses every other."""
 NON_FINITE = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
 """JSON has no such numbers, so they are written as these strings."""
 RULES = {
@@ -47,7 +47,7 @@ def result_from_json(text: str, source: str) -> Result:
     still stands beside results of later releases.
 
     Args:
-        text: What was written.
+        text: One line of JSON, as `result_to_json` wrote it.
         source: Name of the file, for errors.
     Raises: DataError where the text is not JSON, a key is missing or unknown, or a type is wrong.
     """

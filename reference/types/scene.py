@@ -94,7 +94,7 @@ class SparsePoints:
     positions: Float[Tensor, "n 3"]
     """Float64, scene units, scene frame (after the scene's shift)."""
     colours: UInt8[Tensor, "n 3"]
-    """SRGB as stored."""
+    """sRGB of each point as stored."""
     track_starts: Int[Tensor, " n_plus_1"]
     """CSR: the views of point i are track_views[track_starts[i]:track_starts[i + 1]]."""
     track_views: Int[Tensor, " m"]

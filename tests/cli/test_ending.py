@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -45,7 +46,11 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, 
         os.killpg(process.pid, number)  # a terminal tells the workers too
     else:
         process.send_signal(number)
-    said, errors = process.communicate(timeout=120)
+    try:
+        said, errors = process.communicate(timeout=120)
+    finally:
+        with suppress(ProcessLookupError):  # what did not hear must not go on for ever
+            os.killpg(process.pid, signal.SIGKILL)
     assert said == ""
     return process.returncode, errors
 

@@ -109,8 +109,8 @@ def draw_and_differentiate(draw: random.Random) -> None:
 def step(draw: random.Random) -> None:
     values, view = model(draw), camera(draw)
     parameters = {
-        "means": values["means"], "quaternions": values["quaternions"], "scales": values["scales"],
-        "opacity": values["opacities"], "sh_dc": values["sh"][:, :1].contiguous(),
+        "means": values["means"], "quaternions": values["quaternions"], "log_scales": values["scales"],
+        "opacity_logits": values["opacities"], "sh_dc": values["sh"][:, :1].contiguous(),
         "sh_rest": values["sh"][:, 1:].contiguous(),
     }  # fmt: skip
     own = ViewGradients()

@@ -1,4 +1,4 @@
-"""Fixtures of the doors: photos with one blob each at the pixel where a known point belongs.
+"""Fixtures of the adapters: photos with one blob each at the pixel where a known point belongs.
 
 Poses are made from looking directions; each test writes them in its set's own convention and
 projects by that convention's own formula, never by the code under test.

@@ -32,7 +32,7 @@ def test_what_ours_change():
         }
         for name in rules
     }
-    # those of the public data sets are tried on fixtures of their sets (tests/datasets/doors)
+    # those of the public data sets are tried on fixtures of their sets (tests/datasets/adapters)
     expected = {
         "default": {},
         "quick": {"width": 240},

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.door_checks import fixtures, hard_links
+from helpers.adapter_checks import fixtures, hard_links
 from helpers.posed_scenes import blob
 from splatproof.suites.runner import run_suite, select
 from splatproof.suites.suite_files import load_suite
@@ -27,9 +27,9 @@ def kitti_0001(folder: Path) -> None:
 def written(kind: str, folder: Path) -> None:
     """Write the fixture of a set below a data root."""
     writers = {
-        "mill19/rubble": fixtures("doors").mega_nerf,
+        "mill19/rubble": fixtures("adapters").mega_nerf,
         "kitti/training": kitti_0001,
-        "3das/city_0": partial(fixtures("doors").nerfstudio, distorted=False, views=9),
+        "3das/city_0": partial(fixtures("adapters").nerfstudio, distorted=False, views=9),
     }
     (folder / kind).mkdir(parents=True, exist_ok=True)
     writers[kind](folder / kind)

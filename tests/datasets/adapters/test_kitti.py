@@ -5,7 +5,15 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, sky, tenths, without
+from helpers.adapter_checks import (
+    hard_links,
+    opens_in_bounds,
+    protocol,
+    refused,
+    sky,
+    tenths,
+    without,
+)
 from helpers.posed_scenes import blob, worst_error
 from splatproof.datasets.opening import open_scene
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from matplotlib.path import Path as Outline
 from scipy.spatial import ConvexHull
 
-from helpers.door_checks import fixtures, moving, protocol, refused
+from helpers.adapter_checks import fixtures, moving, protocol, refused
 from splatproof.datasets.adapters.kitti_boxes import read_labels, read_tracklets
 from splatproof.datasets.boxes import Box, box_outline, covered, in_motion
 from splatproof.datasets.opening import open_scene

@@ -4,7 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, without
+from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_rays, opengl_to_world, worst_error
 from splatproof.datasets.opening import open_scene
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.colmap_scenes import Flight, pose, reconstruction, view_name, write_scene
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.posed_scenes import blob, worst_error
 from splatproof.datasets.opening import open_scene
 

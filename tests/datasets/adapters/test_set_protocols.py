@@ -6,7 +6,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from helpers.door_checks import fixtures, tenths
+from helpers.adapter_checks import fixtures, tenths
 from helpers.posed_scenes import blob
 from splatproof.base.errors import DataError
 from splatproof.datasets.opening import open_scene
@@ -65,7 +65,7 @@ def test_photo_tourism(tmp_path):
     ("name", "region"), [("mega-nerf", "right_half"), ("mega-nerf_gs", "full")]
 )
 def test_mega_nerf(tmp_path, name, region):
-    fixtures("doors").mega_nerf(tmp_path)
+    fixtures("adapters").mega_nerf(tmp_path)
     rules = load_protocol(name)
     scene = open_scene(tmp_path, rules)
     assert (sizes(scene), held(scene)) == ({(24, 18)}, ["val/rgbs/000000.jpg"])
@@ -82,7 +82,7 @@ def test_matrix_city(tmp_path):
 
 def test_levir_nvs_has_three_training_views(tmp_path, monkeypatch):
     monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
-    fixtures("doors").levir_nvs(tmp_path, views=21)
+    fixtures("adapters").levir_nvs(tmp_path, views=21)
     scene = open_scene(tmp_path, load_protocol("levir_nvs_3"))
     assert [view.name for view in scene.train_views] == ["000.png", "010.png", "020.png"]
     assert len(scene.test) == 18
@@ -103,7 +103,7 @@ def test_3das_has_seven_training_views(tmp_path, monkeypatch, layout):
         model.write(folder / "sparse/0")
     else:
         folder.mkdir(parents=True)
-        fixtures("doors").nerfstudio(folder, distorted=False, views=13)
+        fixtures("adapters").nerfstudio(folder, distorted=False, views=13)
     scene = open_scene("3das/port_2", load_protocol("3das_7"))
     assert (scene.facts["adapter"], scene.train) == (layout, (0, 2, 4, 6, 8, 10, 12))
     assert scene.test == (1, 3, 5, 7, 9, 11)
@@ -192,6 +192,6 @@ def test_reconstruction_scores_what_was_trained_on(tmp_path, name, fixture, view
 
 
 def test_nerfstudio(tmp_path):
-    fixtures("doors").nerfstudio(tmp_path)
+    fixtures("adapters").nerfstudio(tmp_path)
     scene = open_scene(tmp_path, load_protocol("nerfstudio"))
     assert held(scene) == ["images/0.png"]

@@ -4,7 +4,7 @@ import torch
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from helpers.door_checks import (
+from helpers.adapter_checks import (
     hard_links,
     moving,
     opens_in_bounds,

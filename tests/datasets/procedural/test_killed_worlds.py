@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from helpers import tiny_worlds
 from splatproof.datasets.procedural import exporting
 
 KILLED_AT = {"courtyard": 4, "city": 5, "aerial-sparse": 7, "tunnel": 30, "street": 9}
@@ -53,15 +52,14 @@ def contents(folder):
 
 
 @pytest.mark.parametrize("world", KILLED_AT)
-def test_a_killed_world_goes_on_and_has_the_bytes_of_an_undisturbed_one(killed, tmp_path, world):
-    plan = tiny_worlds.plan(world)
+def test_a_killed_world_goes_on_and_has_the_bytes_of_an_undisturbed_one(killed, made, world):
+    whole, plan = made(world)
     assert not (killed / world).exists()
     told = []
     exporting.make_scene(plan, killed / world, lambda done, total: told.append(done))
     # a view is counted once it is whole; those in work, one a worker, may be whole too
     kept = min(KILLED_AT[world], len(plan.shots))
     assert kept <= told[0] <= kept + exporting.WORKERS
-    whole = exporting.make_scene(plan, tmp_path / world)
     found, wanted = contents(killed / world), contents(whole)
     assert found.keys() == wanted.keys()
     assert [name for name in wanted if found[name] != wanted[name]] == []

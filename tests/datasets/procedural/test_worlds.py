@@ -17,20 +17,6 @@ from splatproof.reference.types.protocol import Protocol
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory):
-    """Folder of each world, made once."""
-    root, folders = tmp_path_factory.mktemp("worlds"), {}
-
-    def get(world):
-        if world not in folders:
-            plan = tiny_worlds.plan(world)
-            folders[world] = exporting.make_scene(plan, root / world), plan
-        return folders[world]
-
-    return get
-
-
 @pytest.mark.parametrize("world", ["city", "tunnel", "street"])
 def test_the_adapter_opens_it_with_depth_everywhere(made, world):
     folder, plan = made(world)

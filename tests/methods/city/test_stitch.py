@@ -177,7 +177,7 @@ def test_the_merged_folder_holds_what_is_kept_block_after_block(
 
 def test_merges_without_sense_are_refused(tmp_path):
     scene = blocks(2, 20, 0)
-    keywords = {"method": "x", "settings": {}, "shift": torch.zeros(3, dtype=D)}
+    keywords = {"origin": Origin(method="x"), "shift": torch.zeros(3, dtype=D)}
     nothing = [torch.zeros(20).bool()] * 2
     with pytest.raises(DataError, match="lost every primitive"):
         merge.write_merged(tmp_path, scene, nothing, **keywords)

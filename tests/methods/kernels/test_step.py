@@ -40,8 +40,8 @@ def trained_tensors(scene: GaussianScene, seed: int) -> dict[str, torch.Tensor]:
         "means": scene.means.clone(),
         "sh_dc": scene.sh[:, :1].clone(),
         "sh_rest": scene.sh[:, 1:].clone(),
-        "opacity": torch.logit(scene.opacities.clamp(1e-6, 1 - 1e-6)),
-        "scales": scene.scales.log(),
+        "opacity_logits": torch.logit(scene.opacities.clamp(1e-6, 1 - 1e-6)),
+        "log_scales": scene.scales.log(),
         "quaternions": scene.quaternions * length,
     }
 
@@ -137,7 +137,7 @@ def test_planted_errors_are_seen(error):
         native.rasterize, photometric, torch.float32, scene, tensors, truth, **options
     )
     got = by_kernels(scene, tensors, truth, **options)
-    name = {"sign": "quaternions", "scale": "scales", "rest": "sh_rest"}[error]
+    name = {"sign": "quaternions", "scale": "log_scales", "rest": "sh_rest"}[error]
     if error == "rest":
         got[1][name] = got[1][name].roll(1, dims=1)
     else:
@@ -182,7 +182,7 @@ def test_what_the_kernels_cannot_read_is_named():
         ViewGradients().of(scene.camera, good | changed, photo, degree=3)
 
     with pytest.raises(ValueError, match="scales is torch.float64"):
-        of({"scales": good["scales"].double()})
+        of({"log_scales": good["log_scales"].double()})
     with pytest.raises(ValueError, match=r"quaternions is torch.float32 \(20, 3\)"):
         of({"quaternions": good["quaternions"][:, :3].contiguous()})
     with pytest.raises(ValueError, match="means is .*expected contiguous"):

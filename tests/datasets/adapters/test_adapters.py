@@ -6,7 +6,7 @@ import torch
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
-from helpers.door_checks import hard_links, opens_in_bounds, protocol, refused, valid
+from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, valid
 from helpers.posed_scenes import (
     POINTS,
     SIZE,

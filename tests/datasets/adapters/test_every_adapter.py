@@ -1,4 +1,4 @@
-"""Every door, every file of its fixture: missing, cut short, emptied or rubbish, it is named or not needed."""
+"""Every adapter, every file of its fixture: missing, cut short, emptied or rubbish, it is named or not needed."""
 
 import json
 import re
@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from plyfile import PlyData, PlyElement
 
+from helpers.adapter_checks import fixtures, protocol
 from helpers.colmap_scenes import Flight, write_scene
-from helpers.door_checks import fixtures, protocol
 from helpers.posed_scenes import POINTS
 from splatproof.base.errors import DataError
 from splatproof.cli import main
@@ -22,7 +22,7 @@ from splatproof.datasets.opening import ADAPTERS, open_scene
 
 
 @dataclass(frozen=True)
-class Door:
+class Fixture:
     """A fixture of a layout, and which of its files may be missing."""
 
     write: Callable[[Path], object]
@@ -41,7 +41,7 @@ class Door:
 
 def _rich_nerfstudio(folder: Path) -> None:
     """With points and masks."""
-    fixtures("doors").nerfstudio(folder)
+    fixtures("adapters").nerfstudio(folder)
     cloud = np.array([tuple(p) for p in POINTS], dtype=[(axis, "f4") for axis in "xyz"])
     PlyData([PlyElement.describe(cloud, "vertex")]).write(folder / "sparse_pc.ply")
     path = folder / "transforms.json"
@@ -63,47 +63,49 @@ def _tracking(folder: Path) -> None:
     boxes.tracking(folder, lines)
 
 
-DOORS = {
-    "colmap": Door(partial(write_scene, flight=Flight())),
-    "photo-tourism": Door(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
-    "nerfstudio": Door(_rich_nerfstudio),
-    "matrixcity": Door(fixtures("matrix_city").city, optional=r"/transforms\.json", unread="pose/"),
-    "blender": Door(fixtures("doors").blender, unread=r"val/|_val\.json"),
-    "mega-nerf": Door(fixtures("doors").mega_nerf, optional=r"mappings\.txt|coordinates\.pt"),
-    "llff": Door(fixtures("llff").llff, unread="images_2/", counted="images/"),
-    "kitti-raw": Door(
+FIXTURES = {
+    "colmap": Fixture(partial(write_scene, flight=Flight())),
+    "photo-tourism": Fixture(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
+    "nerfstudio": Fixture(_rich_nerfstudio),
+    "matrixcity": Fixture(
+        fixtures("matrix_city").city, optional=r"/transforms\.json", unread="pose/"
+    ),
+    "blender": Fixture(fixtures("adapters").blender, unread=r"val/|_val\.json"),
+    "mega-nerf": Fixture(fixtures("adapters").mega_nerf, optional=r"mappings\.txt|coordinates\.pt"),
+    "llff": Fixture(fixtures("llff").llff, unread="images_2/", counted="images/"),
+    "kitti-raw": Fixture(
         fixtures("kitti_boxes").tracklets,
         inside="2011_09_26_drive_0001_sync",
         optional=r"\.bin|tracklet_labels",
         counted="image_02/data",
     ),
-    "kitti-tracking": Door(
+    "kitti-tracking": Fixture(
         _tracking,
         inside="image_02/0001",
         optional=r"\.bin|sky_03|label_02",
         counted="image_02/",
     ),
-    "drivestudio": Door(
+    "drivestudio": Fixture(
         fixtures("waymo").drivestudio,
         optional=r"\.bin|sky_masks|ego_pose/00[03]",  # the first or the last frame
         unread="dynamic_masks/all",
     ),
-    "pvg": Door(fixtures("waymo").pvg, optional=r"\.bin|sky_|calib/014500[03]"),
-    "levir-nvs": Door(fixtures("doors").levir_nvs, optional="Cams/"),
+    "pvg": Fixture(fixtures("waymo").pvg, optional=r"\.bin|sky_|calib/014500[03]"),
+    "levir-nvs": Fixture(fixtures("adapters").levir_nvs, optional="Cams/"),
 }
-"""By adapter."""
+"""Name of the adapter: its fixture."""
 
 
 def files_of(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
-def written(tmp_path: Path, name: str) -> tuple[Door, Path]:
-    """A door, and the folder below which its fixture was written."""
+def written(tmp_path: Path, name: str) -> tuple[Fixture, Path]:
+    """The fixture of an adapter, and the folder below which it was written."""
     root = tmp_path / "written"
     root.mkdir()
-    DOORS[name].write(root)
-    return DOORS[name], root
+    FIXTURES[name].write(root)
+    return FIXTURES[name], root
 
 
 def use(folder: Path) -> None:
@@ -125,8 +127,8 @@ def fault(folder: Path) -> str:
     return ""
 
 
-def test_every_adapter_has_a_door_here():
-    assert set(DOORS) == {adapter.name for adapter in ADAPTERS}
+def test_every_adapter_has_a_fixture_here():
+    assert set(FIXTURES) == {adapter.name for adapter in ADAPTERS}
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {
@@ -137,65 +139,65 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("name", DOORS)
+@pytest.mark.parametrize("name", FIXTURES)
 def test_a_damaged_file_is_named_in_one_line(tmp_path, name):
-    door, root = written(tmp_path, name)
-    scene = open_scene(root / door.inside, protocol(hold=2))
+    fixture, root = written(tmp_path, name)
+    scene = open_scene(root / fixture.inside, protocol(hold=2))
     assert scene.facts["adapter"] == name
-    assert fault(root / door.inside) == ""
+    assert fault(root / fixture.inside) == ""
     for path in files_of(root):
         kept = path.read_bytes()
         relative = path.relative_to(root).as_posix()
         for damage, apply in DAMAGES.items():
             apply(path)
-            said = fault(root / door.inside)
+            said = fault(root / fixture.inside)
             assert "\n" not in said
             assert len(said) < 1000
             if said:
-                counted = damage == "missing" and re.search(door.counted, relative)
+                counted = damage == "missing" and re.search(fixture.counted, relative)
                 named = str(path.parent) if counted else path.stem
                 assert named in said, f"{relative} {damage}: {said}"
-            elif not re.search(door.unread, relative):
+            elif not re.search(fixture.unread, relative):
                 silent = {
                     "cut": True,  # half of a table may be whole enough
-                    "missing": bool(re.search(door.optional, relative)),
+                    "missing": bool(re.search(fixture.optional, relative)),
                     "empty": "label_02" in relative,  # nothing was labelled
                 }
                 assert silent.get(damage), f"{relative} {damage}: nothing was said"
             path.write_bytes(kept)
-    assert fault(root / door.inside) == ""
+    assert fault(root / fixture.inside) == ""
 
 
-@pytest.mark.parametrize("name", DOORS)
+@pytest.mark.parametrize("name", FIXTURES)
 def test_the_command_ends_with_2_and_one_line(tmp_path, capsys, name):
-    door, root = written(tmp_path, name)
-    victim = photo_of(root, door)
+    fixture, root = written(tmp_path, name)
+    victim = photo_of(root, fixture)
     victim.write_bytes(b"rubbish")
     out = tmp_path / "out"
-    assert main(["fit", "3dgs", str(root / door.inside), "--out", str(out)]) == 2
+    assert main(["fit", "3dgs", str(root / fixture.inside), "--out", str(out)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert lines[-1].startswith("bench: ")
     assert str(victim.name) in lines[-1]
     assert not (out / "model").exists()
 
 
-@pytest.mark.parametrize("name", DOORS)
+@pytest.mark.parametrize("name", FIXTURES)
 def test_a_photo_too_many_is_left_out_and_said(tmp_path, name):
-    door, root = written(tmp_path, name)
-    scene = open_scene(root / door.inside, protocol(hold=2))
-    photo = photo_of(root, door)
+    fixture, root = written(tmp_path, name)
+    scene = open_scene(root / fixture.inside, protocol(hold=2))
+    photo = photo_of(root, fixture)
     extra = photo.with_name(f"9{photo.name}")
     shutil.copy(photo, extra)
-    if re.search(door.counted, photo.relative_to(root).as_posix()):
-        assert str(photo.parent) in fault(root / door.inside)  # too many for the rows
+    if re.search(fixture.counted, photo.relative_to(root).as_posix()):
+        assert str(photo.parent) in fault(root / fixture.inside)  # too many for the rows
         return
-    more = open_scene(root / door.inside, protocol(hold=2))
+    more = open_scene(root / fixture.inside, protocol(hold=2))
     assert [view.name for view in more.views] == [view.name for view in scene.views]
     assert any(Path(left).name == extra.name for left, _ in more.left_out), more.left_out
 
 
-def photo_of(root: Path, door: Door) -> Path:
+def photo_of(root: Path, fixture: Fixture) -> Path:
     """The photo of the first view."""
-    name = Path(open_scene(root / door.inside, protocol(hold=2)).views[0].name).name
+    name = Path(open_scene(root / fixture.inside, protocol(hold=2)).views[0].name).name
     found = [path for path in files_of(root) if path.name == name]
     return next(path for path in found if not re.search(r"masks|sky|images_2", str(path.parent)))

@@ -1,4 +1,4 @@
-"""What every door must do, whatever the set: checked on fixtures that the tests write."""
+"""What every adapter must do, whatever the set: checked on fixtures that the tests write."""
 
 import importlib.util
 import os
@@ -16,13 +16,13 @@ from splatproof.datasets.opening import open_scene
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import View
 
-DOORS = Path(__file__).parents[1] / "datasets" / "adapters"
+ADAPTER_TESTS = Path(__file__).parents[1] / "datasets" / "adapters"
 
 
 def fixtures(name: str) -> ModuleType:
-    """The test module of a door, for what it writes in the set's layout."""
-    path = DOORS / f"test_{name}.py"
-    spec = importlib.util.spec_from_file_location(f"door_fixtures_{name}", path)
+    """The test module of an adapter, for what it writes in the set's layout."""
+    path = ADAPTER_TESTS / f"test_{name}.py"
+    spec = importlib.util.spec_from_file_location(f"adapter_fixtures_{name}", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
