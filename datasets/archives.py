@@ -2,8 +2,6 @@
 
 import gzip
 import lzma
-import os
-import shutil
 import stat
 import tarfile
 import zipfile
@@ -13,7 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import IO
 
 from splatproof.base.errors import DataError, UsageError
-from splatproof.datasets.files import CHUNK
+from splatproof.base.files import CHUNK
+from splatproof.base.folders import working_folder
 
 LIMIT = 512 * 2**30
 """Default bound on the unpacked bytes of one archive."""
@@ -44,16 +43,11 @@ def extract(archive: Path, folder: Path, *, limit: int = LIMIT) -> Path:
     """
     if folder.exists():
         raise UsageError(f"{folder}: exists already; remove it first")
-    work = folder.with_name(f".{folder.name}.unpacking")
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir(parents=True)
-    try:
+    with working_folder(folder) as work:
         _unpack(archive, work, limit)
         inside = list(work.iterdir())
         whole = inside[0] if len(inside) == 1 and inside[0].is_dir() else work
-        os.replace(whole, folder)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
+        whole.rename(folder)
     return folder
 
 

@@ -1,12 +1,10 @@
-"""Where made and downloaded things are kept, and a lock so that two processes make them once."""
+"""Where made and downloaded things are kept."""
 
-import fcntl
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
-from splatproof.base.errors import MissingError
+ELSEWHERE = "set SPLATPROOF_CACHE to a folder that can be written"
+"""What to do where the cache cannot be written."""
 
 
 def cache_folder() -> Path:
@@ -18,22 +16,3 @@ def cache_folder() -> Path:
     # the XDG specification: a relative path is to be ignored
     root = Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache"
     return root / "splatproof"
-
-
-@contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the lock file `path` (made where missing) while the block runs; others wait.
-
-    The system gives the lock back when the process ends, however it ends.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = path.open("a")
-    except OSError as error:
-        raise MissingError(
-            f"{path.parent}: cannot write here ({error.strerror}); set SPLATPROOF_CACHE to a "
-            "folder that can be written"
-        ) from None
-    with handle:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from splatproof.base.errors import DataError
+from splatproof.datasets.colmap_library import pycolmap
 
 MODEL_FILES = ("cameras", "images", "points3D")
 RIG_FILES = ("rigs", "frames")

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
@@ -16,6 +15,7 @@ from splatproof.datasets.colmap_index import (
     ModelIndex,
     check_references,
 )
+from splatproof.datasets.colmap_library import pycolmap
 
 MODEL_FOLDERS = ("sparse/0", "sparse")
 _READERS = (

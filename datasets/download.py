@@ -11,8 +11,8 @@ import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
+from splatproof.base import files
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.datasets.files import CHUNK, sha256_of
 
 TIMEOUT = 30.0
 """Seconds without an answer after which a connection counts as broken."""
@@ -57,7 +57,7 @@ def download(
     """
     if urllib.parse.urlsplit(url).scheme not in ("http", "https"):
         raise UsageError(f"{url}: expected an address with http:// or https://")
-    if target.is_file() and sha256_of(target) == sha256.lower():
+    if target.is_file() and files.sha256(target) == sha256.lower():
         return target
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
@@ -85,7 +85,7 @@ def download(
                 "the same command continues where this one stopped"
             ) from None
         time.sleep(wait * 2 ** (failures - 1))
-    found = sha256_of(part)
+    found = files.sha256(part)
     if found != sha256.lower():
         part.unlink()
         raise DataError(
@@ -123,7 +123,7 @@ def _fetch(url: str, part: Path, report: Report, timeout: float) -> None:
         total = have + int(length) if length is not None else 0
         _check_space(part, total - have)
         with part.open("ab" if resumed else "wb") as file:
-            while chunk := answer.read(CHUNK):
+            while chunk := answer.read(files.CHUNK):
                 file.write(chunk)
                 have += len(chunk)
                 report(have, total)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.files import sha256_of
+from splatproof.base.files import sha256
 from splatproof.reference.types.scene import Scene
 
 Known = dict[str, tuple[int, int, str]]
@@ -45,7 +45,7 @@ def _sha256(path: Path, known: Known) -> str:
         stat = path.stat()
         mark = (stat.st_size, stat.st_mtime_ns)
         if key not in known or known[key][:2] != mark:
-            known[key] = (*mark, sha256_of(path))
+            known[key] = (*mark, sha256(path))
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror}") from None
     return known[key][2]

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Bool, Float64
 
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.reference.types.scene import SparsePoints
 
 FULL_SIZE_FOLDERS = ("photos", "images")

@@ -2,12 +2,13 @@
 
 import json
 import math
-import os
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import write_text
+from splatproof.base.typed_toml import build, read_toml
 
 NAME = "scene.toml"
 
@@ -16,14 +17,19 @@ NAME = "scene.toml"
 class SceneFile:
     """The contents of scene.toml."""
 
-    units: str = "sfm"
-    """Name of the length unit: "metres" or "sfm"."""
+    units: Literal["metres", "sfm"] = "sfm"
+    """Name of the length unit."""
     up: tuple[float, float, float] | None = None
     """Unit vector against gravity in the model's frame; None: unknown."""
     left_out: dict[str, str] = field(default_factory=dict)
     """Photo name: why it is not in the model."""
     facts: dict[str, str] = field(default_factory=dict)
     """How the scene was made."""
+
+    def __post_init__(self) -> None:
+        """Check the direction."""
+        if self.up is not None and not abs(math.hypot(*self.up) - 1) < 1e-6:
+            raise DataError(f"up is {list(self.up)}, expected three numbers of length 1")
 
 
 def read_scene_file(folder: Path) -> SceneFile:
@@ -34,39 +40,7 @@ def read_scene_file(folder: Path) -> SceneFile:
     path = folder / NAME
     if not path.exists():
         return SceneFile()
-    try:
-        data = tomllib.loads(path.read_text())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a TOML file ({error})") from None
-    unknown = set(data) - {"units", "up", "left_out", "facts"}
-    if unknown:
-        raise DataError(
-            f"{path}: unknown field {min(unknown)!r}; known: units, up, left_out, facts"
-        )
-    units = data.get("units", "sfm")
-    if units not in ("metres", "sfm"):
-        raise DataError(f"{path}: units is {units!r}, expected 'metres' or 'sfm'")
-    tables = {}
-    for name in ("left_out", "facts"):
-        tables[name] = data.get(name, {})
-        if not isinstance(tables[name], dict) or not all(
-            isinstance(value, str) for value in tables[name].values()
-        ):
-            raise DataError(f"{path}: [{name}] must be a table of strings")
-    return SceneFile(units=units, up=_up(path, data.get("up")), **tables)
-
-
-def _up(path: Path, value: object) -> tuple[float, float, float] | None:
-    if value is None:
-        return None
-    if (
-        isinstance(value, list)
-        and len(value) == 3
-        and all(isinstance(x, int | float) for x in value)
-        and abs(math.hypot(*value) - 1) < 1e-6
-    ):
-        return float(value[0]), float(value[1]), float(value[2])
-    raise DataError(f"{path}: up is {value!r}, expected three numbers of length 1")
+    return build(SceneFile, read_toml(path, DataError), str(path), DataError)
 
 
 def write_scene_file(folder: Path, scene: SceneFile) -> None:
@@ -85,9 +59,7 @@ def write_scene_file(folder: Path, scene: SceneFile) -> None:
             f"[{name}]",
             *(f"{_text(key)} = {_text(table[key])}" for key in sorted(table)),
         ]
-    part = folder / f".{NAME}.part"
-    part.write_text("\n".join(lines) + "\n")
-    os.replace(part, folder / NAME)
+    write_text(folder / NAME, "\n".join(lines) + "\n")
 
 
 def _text(value: str) -> str:

@@ -1,11 +1,11 @@
 """A protocol's rules say which views train and which are scored; a hash names the outcome."""
 
-import difflib
 import fnmatch
 import hashlib
 from collections.abc import Sequence
 
 from splatproof.base.errors import DataError, UsageError
+from splatproof.base.names import did_you_mean
 from splatproof.reference.types.protocol import Protocol
 
 Split = tuple[tuple[int, ...], tuple[int, ...]]
@@ -114,10 +114,9 @@ def _named(names: Sequence[str], protocol: Protocol) -> set[int]:
     for name in protocol.test_names:
         found = [name] if name in index else fnmatch.filter(names, name)
         if not found:
-            near = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
             raise DataError(
                 f"protocol {protocol.name}: test view {name!r} is not among the {len(names)} "
-                f"registered views; nearest is {near[0] if near else 'none'!r}"
+                f"registered views{did_you_mean(name, names)}"
             )
         held |= {index[one] for one in found}
     return held

@@ -13,14 +13,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import UInt8
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.cache_folder import cache_folder, locked
-from splatproof.datasets.files import write_bytes
-from splatproof.datasets.ingesting import pairing
+from splatproof.base.files import write_bytes
+from splatproof.base.locks import locked
+from splatproof.datasets import pairing
+from splatproof.datasets.cache_folder import ELSEWHERE, cache_folder
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
@@ -51,7 +52,7 @@ def with_triangulated(scene: Scene) -> Scene:
         )
     digest = _digest(views)
     path = cache_folder() / "triangulated" / f"{digest}.npz"
-    with locked(path.with_suffix(".lock")):
+    with locked(path.with_suffix(".lock"), elsewhere=ELSEWHERE):
         if not path.is_file():
             with bar(f"triangulating points of {scene.name}") as report:
                 write_bytes(path, _triangulate(views, report))

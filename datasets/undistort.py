@@ -7,13 +7,13 @@ image_undistorter does, so the images equal its images before their 8-bit step.
 from dataclasses import dataclass
 
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from splatproof.base.errors import DataError
+from splatproof.datasets.colmap_library import pycolmap
 
 LARGEST = 4
 """With "keep", the pinhole image may be this many times the photo's width or height."""

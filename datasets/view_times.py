@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.files import write_bytes
+from splatproof.base.files import read_json, write_bytes
 
 NAME = "views.json"
 SKY = "sky"
@@ -55,8 +55,8 @@ def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
     path = scene / NAME
     if not path.is_file():
         return {}
+    table = read_json(path)
     try:
-        table = json.loads(path.read_text())
         found = {
             name: Moment(time=float(entry["time"]), sensor=str(entry["sensor"]))
             for name, entry in table.items()

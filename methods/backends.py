@@ -4,12 +4,12 @@ import importlib
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import Any
 
 import torch
 
-from splatproof.base.errors import MissingError, UsageError
+from splatproof.base.errors import MissingError
+from splatproof.base.names import unknown
 from splatproof.reference.rasterizer import rasterize as reference_rasterizer
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -90,10 +90,7 @@ def get_backend(name: str) -> Backend:
     Raises: UsageError for an unknown name; MissingError when something must be installed first.
     """
     if name not in BACKENDS:
-        near = get_close_matches(name, BACKENDS, n=1, cutoff=0)[0]
-        raise UsageError(
-            f"backend {name!r}: unknown, did you mean {near!r}? There are {', '.join(BACKENDS)}"
-        )
+        raise unknown("backend", name, BACKENDS)
     backend = BACKENDS[name]()
     if backend.missing:
         raise MissingError(f"backend {name!r} cannot run here: {backend.missing}")

@@ -2,8 +2,8 @@
 
 from functools import partial
 
+from splatproof.base.names import unknown
 from splatproof.base.plugins import with_plugins
-from splatproof.base.typed_toml import unknown
 from splatproof.methods.city import settings as city
 from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city

@@ -1,14 +1,11 @@
 """Protocols as small TOML files: one rule a key, the name is the file's."""
 
 import dataclasses
-import difflib
-import json
-import tomllib
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
-
 from splatproof.base.errors import UsageError
+from splatproof.base.names import unknown
+from splatproof.base.typed_toml import build, read_toml
 from splatproof.metrics.registry import find_metric
 from splatproof.reference.types.protocol import Protocol
 
@@ -34,16 +31,12 @@ def load_protocol(name_or_path: str | Path) -> Protocol:
     if path.suffix != ".toml":
         path = FOLDER / f"{name_or_path}.toml"
         if str(name_or_path) not in protocol_names():
-            raise UsageError(
-                f"no protocol {str(name_or_path)!r}, {_nearest(str(name_or_path), protocol_names())}; "
-                f"known: {', '.join(protocol_names())}, or give the path of a .toml file"
+            raise unknown(
+                "protocol (a name, or the path of a .toml file)",
+                str(name_or_path),
+                protocol_names(),
             )
-    try:
-        rules = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"{path}: cannot read the protocol: {error.strerror}") from error
-    except ValueError as error:
-        raise UsageError(f"{path}: not a TOML file: {error}") from error
+    rules = read_toml(path)
     return protocol_from_rules(path.stem, rules, str(path))
 
 
@@ -56,18 +49,9 @@ def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Prot
         where: Name of the file, for errors.
     Raises: UsageError on an unknown key, a wrong type or value, or rules that contradict.
     """
-    for key in rules:
-        if key not in KEYS:
-            raise UsageError(f"{where}: unknown key {key!r}, {_nearest(key, KEYS)}")
-    try:
-        # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1.
-        text = json.dumps(rules | {"name": name}, default=str)
-        protocol = TypeAdapter(Protocol).validate_json(text, strict=True)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        found = "" if first["type"] == "missing" else f", found {first['input']!r}"
-        raise UsageError(f"{where}: {key}: {first['msg']}{found}") from error
+    if "name" in rules:
+        raise unknown(where, "name", KEYS)
+    protocol = build(Protocol, rules | {"name": name}, where)
     _check(protocol, where)
     return protocol
 
@@ -137,7 +121,3 @@ def _check(protocol: Protocol, where: str) -> None:
             find_metric(metric)
         except UsageError as error:
             raise UsageError(f"{where}: metrics: {error}") from error
-
-
-def _nearest(word: str, known: list[str] | tuple[str, ...]) -> str:
-    return f"nearest is {difflib.get_close_matches(word, known, n=1, cutoff=0)[0]!r}"

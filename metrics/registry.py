@@ -1,6 +1,5 @@
 """Every per-image metric by its name."""
 
-import difflib
 import functools
 import math
 from collections.abc import Callable, Iterable
@@ -9,7 +8,7 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatproof.base.errors import UsageError
+from splatproof.base.names import unknown
 from splatproof.metrics import flip, lpips, pixel, ssim
 
 MetricFunction = Callable[
@@ -42,8 +41,7 @@ def find_metric(name: str) -> Metric:
     Raises: UsageError naming the nearest one where there is none.
     """
     if name not in METRICS:
-        near = difflib.get_close_matches(name, METRICS, n=1, cutoff=0)
-        raise UsageError(f"no metric {name!r}, nearest is {near[0]!r}; known: {', '.join(METRICS)}")
+        raise unknown("metric", name, METRICS)
     return METRICS[name]
 
 

@@ -1,7 +1,6 @@
 """Weights of learned metrics on disk. Nothing is ever downloaded."""
 
 import functools
-import hashlib
 import os
 import re
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import torch
 
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.files import sha256
 
 WEIGHTS = {
     "vgg": "https://download.pytorch.org/models/vgg16-397923af.pth",
@@ -49,8 +49,7 @@ def weights_sha256(path: Path) -> str:
 
     Raises: DataError where it is another.
     """
-    with path.open("rb") as file:
-        found = hashlib.file_digest(file, "sha256").hexdigest()
+    found = sha256(path)
     promised = re.findall(r"-([0-9a-f]{8})\.pth$", path.name)[0]
     if not found.startswith(promised):
         raise DataError(

@@ -1,6 +1,5 @@
 """Opening an MLflow store: quiet, off the network but for the store itself, with bounded waits."""
 
-import fcntl
 import logging
 import os
 import sys
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from splatproof.base.errors import MissingError, UsageError
+from splatproof.base.locks import locked
 
 if TYPE_CHECKING:
     from mlflow.tracking import MlflowClient
@@ -115,10 +115,8 @@ def _make_tables(file: Path) -> None:
     """
     from mlflow.tracking import MlflowClient
 
-    file.parent.mkdir(parents=True, exist_ok=True)
     making = file.with_name(f"{file.name}.making")
-    with file.with_name(f"{file.name}.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # freed by the kernel when the process dies
+    with locked(file.with_name(f"{file.name}.lock")):
         if file.exists():
             return  # another process has made it meanwhile
         for left in (making, making.with_name(f"{making.name}-journal")):

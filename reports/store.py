@@ -1,6 +1,5 @@
 """Finished cases into MLflow, and results back out of MLflow alone."""
 
-import fcntl
 import hashlib
 import os
 import socket
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.locks import lock
 from splatproof.reference.types.result import Result, picture_name
 from splatproof.reference.types.result_json import result_from_json
 from splatproof.reports import run_data
@@ -166,7 +166,7 @@ def _locked(record: Path) -> Iterator[bytes]:
     except FileNotFoundError as error:
         raise DataError(f"{record}: no such record; run the case first") from error
     with file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # freed by the kernel when the process dies
+        lock(file)
         yield file.read()
 
 

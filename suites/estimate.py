@@ -7,7 +7,7 @@ from pathlib import Path
 
 from splatproof.base.errors import UsageError
 from splatproof.base.typed_toml import build
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.registry import get_method, methods
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.scene import Scene

@@ -11,7 +11,7 @@ from splatproof.base.errors import SplatproofError
 from splatproof.base.files import write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.loading import load_reconstruction

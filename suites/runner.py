@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 from splatproof.base.errors import DataError, UsageError
+from splatproof.base.locks import locked
 from splatproof.reference.types.result import Result
 from splatproof.suites.records import RECORD_NAME, read_record
 from splatproof.suites.run_case import Job, reason_of
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import Case, Suite, key_of
-from splatproof.suites.workers import Launch, Lock, in_worker
+from splatproof.suites.workers import Launch, in_worker
 
 Status = Literal["kept", "finished", "failed"]
 """kept: it was finished before; finished, failed: it ran now."""
@@ -113,7 +114,10 @@ def run_suite(
     outcomes = []
     blocks = folder / suite.name / ".blocks"
     scenes = SceneData(folder / suite.name / ".files.json")
-    with Lock(folder / suite.name):
+    in_use = (
+        f"{folder / suite.name}: another `bench run` is using this folder; wait for it or use --out"
+    )
+    with locked(folder / suite.name / ".lock", busy=in_use):
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
         for index, case in enumerate(cases):

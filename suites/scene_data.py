@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from splatproof.base.files import write_text
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.fingerprint import Known, files_sha256
-from splatproof.datasets.opening import open_scene
 from splatproof.reference.types.protocol import Protocol
 
 FILES = "files_sha256"

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatproof.base.errors import MissingError, UsageError
-from splatproof.datasets.registry import absence, find_scene, get_entry, locate
+from splatproof.datasets.catalogue.registry import absence, find_scene, get_entry, locate
 from splatproof.suites.suite_files import PATH, Suite
 
 

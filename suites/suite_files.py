@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.base.errors import UsageError
-from splatproof.base.typed_toml import build, read_toml, unknown
+from splatproof.base.names import unknown
+from splatproof.base.typed_toml import build, read_toml
 from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.registry import methods
 from splatproof.metrics.protocol_files import load_protocol

@@ -1,13 +1,11 @@
 """Run a case here or in a process of its own."""
 
-import fcntl
-import multiprocessing
 from collections.abc import Callable
-from multiprocessing.connection import Connection, wait
-from pathlib import Path
+from contextlib import suppress
+from multiprocessing.connection import Connection
 
-from splatproof.base.errors import UsageError
-from splatproof.base.processes import how_it_ended, serve_parent
+from splatproof.base.locks import locked
+from splatproof.base.processes import Worker
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.run_case import Job, Tell, failed_result, run_case
 
@@ -33,66 +31,18 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
         target: What runs there; importable by name.
     """
     (job.folder / RECORD_NAME).unlink(missing_ok=True)  # one that is there afterwards is new
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    worker = context.Process(target=_work, args=(target, job, theirs))
-    worker.start()
-    theirs.close()
-    try:
-        _listen(ours, worker.sentinel, tell)
-        worker.join()
-    finally:
-        ours.close()
-        worker.kill()  # nothing to say good-bye to: what it writes is written whole
-        worker.join()
+    with Worker(_work, target, job) as worker:
+        with suppress(EOFError):
+            while True:
+                tell(*worker.receive())
+        ended = worker.how_it_ended()
     if not (job.folder / RECORD_NAME).exists():
-        reason = f"the case's process left no record: it {how_it_ended(worker.exitcode)}"
+        reason = f"the case's process left no record: it {ended}"
         write_record(job.folder, failed_result(job, reason))
 
 
-def _listen(ours: Connection, sentinel: int, tell: Tell) -> None:
-    """Pass on what the worker says until it is silent for good."""
-    while True:
-        ready = wait([ours, sentinel])
-        if ours not in ready:
-            return
-        try:
-            tell(*ours.recv())
-        except EOFError:
-            return
-
-
-def _work(target: Launch, job: Job, theirs: Connection) -> None:
-    """What the worker does: die with its parent, be alone in the suite's folder, run."""
-    serve_parent()
-    job.folder.mkdir(parents=True, exist_ok=True)
+def _work(says: Connection, target: Launch, job: Job) -> None:
+    """What the worker does: be alone in the case's folder, run."""
     # The worker of a killed run may still be at its last step: wait until its lock is gone.
-    with (job.folder / ".worker").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        target(job, lambda *event: theirs.send(event))
-
-
-class Lock:
-    """The right to run a suite in a folder; the kernel frees it when the process dies."""
-
-    def __init__(self, folder: Path) -> None:
-        """Take the lock.
-
-        Raises: UsageError if another process has it.
-        """
-        folder.mkdir(parents=True, exist_ok=True)
-        self._file = (folder / ".lock").open("w")
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._file.close()
-            raise UsageError(
-                f"{folder}: another `bench run` is using this folder; wait for it or use --out"
-            ) from None
-
-    def __enter__(self) -> None:
-        """Nothing: the lock was taken when this was made."""
-
-    def __exit__(self, *_: object) -> None:
-        """Give the lock back."""
-        self._file.close()
+    with locked(job.folder / ".worker"):
+        target(job, lambda *event: says.send(event))

@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.datasets.colmap_library import pycolmap
 
 RIGID = 1e-3
 """How far R R^T may be from the identity: files hold float32 or few digits."""

@@ -3,7 +3,6 @@
 Both give camera-to-world matrices with OpenGL camera axes (right, up, back).
 """
 
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -11,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_json
 from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
@@ -23,6 +22,7 @@ from splatproof.datasets.adapters.posed import (
     positive,
 )
 from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
 from splatproof.datasets.photos import PHOTO_SUFFIXES, list_photos, photo_size
 from splatproof.reference.types.protocol import Protocol
@@ -46,12 +46,7 @@ def read_frames(
         kind: Type of that field.
     Raises: DataError naming the fault.
     """
-    try:
-        data = json.loads(path.read_bytes())
-    except FileNotFoundError:
-        raise DataError(f"{path}: missing; it says where the cameras are") from None
-    except ValueError as error:
-        raise DataError(f"{path}: not a JSON file ({error})") from None
+    data = read_json(path)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise DataError(f"{path}: has no list 'frames'; expected a transforms file")

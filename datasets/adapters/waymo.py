@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.adapters import driving
 from splatproof.datasets.adapters.posed import checked_pose, find_photo, pinhole_camera, positive
 from splatproof.datasets.assemble import open_layout
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.layout import Layout, PosedPhoto
 from splatproof.datasets.moving_masks import moving_masks
 from splatproof.datasets.photos import list_photos, photo_size

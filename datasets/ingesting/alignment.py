@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pycolmap
 from jaxtyping import Float64
 
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.scene_frame import up_vector
 
 TILT = math.radians(1.0)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import write_text
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.ingesting import structure
 from splatproof.datasets.ingesting.alignment import Alignment, align, local_metres
 from splatproof.datasets.ingesting.structure import Report, Structure
@@ -113,9 +114,7 @@ def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:
             os.link(photo.path, link)
         except OSError:  # another file system
             shutil.copy2(photo.path, link)
-    part = work / "job.json.part"
-    part.write_text(job)
-    os.replace(part, known)
+    write_text(known, job)
     return False
 
 

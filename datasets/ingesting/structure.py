@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.ingesting import alignment, pairing
+from splatproof.datasets import pairing
+from splatproof.datasets.colmap_library import pycolmap
+from splatproof.datasets.ingesting import alignment
 from splatproof.datasets.ingesting.survey import Photo
 
 Report = Callable[[str, int, int], None]

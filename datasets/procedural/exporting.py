@@ -10,14 +10,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import torch
 from jaxtyping import Float
 
 from splatproof.base.errors import DataError, UsageError
+from splatproof.base.files import write_bytes
 from splatproof.datasets import moving_masks as moving
+from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.depth_maps import depth_path
-from splatproof.datasets.files import write_bytes
 from splatproof.datasets.procedural import sfm
 from splatproof.datasets.procedural.plan import Plan, Shot, content_hash
 from splatproof.datasets.procedural.ray_images import Frame, take

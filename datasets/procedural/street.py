@@ -8,7 +8,7 @@ from threading import Lock
 
 import numpy as np
 
-from splatproof.datasets.files import write_bytes
+from splatproof.base.files import write_bytes
 from splatproof.datasets.procedural import lidar, street_still, traffic
 from splatproof.datasets.procedural.daylight import Daylight, Sky
 from splatproof.datasets.procedural.flights import looking

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from city_page import Picture, render_city, row_of
 
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.regions import nearest_region
 from splatproof.methods.loading import load_reconstruction

@@ -1,18 +1,15 @@
 """Train the blocks of a city, each in a process of its own that gets nothing but its job."""
 
-import fcntl
-import multiprocessing
 import os
 import pickle
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from importlib import import_module
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
+from multiprocessing.connection import Connection
 
 from splatproof.base.errors import SplatproofError, UsageError
-from splatproof.base.processes import how_it_ended, serve_parent
+from splatproof.base.locks import locked
+from splatproof.base.processes import Worker, listening
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.train_block import BlockJob, train_block, trained
 from splatproof.methods.training.loop import threads as torch_threads
@@ -82,13 +79,6 @@ def run_inline(
     return found
 
 
-@dataclass
-class _Running:
-    index: int
-    process: SpawnProcess
-    says: Connection
-
-
 def run_in_processes(
     jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
@@ -97,81 +87,59 @@ def run_in_processes(
     The processes end when this one does, however that dies.
     """
     each = max(1, (threads or os.cpu_count() or 1) // workers)
-    waiting, running = list(enumerate(jobs))[::-1], list[_Running]()
+    waiting, running = list(enumerate(jobs))[::-1], dict[Worker, int]()
     found: dict[int, BlockFacts] = {}
     try:
         while waiting or running:
             while waiting and len(running) < workers:
-                running.append(_start(*waiting.pop(), each))
-            for one in _ready(running):
+                index, job = waiting.pop()
+                running[_start(job, each)] = index
+            for one in listening(list(running)):
+                index = running[one]
                 try:
-                    kind, content = one.says.recv()
+                    kind, content = one.receive()
                 except EOFError:
-                    one.process.join()
-                    raise SplatproofError(_died(jobs[one.index], one.process.exitcode)) from None
+                    raise SplatproofError(_died(jobs[index], one.how_it_ended())) from None
                 if kind == "report":
-                    report(one.index, *content)
+                    report(index, *content)
                 elif kind == "error":
                     raise content
                 else:
-                    found[one.index] = content
-                    running.remove(one)
-                    _end(one)
+                    found[index] = content
+                    del running[one]
+                    one.close()
     finally:
         for one in running:
-            _end(one)
+            one.close()
     return [found[index] for index in range(len(jobs))]
 
 
-def _start(index: int, job: BlockJob, threads: int) -> _Running:
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(job, theirs, threads))
+def _start(job: BlockJob, threads: int) -> Worker:
     try:
-        process.start()
+        return Worker(_work, job, threads)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise UsageError(
             f"scene {job.scene.name!r} was made in memory and cannot be sent to another process "
             f"({error}); use the engine 'inline'"
         ) from None
-    theirs.close()
-    return _Running(index=index, process=process, says=ours)
 
 
-def _ready(running: Sequence[_Running]) -> list[_Running]:
-    ready = wait([one.says for one in running])
-    return [one for one in running if one.says in ready]
-
-
-def _end(one: _Running) -> None:
-    one.process.kill()  # nothing to say good-bye to: what it writes is written whole
-    one.process.join()
-    one.says.close()
-
-
-def _died(job: BlockJob, code: int | None) -> str:
-    what = f"block {job.facts.block}: its process {how_it_ended(code)}"
+def _died(job: BlockJob, how: str) -> str:
+    what = f"block {job.facts.block}: its process {how}"
     return f"{what}; the same command continues from its checkpoint"
 
 
-def _work(job: BlockJob, theirs: Connection, threads: int) -> None:
-    """What a worker does: die with its parent, train, tell."""
-    serve_parent()
+def _work(says: Connection, job: BlockJob, threads: int) -> None:
+    """What a worker does: train, tell."""
     try:
         with torch_threads(threads), alone(job):
-            facts = train_block(job, lambda *at: theirs.send(("report", at)))
+            facts = train_block(job, lambda *at: says.send(("report", at)))
     except SplatproofError as error:
-        theirs.send(("error", type(error)(f"block {job.facts.block}: {error}")))
+        says.send(("error", type(error)(f"block {job.facts.block}: {error}")))
     else:
-        theirs.send(("done", facts))
-    finally:
-        theirs.close()
+        says.send(("done", facts))
 
 
-@contextmanager
-def alone(job: BlockJob) -> Iterator[None]:
+def alone(job: BlockJob) -> AbstractContextManager[None]:
     """Wait until no other process trains this block: a killed run's worker may be at its last step."""
-    job.folder.mkdir(parents=True, exist_ok=True)
-    with (job.folder / ".worker").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
+    return locked(job.folder / ".worker")

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatproof.base.files import read_tensors, write_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel

@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import read_tensors, write_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.voxel_region import INSIDE, VoxelRegion
 from splatproof.reference.partition.boxes import Box, OrientedBox, Region, box_distance
 from splatproof.reference.partition.contracted_grid import contract

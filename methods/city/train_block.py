@@ -11,8 +11,9 @@ import torch
 from jaxtyping import Float, Int8
 from torch import Tensor
 
-from splatproof.base.files import read_tensors, write_text
+from splatproof.base.files import write_text
 from splatproof.base.memory import peak_memory_mb
+from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.point_roles import GHOST, OWN, ROLE, held_rows, role_rules
 from splatproof.methods.models.base import Origin, save_model

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from splatproof import __version__
 from splatproof.base.errors import DataError
-from splatproof.base.files import read_tensors, sha256, write_tensors, write_text
+from splatproof.base.files import sha256, write_text
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View

@@ -1,6 +1,5 @@
 """Cameras to render from, as a JSON file."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_json
 from splatproof.reference.types.camera import Camera
 
 KEYS = ("name", "width", "height", "K", "world_to_camera")
@@ -23,12 +23,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
     Raises: DataError, in one line, naming the file, the entry and the fault.
     """
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: not JSON ({error})") from None
+    entries = read_json(path)
     if not isinstance(entries, list) or not entries:
         raise DataError(f"{path}: expected a list of at least one camera")
     cameras: dict[str, Camera] = {}

@@ -1,7 +1,6 @@
 """A .safetensors file of float32 arrays, written slice by slice."""
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import whole_file
 
 
 def write_float_stream(
@@ -37,22 +37,16 @@ def write_float_stream(
     text += b" " * (-len(text) % 8)
     start = 8 + len(text)
     at = {name: header[name]["data_offsets"][0] for name in shapes}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            file.write(len(text).to_bytes(8, "little") + text)
-            for part in slices:
-                for name, rows in part.items():
-                    data = rows.detach().float().contiguous().numpy().astype("<f4", copy=False)
-                    file.seek(start + at[name])
-                    at[name] += data.nbytes
-                    if at[name] > ends[name]:
-                        raise DataError(f"{path}: more rows of {name} than {shapes[name]}")
-                    file.write(data.data)
+    with whole_file(path) as partial, partial.open("wb") as file:
+        file.write(len(text).to_bytes(8, "little") + text)
+        for part in slices:
+            for name, rows in part.items():
+                data = rows.detach().float().contiguous().numpy().astype("<f4", copy=False)
+                file.seek(start + at[name])
+                at[name] += data.nbytes
+                if at[name] > ends[name]:
+                    raise DataError(f"{path}: more rows of {name} than {shapes[name]}")
+                file.write(data.data)
         short = [name for name in shapes if at[name] < ends[name]]
         if short:
             raise DataError(f"{path}: fewer rows of {short[0]} than {shapes[short[0]]}")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

@@ -1,6 +1,5 @@
 """Gaussians as .ply files with the property names and order of the original 3DGS release."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -69,13 +69,8 @@ def write_ply(
         rows[name] = column.detach().numpy()
     comments = [f"{SHIFT} {' '.join(repr(v) for v in offset.tolist())}"] if moved else []
     data = PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         data.write(partial)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:

@@ -1,6 +1,5 @@
 """Gaussians as .spz, the small format of the web viewers, through the public package gsply."""
 
-import os
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -9,6 +8,7 @@ import numpy as np
 import torch
 
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -43,13 +43,8 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: Version = 3) -> None
         quats=gaussians.unit_quaternions.numpy(), opacities=gaussians.opacity_logits.numpy(),
         sh0=gaussians.sh[:, 0].numpy(), shN=gaussians.sh[:, 1:].contiguous().numpy(),
     )  # fmt: skip
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def read_spz(path: Path) -> Gaussians:

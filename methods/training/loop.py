@@ -13,7 +13,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from splatproof.base.errors import SplatproofError, UsageError
-from splatproof.base.files import read_tensors, write_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.backends import get_backend
 from splatproof.methods.kernels.step import ViewGradients

@@ -7,6 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from splatproof.base.files import whole_file
+
 matplotlib.use("Agg")
 
 COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#bbbbbb", "#222222")
@@ -60,7 +62,5 @@ def save(figure: Figure, path: Path) -> None:
         figure: Picture to write.
         path: PNG file; its folder is made.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.png")
-    figure.savefig(part)
-    part.replace(path)
+    with whole_file(path) as partial:
+        figure.savefig(partial, format="png")

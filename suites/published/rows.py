@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from splatproof.base.errors import DataError, UsageError
-from splatproof.base.typed_toml import build, read_toml, unknown
+from splatproof.base.names import unknown
+from splatproof.base.typed_toml import build, read_toml
 
 FOLDER = Path(__file__).parent
 NUMBERS = FOLDER / "numbers.csv"

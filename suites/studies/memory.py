@@ -14,8 +14,8 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from splatproof.base.errors import MissingError
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.image_cache import ImageCache
-from splatproof.datasets.opening import open_scene
 from splatproof.methods.training.dense_points import match
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.layered_memory import layered_depth

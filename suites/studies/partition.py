@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from splatproof.base.errors import MissingError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene
 from splatproof.suites.partition import partition_rows

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from splatproof.base.errors import MissingError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.base import ARRAYS, Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel

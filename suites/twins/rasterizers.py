@@ -1,4 +1,4 @@
-"""Rasterizers, from activated parameters and from raw ones, on the random scenes of speed_scenes."""
+"""Rasterizers, from activated parameters and from raw ones, on random scenes."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from splatproof.methods.kernels.roofline import count_pairs
 from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.types.gaussians import Gaussians
-from splatproof.suites.studies.speed.scenes import speed_scene
+from splatproof.suites.twins.random_scenes import speed_scene
 from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
 ACTIVATED = ("means", "quaternions", "scales", "opacities", "sh")

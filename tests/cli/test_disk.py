@@ -5,11 +5,8 @@ import os
 from pathlib import Path
 
 import pytest
-import torch
-from safetensors import SafetensorError
 from sqlalchemy.exc import OperationalError
 
-from splatproof.base import files
 from splatproof.base.errors import MissingError
 from splatproof.cli import doctor, main
 from splatproof.reports import mlflow_client
@@ -38,18 +35,6 @@ def test_a_missing_file_is_our_own_fault_and_not_hidden(monkeypatch):
     monkeypatch.setattr(doctor, "doctor", command)
     with pytest.raises(FileNotFoundError):
         main(["doctor"])
-
-
-def test_tensors_that_find_no_room_name_their_file(tmp_path, monkeypatch):
-    def save(tensors: object, path: Path, **_: object) -> None:
-        path.write_bytes(b"half")
-        raise SafetensorError("I/O error: No space left on device (os error 28)")  # on a full tmpfs
-
-    monkeypatch.setattr(files, "save_file", save)
-    with pytest.raises(OSError, match=r"model\.safetensors") as caught:
-        files.write_tensors(tmp_path / "model.safetensors", {"a": torch.zeros(10)})
-    assert caught.value.errno == errno.ENOSPC
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_store_without_room_is_told_and_leaves_no_half_made_tables(tmp_path, monkeypatch):

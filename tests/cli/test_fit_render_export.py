@@ -9,7 +9,7 @@ from plyfile import PlyData
 
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main
-from splatproof.datasets import opening
+from splatproof.datasets.catalogue import opening
 from splatproof.methods.loading import load_reconstruction
 from splatproof.reference.types.scene import camera_view
 

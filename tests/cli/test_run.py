@@ -133,7 +133,7 @@ def changed(old: str, new: str) -> str:
 
 
 BAD_FILES = {
-    "cut": (SUITE[:40], "not TOML"),
+    "cut": (SUITE[:40], "not a TOML file"),
     "unknown key": (changed("seeds", "seed"), "did you mean 'seeds'"),
     "unknown method": (changed('"fake"', '"fakee"'), "did you mean 'fake'"),
     "unknown protocol": (changed('"default"', '"defualt"'), "'default'"),

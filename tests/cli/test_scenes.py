@@ -5,7 +5,7 @@ import json
 import pytest
 
 from splatproof import cli
-from splatproof.datasets import registry
+from splatproof.datasets.catalogue import registry
 from splatproof.datasets.procedural import courtyard
 
 
@@ -62,8 +62,8 @@ def test_make(capsys, places):
     ("args", "code", "words"),
     [
         (("get", "waymo_pvg/0145050"), 3, "looked for"),
-        (("get", "waymo_pvg/014505"), 2, "nearest is 'waymo_pvg/0145050'"),
-        (("show", "nowhere"), 2, "nearest is"),
+        (("get", "waymo_pvg/014505"), 2, "did you mean 'waymo_pvg/0145050'"),
+        (("show", "nowhere"), 2, "bench scenes list"),
         (("make", "village", "x"), 2, "there are courtyard"),
         (("make", "courtyard", "x", "--preset", "huge"), 2, "small, medium, large"),
         (("make", "courtyard", "x", "--seed", "-1"), 2, "expected 0 or more"),

@@ -216,9 +216,9 @@ def test_all_faults_are_named_at_once(folders, capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--protocol", "defualt"], "no protocol 'defualt', nearest is 'default'"),
+        (["--protocol", "defualt"], "unknown 'defualt', did you mean 'default'"),
         (["--protocol", "default,default"], "one name stands twice"),
-        (["--protocol", "default,"], "no protocol ''"),
+        (["--protocol", "default,"], "unknown ''"),
         (["--masks", "nowhere"], "nowhere: no such folder"),
     ],
 )

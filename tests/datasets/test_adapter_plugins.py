@@ -12,7 +12,7 @@ from helpers.tiny_scene import tiny_scene
 from splatproof.base import plugins
 from splatproof.base.errors import DataError, UsageError
 from splatproof.cli import main
-from splatproof.datasets.opening import ADAPTERS, GROUP, Adapter, all_adapters, open_scene
+from splatproof.datasets.catalogue.opening import ADAPTERS, GROUP, Adapter, all_adapters, open_scene
 from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="test")

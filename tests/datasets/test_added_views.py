@@ -8,7 +8,7 @@ import torch
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.datasets.added_views import with_tests
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene

@@ -10,9 +10,9 @@ import pytest
 from helpers.colmap_scenes import Flight, write_scene
 from splatproof.base.errors import DataError
 from splatproof.datasets import fingerprint
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.depth_maps import depth_path
 from splatproof.datasets.fingerprint import Known, files_sha256
-from splatproof.datasets.opening import open_scene
 from splatproof.datasets.view_times import sky_path
 from splatproof.reference.types.protocol import Protocol
 
@@ -75,8 +75,8 @@ def test_files_that_are_known_are_not_read_again(folder, monkeypatch):
     known: Known = {}
     before = hashed(folder, known)
     read = []
-    real = fingerprint.sha256_of
-    monkeypatch.setattr(fingerprint, "sha256_of", lambda path: read.append(path.name) or real(path))
+    real = fingerprint.sha256
+    monkeypatch.setattr(fingerprint, "sha256", lambda path: read.append(path.name) or real(path))
     assert hashed(folder, known) == before
     assert not read
     os.utime(folder / "photos" / PHOTOS[3], ns=(1, 1))

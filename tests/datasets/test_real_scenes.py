@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from helpers.real_scenes import real_scene
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene

@@ -33,7 +33,9 @@ def test_split(rules, test):
 
 
 def test_an_unknown_test_name_gets_its_nearest():
-    with pytest.raises(DataError, match="'img_9.jpg' is not among the 18.*'img_09.jpg'"):
+    with pytest.raises(
+        DataError, match="'img_9.jpg' is not among the 18.*did you mean 'img_09.jpg'"
+    ):
         split_views(NAMES, protocol(test_names=("img_9.jpg",)))
 
 

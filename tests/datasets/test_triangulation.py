@@ -12,7 +12,7 @@ from helpers.colmap_scenes import Flight, write_scene
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.datasets import triangulation
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import aerial, exporting
 from splatproof.datasets.procedural import oracle as truth
 from splatproof.datasets.triangulation import with_triangulated

@@ -20,7 +20,7 @@ from helpers.colmap_scenes import (
     write_scene,
 )
 from splatproof.base.errors import DataError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.undistort import (
     is_pinhole,
     photo_positions,

@@ -12,7 +12,7 @@ import pytest
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import View
 

@@ -104,11 +104,11 @@ def test_no_pixels_are_refused(metric):
 
 def test_metrics_without_weights_have_nothing_to_load():
     assert load_weights([metric.name for metric in WITHOUT_WEIGHTS]) == {}
-    with pytest.raises(UsageError, match="no metric 'psrn'"):
+    with pytest.raises(UsageError, match="metric: unknown 'psrn'"):
         load_weights(["psrn"])
 
 
 def test_an_unknown_name_is_refused_with_the_nearest():
     assert find_metric("psnr") is METRICS["psnr"]
-    with pytest.raises(UsageError, match="no metric 'psrn', nearest is 'psnr'"):
+    with pytest.raises(UsageError, match="metric: unknown 'psrn', did you mean 'psnr'"):
         find_metric("psrn")

@@ -35,7 +35,7 @@ def test_every_picture_of_the_page_is_there():
 
 
 def test_pictures_show_something(tmp_path):
-    from splatproof.datasets.opening import open_scene
+    from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.metrics.protocol_files import load_protocol
 
     scene = open_scene("courtyard", load_protocol("quick"))

@@ -12,7 +12,7 @@ from helpers.city_scene import small_scene
 from helpers.real_scenes import real_scene
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError, UsageError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city import citygaussian_views as rule
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.partition import Partition, PartitionSettings, near_square

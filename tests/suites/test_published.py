@@ -8,7 +8,7 @@ import pytest
 from helpers.case_folders import result
 from splatproof.base.errors import UsageError
 from splatproof.cli import main
-from splatproof.datasets.registry import get_entry
+from splatproof.datasets.catalogue.registry import get_entry
 from splatproof.suites.published import ours, rows
 from splatproof.suites.records import write_record
 from splatproof.suites.suite_files import load_suite

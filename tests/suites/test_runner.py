@@ -14,6 +14,7 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
 from splatproof.base.errors import UsageError
+from splatproof.base.locks import locked
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
@@ -22,7 +23,7 @@ from splatproof.suites.held_out import kept
 from splatproof.suites.records import read_record
 from splatproof.suites.runner import run_suite, select
 from splatproof.suites.suite_files import Case, Suite
-from splatproof.suites.workers import Lock, in_process, in_worker
+from splatproof.suites.workers import in_process, in_worker
 
 PROTOCOL = load_protocol("default")
 
@@ -240,7 +241,7 @@ def test_select_by_pattern_and_seeds():
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
-    with Lock(tmp_path / "tiny"), pytest.raises(UsageError, match="another `bench run`"):
+    with locked(tmp_path / "tiny/.lock"), pytest.raises(UsageError, match="another `bench run`"):
         run(suite(case()), tmp_path)
     run(suite(case()), tmp_path)
 

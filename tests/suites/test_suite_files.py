@@ -85,7 +85,7 @@ def changed(old: str, new: str) -> str:
 
 
 BAD = {
-    "not TOML": (GOOD + "[[", "not TOML"),
+    "not a TOML file": (GOOD + "[[", "not a TOML file"),
     "empty": ("", "description is missing"),
     "no cases": ('description = "x"', "cases is missing"),
     "blocks, as cases were called once": (
@@ -101,7 +101,7 @@ BAD = {
         changed('["fake"]', '["fkae"]'),
         r"cases\[0\].methods: unknown 'fkae', did you mean 'fake'",
     ),
-    "unknown protocol": (changed('"quick"', '"qiuck"'), "'qiuck', nearest is 'quick'"),
+    "unknown protocol": (changed('"quick"', '"qiuck"'), "unknown 'qiuck', did you mean 'quick'"),
     "unknown setting": (
         changed("iterations", "iteratons"),
         "settings.fake: unknown 'iteratons', did you mean 'iterations'",
@@ -156,7 +156,7 @@ def test_a_missing_file_a_wrong_name_and_a_name_that_is_no_folder(tmp_path):
     with pytest.raises(UsageError, match="the file's name becomes a folder"):
         load_suite(written(tmp_path, GOOD, "a b.toml"))
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UsageError, match="not TOML"):
+    with pytest.raises(UsageError, match="not a TOML file"):
         load_suite(tmp_path / "binary.toml")
 
 

@@ -27,6 +27,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import whole_file
 from splatproof.methods.storage.packed.morton import morton_codes
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import MemoryRows, Rows
@@ -136,21 +137,15 @@ def write_packed(
         chosen = order[first : first + CHUNK] if settings.sort else slice(first, first + CHUNK)
         return _chunk(rows.take(chosen, NAMES), gate[chosen], low, reach, settings)
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
-        with partial.open("wb") as file:
-            out = RecordWriter(file)
-            out.add(json.dumps(header, sort_keys=True).encode())
-            out.add(torch.stack([low, reach]).numpy().astype("<f4").tobytes())
-            for streams in in_order(chunk, range(0, len(rows), CHUNK), workers):
-                for name, stream in zip(PARTS, streams, strict=True):
-                    sizes[name] += len(stream)
-                out.add(b"".join(struct.pack("<I", len(s)) + s for s in streams))
-            total = file.tell()
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole_file(path) as partial, partial.open("wb") as file:
+        out = RecordWriter(file)
+        out.add(json.dumps(header, sort_keys=True).encode())
+        out.add(torch.stack([low, reach]).numpy().astype("<f4").tobytes())
+        for streams in in_order(chunk, range(0, len(rows), CHUNK), workers):
+            for name, stream in zip(PARTS, streams, strict=True):
+                sizes[name] += len(stream)
+            out.add(b"".join(struct.pack("<I", len(s)) + s for s in streams))
+        total = file.tell()
     return PackedReport(
         primitives=len(rows), open_share=float(gate.double().mean()) if len(gate) else 0.0,
         bytes_by_part=sizes | {"frame": total - sum(sizes.values())},

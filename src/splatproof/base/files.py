@@ -1,78 +1,59 @@
-"""Tensors on disk: safetensors written atomically, read with one-line errors. No pickle."""
+"""Files that are there whole or not at all, checksums, and JSON read with one-line errors."""
 
 import hashlib
 import json
 import os
-import re
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-from torch import Tensor
-
 from splatproof.base.errors import DataError
 
+CHUNK = 2**20
+"""Bytes that are read at a time from something that may be large."""
 
-def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = None) -> None:
-    """Write named tensors and JSON-ready facts into one file that is there whole or not at all.
 
-    Args:
-        path: Its folder is made.
-        tensors: By name.
-        facts: Stored in the file's header.
-    Raises: OSError where the disk does not take it.
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Name for a new file beside `path` that takes its place when the block ends without an error.
+
+    Folders above are made. After an error nothing is left; after a kill, at most a file whose name
+    ends in ".partial".
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        save_file(
-            {name: tensor.detach().contiguous() for name, tensor in tensors.items()},
-            partial,
-            metadata={"facts": json.dumps(facts)},
-        )
+        yield partial
         os.replace(partial, path)
-    except SafetensorError as error:
-        number = re.search(r"os error (\d+)", str(error))
-        if number is None:
-            raise
-        code = int(number[1])
-        raise OSError(code, os.strerror(code), str(path)) from error
     finally:
         partial.unlink(missing_ok=True)
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], Any]:
-    """Read what `write_tensors` wrote: the tensors and the facts.
-
-    Raises: DataError if the file is missing, cut short or not of this kind.
-    """
-    try:
-        with safe_open(path, framework="pt") as file:
-            facts = json.loads((file.metadata() or {}).get("facts", "null"))
-            return {name: file.get_tensor(name) for name in file.keys()}, facts  # noqa: SIM118
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (SafetensorError, OSError, ValueError) as error:
-        found = str(error).splitlines()[0]
-        raise DataError(f"{path}: not a whole safetensors file ({found})") from None
-
-
 def write_text(path: Path, text: str) -> None:
-    """Write a text file that is there whole or not at all."""
+    """Write a UTF-8 text file that is there whole or not at all."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file that is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
-    try:
+    with whole_file(path) as partial:
         partial.write_bytes(content)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> Any:
+    """What a JSON file holds.
+
+    Raises: DataError naming the file when it is missing, cannot be read or is not JSON.
+    """
+    try:
+        return json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: not JSON ({error})") from None
 
 
 def sha256(path: Path) -> str:

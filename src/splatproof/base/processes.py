@@ -4,11 +4,126 @@ import multiprocessing
 import os
 import signal
 import threading
+import weakref
+from collections.abc import Callable, Sequence
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, final
+
+from splatproof.base.signals import ENDING, held_back
+
+
+@final
+class Worker:
+    """A process of its own that talks with this one, and ends when this one does.
+
+    Use it in a `with` block, or call `close`.
+    """
+
+    def __init__(
+        self, work: Callable[..., object], *arguments: Any, preload: Sequence[str] = ()
+    ) -> None:
+        """Start it. Ctrl-C and SIGTERM wait until it is started; it never hears ctrl-C itself.
+
+        Args:
+            work: Called there as work(connection, *arguments); importable by name.
+            arguments: Sent there by pickle.
+            preload: Modules that are imported once for all workers that name them, where import
+                costs more than what a worker does; empty: the worker imports what it needs.
+
+        Raises: PicklingError, AttributeError or TypeError if an argument cannot be sent.
+        """
+        if preload:
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(list(preload))
+        else:
+            context = multiprocessing.get_context("spawn")
+        self._says, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(work, theirs, arguments))
+        # also when this process ends, before multiprocessing waits for its children
+        self._end = weakref.finalize(self, _end, self._process, self._says)
+        try:
+            resource_tracker.ensure_running()  # unblocks ctrl-C, so not inside `start`
+            with held_back():
+                self._process.start()
+        except BaseException:
+            self._end()
+            raise
+        finally:
+            theirs.close()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def send(self, message: object) -> None:
+        """Say something to the worker.
+
+        Raises: EOFError if it has ended.
+        """
+        try:
+            self._says.send(message)
+        except (BrokenPipeError, ConnectionResetError):
+            raise EOFError from None
+
+    def receive(self) -> Any:
+        """Wait for the next thing that the worker says.
+
+        Raises: EOFError if it ends or closes its end without a further word.
+        """
+        listening([self])
+        if not self._says.poll():
+            raise EOFError
+        try:
+            return self._says.recv()
+        except ConnectionResetError:  # it ended before it read what we said
+            raise EOFError from None
+
+    def how_it_ended(self) -> str:
+        """Wait for the end; what became of the process, to be read after "its process"."""
+        self._process.join()
+        return how_it_ended(self._process.exitcode)
+
+    def close(self) -> None:
+        """End the process at once: what a worker writes is written whole or not at all."""
+        self._end()
+
+    def __enter__(self) -> "Worker":
+        """The worker itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process."""
+        self.close()
+
+
+def listening(workers: Sequence[Worker]) -> list[Worker]:
+    """Wait until some of these have something to say, or have ended; which ones."""
+    ready = set(wait([end for one in workers for end in (one._says, one._process.sentinel)]))
+    return [one for one in workers if ready & {one._says, one._process.sentinel}]
+
+
+def _end(process: BaseProcess, says: Connection) -> None:
+    if process.pid is not None:
+        process.kill()
+        process.join()
+    says.close()  # not before: the worker would say that nobody listens
+
+
+def _serve(work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...]) -> None:
+    """What a worker's process does."""
+    serve_parent()
+    with connection:
+        work(connection, *arguments)
 
 
 def serve_parent() -> None:
     """In a worker: ignore ctrl-C, which the parent hears too, and end when the parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)  # held back while this process started
     threading.Thread(target=_die_with_parent, daemon=True).start()
 
 

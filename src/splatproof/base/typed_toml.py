@@ -4,8 +4,7 @@ import dataclasses
 import json
 import tomllib
 import typing
-from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
+from collections.abc import Mapping
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, TypeVar
@@ -13,32 +12,42 @@ from typing import Any, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.names import unknown
 
 T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=True)
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, fault: type[SplatproofError] = UsageError) -> dict[str, Any]:
     """The tables of a TOML file.
 
-    Raises: UsageError naming the file when it is missing, not text or not TOML.
+    Args:
+        path: Of the file.
+        fault: What is raised: DataError for a file that belongs to data.
+    Raises: `fault` naming the file when it is missing, not text or not TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
+        raise fault(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise UsageError(f"{path}: not TOML: {error}") from None
+        raise fault(f"{path}: not a TOML file: {error}") from None
 
 
-def build(kind: type[T], table: Mapping[str, object], where: str) -> T:
+def build(
+    kind: type[T],
+    table: Mapping[str, object],
+    where: str,
+    fault: type[SplatproofError] = UsageError,
+) -> T:
     """`table` as the dataclass `kind`, nested ones included; only whole numbers become floats.
 
     Args:
         kind: Frozen dataclass of plain types, tuples, dicts, unions and such dataclasses.
         table: As read from TOML.
         where: File and place in it, for errors.
-    Raises: UsageError naming the key, what was found and what was expected.
+        fault: What is raised: DataError for a file that belongs to data.
+    Raises: `fault` naming the key, what was found and what was expected.
     """
     try:
         # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1. A tuple around
@@ -47,20 +56,12 @@ def build(kind: type[T], table: Mapping[str, object], where: str) -> T:
         around: Any = GenericAlias(tuple, (kind,))
         return TypeAdapter(around, config=STRICT).validate_json(text)[0]
     except ValidationError as error:
-        faults = error.errors(include_url=False)
+        found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
-        first = min(faults, key=lambda fault: fault["type"] != "unexpected_keyword_argument")
-        raise UsageError(_told(kind, first["loc"][1:], dict(first), where)) from None
+        first = min(found, key=lambda one: one["type"] != "unexpected_keyword_argument")
+        raise fault(_told(kind, first["loc"][1:], dict(first), where)) from None
     except SplatproofError as error:  # the dataclass checks its own values
-        raise UsageError(f"{where}: {error}") from None
-
-
-def unknown(where: str, name: str, known: Iterable[str]) -> UsageError:
-    """The error for a name that does not exist: the nearest one and all there are."""
-    names = sorted(known)
-    near = get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f", did you mean {near[0]!r}?" if near else "."
-    return UsageError(f"{where}: unknown {name!r}{hint} There are: {', '.join(names) or 'none'}")
+        raise fault(f"{where}: {error}") from None
 
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:

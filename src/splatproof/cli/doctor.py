@@ -116,7 +116,7 @@ def _weights() -> Iterator[Finding]:
 
 def _adapters() -> Iterator[Finding]:
     """Kinds of scene folders that can be opened, those of other packages included."""
-    from splatproof.datasets.opening import ADAPTERS, GROUP, all_adapters
+    from splatproof.datasets.catalogue.opening import ADAPTERS, GROUP, all_adapters
 
     topic, adapters = "scene adapters", ADAPTERS
     try:
@@ -128,7 +128,7 @@ def _adapters() -> Iterator[Finding]:
 
 
 def _scenes() -> Iterator[Finding]:
-    from splatproof.datasets.registry import data_roots, list_scenes, locate
+    from splatproof.datasets.catalogue.registry import data_roots, list_scenes, locate
 
     for root in data_roots():
         there = root.is_dir()

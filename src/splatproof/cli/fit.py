@@ -53,7 +53,7 @@ def fit(
         engine: Where the blocks of a city are trained: processes, inline or ray.
         workers: Blocks of a city that are trained at the same time.
     """
-    from splatproof.datasets.opening import open_scene
+    from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.backends import get_backend
     from splatproof.methods.models.base import Origin, save_model
     from splatproof.methods.registry import get_method

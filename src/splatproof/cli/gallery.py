@@ -23,7 +23,7 @@ def gallery(
         page: Also write the Markdown page of all components to this file.
     """
     from splatproof.base.files import write_text
-    from splatproof.datasets.opening import open_scene
+    from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.suites.gallery import pictures
 

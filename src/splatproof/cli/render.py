@@ -69,7 +69,7 @@ def render(
 
 def _scene_cameras(scene: str, protocol: str, views: str) -> "dict[str, Camera]":
     """Cameras of a scene's views by name."""
-    from splatproof.datasets.opening import open_scene
+    from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.metrics.protocol_files import load_protocol
 
     opened = open_scene(scene, load_protocol(protocol))

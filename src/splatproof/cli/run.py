@@ -70,7 +70,7 @@ def run(
         )
     if page is not None or rows is not None:
         raise UsageError(f"--page and --rows are for the studies {', '.join(STUDIES)}")
-    from splatproof.base.typed_toml import unknown
+    from splatproof.base.names import unknown
     from splatproof.cli.report import print_tables, sync_cases
     from splatproof.methods.backends import get_backend
     from splatproof.metrics.registry import load_weights

@@ -11,7 +11,7 @@ from rich.table import Table
 from splatproof.cli import output
 
 if TYPE_CHECKING:
-    from splatproof.datasets.registry import SceneEntry
+    from splatproof.datasets.catalogue.registry import SceneEntry
 
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
@@ -21,7 +21,7 @@ def list_scenes() -> None:
 
     With --json, an object a line: name, kind, licence, present, path.
     """
-    from splatproof.datasets import registry
+    from splatproof.datasets.catalogue import registry
 
     rows = [(entry, registry.locate(entry)) for entry in registry.list_scenes()]
     if output.wants_json():
@@ -45,7 +45,7 @@ def show(name: Name) -> None:
     Args:
         name: As in `bench scenes list`.
     """
-    from splatproof.datasets import registry
+    from splatproof.datasets.catalogue import registry
 
     entry = registry.get_entry(name)
     path = registry.locate(entry)
@@ -78,7 +78,7 @@ def get(name: Name) -> None:
     Args:
         name: As in `bench scenes list`.
     """
-    from splatproof.datasets import registry
+    from splatproof.datasets.catalogue import registry
 
     entry = registry.get_entry(name)
     path = registry.locate(entry)

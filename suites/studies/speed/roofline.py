@@ -15,7 +15,7 @@ from splatproof.methods.kernels.roofline import Pairs, Peak, count_pairs, measur
 from splatproof.suites.case_costs import timed
 from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
 from splatproof.suites.studies.speed.idle import SHARE, Patience, undisturbed
-from splatproof.suites.studies.speed.scenes import speed_scene
+from splatproof.suites.twins.random_scenes import speed_scene
 
 SIZE, QUICK_SIZE = (100_000, 800, 600), (2_000, 160, 120)
 NUMBERS = 59

@@ -1,11 +1,10 @@
 """One twin at work, here or in a process of its own, so that its memory is its own."""
 
 import gc
-import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -15,6 +14,7 @@ import torch
 
 from splatproof.base.errors import SplatproofError
 from splatproof.base.memory import peak_memory_mb
+from splatproof.base.processes import Worker
 from splatproof.suites.studies.speed.judge import judge
 from splatproof.suites.twins.registry import COMPONENTS
 from splatproof.suites.twins.twin import Component, Size, leaves_of, running
@@ -135,29 +135,22 @@ class Process:
         Raises: SplatproofError if it ends before it is ready, e.g. for lack of memory.
         """
         self._task = task
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([__name__])  # imports once, not once a process
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(task, theirs), daemon=True)
-        self._process.start()
-        theirs.close()
+        self._worker = Worker(_serve, task, preload=[__name__])
+        self.pid = self._worker.pid
         self._answer()
-        assert self._process.pid is not None
-        self.pid = self._process.pid
 
     def ask(self, *request: Any) -> Any:
         """See Session."""
-        self._pipe.send(request)
+        with suppress(EOFError):  # it has ended; what it said last is the answer
+            self._worker.send(request)
         return self._answer()
 
     def _answer(self) -> Any:
         try:
-            answer = self._pipe.recv()
+            answer = self._worker.receive()
         except EOFError:
-            self._process.join()
             raise SplatproofError(
-                f"{self._task}: its process ended with exit code {self._process.exitcode}; -9 is "
-                "what running out of memory looks like"
+                f"{self._task}: its process {self._worker.how_it_ended()}"
             ) from None
         if isinstance(answer, Exception):
             raise answer
@@ -165,31 +158,20 @@ class Process:
 
     def close(self) -> None:
         """End the process."""
-        self._pipe.close()
-        self._process.join(5)
-        self._process.kill()
-        self._process.join()
+        self._worker.close()
 
 
-def _serve(task: Task, pipe: Connection) -> None:
+def _serve(says: Connection, task: Task) -> None:
     """What the process does: answer until nobody asks any more."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # ctrl-C reaches the parent, whose pipe then closes
     try:
         session = Here(task)
-        pipe.send(None)
+        says.send(None)
         while True:
-            pipe.send(session.ask(*pipe.recv()))
-    except (EOFError, BrokenPipeError):
+            says.send(session.ask(*says.recv()))
+    except EOFError:
         return
-    except (
-        SplatproofError,
-        ValueError,
-        RuntimeError,
-        MemoryError,
-    ) as error:  # raised by the parent
-        pipe.send(error)
+    except (SplatproofError, ValueError, RuntimeError, MemoryError) as error:
+        says.send(error)  # raised by the parent
 
 
 def with_backend(name: str, backend: str) -> Component:

@@ -16,7 +16,7 @@ from helpers.posed_scenes import (
     worst_error,
 )
 from splatproof.base.errors import DataError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 F, C = (80.0, 84.0), (50.0, 34.0)
 K1, K2, P1, P2 = -0.1, 0.02, 0.03, -0.02
@@ -96,7 +96,7 @@ def test_nerfstudio_faults(tmp_path, change, said):
         open_scene(tmp_path, protocol())
     assert "\n" not in str(caught.value)
     path.write_text("{")
-    with pytest.raises(DataError, match="transforms.json: not a JSON"):
+    with pytest.raises(DataError, match="transforms.json: not JSON"):
         open_scene(tmp_path, protocol())
 
 

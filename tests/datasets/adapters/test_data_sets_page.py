@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
-from splatproof.datasets.opening import ADAPTERS
-from splatproof.datasets.registry import list_scenes
+from splatproof.datasets.catalogue.opening import ADAPTERS
+from splatproof.datasets.catalogue.registry import list_scenes
 from splatproof.metrics.protocol_files import protocol_names
 from splatproof.suites.published.rows import published_suites
 

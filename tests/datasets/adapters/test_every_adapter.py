@@ -18,7 +18,7 @@ from helpers.colmap_scenes import Flight, write_scene
 from helpers.posed_scenes import POINTS
 from splatproof.base.errors import DataError
 from splatproof.cli import main
-from splatproof.datasets.opening import ADAPTERS, open_scene
+from splatproof.datasets.catalogue.opening import ADAPTERS, open_scene
 
 
 @dataclass(frozen=True)

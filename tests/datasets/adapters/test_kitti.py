@@ -15,7 +15,7 @@ from helpers.adapter_checks import (
     without,
 )
 from helpers.posed_scenes import blob, worst_error
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 RADIUS = 6378137.0
 LATITUDE, LONGITUDE, ALTITUDE = 49.0095, 8.4359, 113.0

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from helpers.adapter_checks import fixtures, moving, protocol, refused
 from splatproof.datasets.adapters.kitti_boxes import read_labels, read_tracklets
 from splatproof.datasets.boxes import Box, box_outline, covered, in_motion
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.camera import project_points
 
 KITTI = fixtures("kitti")

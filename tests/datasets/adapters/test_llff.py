@@ -2,7 +2,7 @@ import numpy as np
 
 from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_rays, opengl_to_world, worst_error
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 FOCAL = 80.0
 

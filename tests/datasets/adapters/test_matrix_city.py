@@ -6,7 +6,7 @@ import pytest
 
 from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_rays, opengl_to_world, worst_error
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 ANGLE = 1.1
 FOCAL = SIZE[0] / (2 * math.tan(ANGLE / 2))

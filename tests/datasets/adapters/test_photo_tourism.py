@@ -4,7 +4,7 @@ import pytest
 from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.colmap_scenes import Flight, pose, reconstruction, view_name, write_scene
 from helpers.posed_scenes import blob, worst_error
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 FLIGHT = Flight(model="PINHOLE", params=[70, 72, 47, 37])
 POINT = np.array([0.5, 0.4, 0.2])

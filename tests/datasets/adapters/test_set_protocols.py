@@ -9,7 +9,7 @@ import pytest
 from helpers.adapter_checks import fixtures, tenths
 from helpers.posed_scenes import blob
 from splatproof.base.errors import DataError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene
 

@@ -16,7 +16,7 @@ from helpers.adapter_checks import (
 )
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_to_world, worst_error
 from splatproof.base.errors import DataError
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 
 F, C = (80.0, 84.0), (50.0, 34.0)
 K1, K2, P1, P2, K3 = -0.1, 0.02, 0.01, -0.01, 0.003

@@ -23,8 +23,8 @@ from helpers.aerial_photos import (
 from helpers.real_scenes import real_scene
 from splatproof.base.errors import DataError
 from splatproof.cli.ingest import ingest
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.ingesting.ingest import Ingested, ingest_photos
-from splatproof.datasets.opening import open_scene
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 

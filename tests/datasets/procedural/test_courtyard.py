@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from splatproof.base.errors import UsageError
-from splatproof.datasets import registry
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue import registry
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import courtyard, exporting, worlds
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol

@@ -9,7 +9,7 @@ import torch
 
 from helpers import tiny_worlds
 from splatproof.cli import main
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import aerial, city, exporting, street, tracing, tunnel, worlds
 from splatproof.datasets.procedural import ray_images as frames
 from splatproof.reference.types.protocol import Protocol

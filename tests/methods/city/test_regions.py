@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import write_tensors
+from splatproof.base.tensor_files import write_tensors
 from splatproof.methods.city import partition_regions as blocks
 from splatproof.methods.city import regions
 from splatproof.methods.city.regions import GroundRegion, OrientedRegion

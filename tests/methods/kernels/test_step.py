@@ -181,7 +181,7 @@ def test_what_the_kernels_cannot_read_is_named():
     def of(changed: dict[str, torch.Tensor], photo=truth):
         ViewGradients().of(scene.camera, good | changed, photo, degree=3)
 
-    with pytest.raises(ValueError, match="scales is torch.float64"):
+    with pytest.raises(ValueError, match="log_scales is torch.float64"):
         of({"log_scales": good["log_scales"].double()})
     with pytest.raises(ValueError, match=r"quaternions is torch.float32 \(20, 3\)"):
         of({"quaternions": good["quaternions"][:, :3].contiguous()})

@@ -17,9 +17,9 @@ from splatproof.suites.studies.speed import measure as speed
 from splatproof.suites.studies.speed import plot as speed_plot
 from splatproof.suites.studies.speed import roofline as speed_roofline
 from splatproof.suites.studies.speed.measure import Timer
-from splatproof.suites.studies.speed.scenes import speed_scene
 from splatproof.suites.studies.speed.session import Here, Process, Task
 from splatproof.suites.studies.study import STUDIES
+from splatproof.suites.twins.random_scenes import speed_scene
 from splatproof.suites.twins.registry import COMPONENTS
 from splatproof.suites.twins.twin import Case, Component, Problem, Twin, functional
 

@@ -1,25 +1,27 @@
 """The known scenes: what they are, where they are looked for, and how to get them."""
 
-import difflib
 import functools
 import os
-import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal
 
 from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.base.files import sha256
+from splatproof.base.locks import locked
+from splatproof.base.names import unknown
+from splatproof.base.typed_toml import build, read_toml
 from splatproof.datasets.archives import extract
-from splatproof.datasets.cache_folder import cache_folder, locked
+from splatproof.datasets.cache_folder import ELSEWHERE, cache_folder
 from splatproof.datasets.download import download
-from splatproof.datasets.files import sha256_of
 from splatproof.datasets.progress import bar
 
 FILE = "registry.toml"
 """The registry beside this module; a data root may hold one of its own with further scenes."""
 SCENE = "<scene>"
 """Stands for the scene's name in a set's `folders` and `get`."""
+OTHER_ROOT = "let SPLATPROOF_DATA begin with a folder that can be written"
 DEFAULT_ROOTS = ("data", "../shared/data")
 Kind = Literal["real", "made", "public"]
 Report = Callable[[int, int], None]
@@ -71,10 +73,7 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
 
     Raises: DataError naming the entry and the field.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: not a TOML file ({error})") from None
+    data = read_toml(path, DataError)
     entries = []
     for name, table in data.items():
         if not isinstance(table, dict):
@@ -94,26 +93,13 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
 
 
 def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
-    known = {f.name: f.type for f in fields(SceneEntry)}
-    values = {"folders": [name], **table}
-    for key, value in values.items():
-        wanted = {"folders": list, "protocols": list, "files": dict, "seed": int}.get(key, str)
-        if key not in known or key == "name":
-            raise DataError(
-                f"{path}: [{name}] has the unknown field {key!r}; known: {sorted(known)}"
-            )
-        if not isinstance(value, wanted):
-            raise DataError(f"{path}: [{name}] {key} is {value!r}, expected {wanted.__name__}")
-    missing = {"kind", "licence", "source", "about"} - set(values)
-    if missing:
-        raise DataError(f"{path}: [{name}] lacks {sorted(missing)}")
-    if values["kind"] not in get_args(Kind):
-        raise DataError(f"{path}: [{name}] kind is {values['kind']!r}, expected {get_args(Kind)}")
-    if bool(values.get("url")) != bool(values.get("sha256")):
-        raise DataError(f"{path}: [{name}] needs both url and sha256, or neither")
-    for key in ("folders", "protocols"):
-        values[key] = tuple(values.get(key, ()))  # type: ignore[arg-type]
-    return SceneEntry(name=name, **values)  # type: ignore[arg-type]
+    where = f"{path}: [{name}]"
+    if "name" in table:
+        raise DataError(f"{where}: name is given, but the table's own name is the scene's")
+    entry = build(SceneEntry, {"folders": [name], **table, "name": name}, where, DataError)
+    if bool(entry.url) != bool(entry.sha256):
+        raise DataError(f"{where} needs both url and sha256, or neither")
+    return entry
 
 
 @functools.cache
@@ -137,11 +123,7 @@ def get_entry(name: str) -> SceneEntry:
         return entries[name]
     if name.startswith((".", "/", "~")):
         raise UsageError(f"{name}: no such folder; `bench scenes list` has the registered scenes")
-    near = difflib.get_close_matches(name, entries, n=1, cutoff=0.0)[0]
-    raise UsageError(
-        f"{name}: no such folder and no registered scene of this name; "
-        f"nearest is {near!r}; `bench scenes list` has all"
-    )
+    raise unknown("scene (a folder, or a name of `bench scenes list`)", name, entries)
 
 
 def locate(entry: SceneEntry) -> Path | None:
@@ -205,7 +187,7 @@ def make_entry(entry: SceneEntry, report: Report | None = None) -> Path:
     from splatproof.datasets.procedural import worlds
 
     folder = made_folder(entry)
-    with locked(folder.with_name(f".{entry.world}.lock")):
+    with locked(folder.with_name(f".{entry.world}.lock"), elsewhere=ELSEWHERE):
         if not folder.is_dir() and report is not None:
             worlds.make(entry.world, entry.preset, entry.seed, folder, report)
         elif not folder.is_dir():
@@ -227,7 +209,7 @@ def fetch_entry(entry: SceneEntry, report: Report = lambda done, total: None) ->
     if not entry.url:
         raise MissingError(absence(entry))
     folder = data_roots()[0] / entry.folders[0]
-    with locked(folder.with_name(f".{folder.name}.lock")):
+    with locked(folder.with_name(f".{folder.name}.lock"), elsewhere=OTHER_ROOT):
         if folder.is_dir():
             return folder
         archive = folder.with_name(f".{folder.name}.archive")
@@ -247,5 +229,5 @@ def changed_files(entry: SceneEntry, folder: Path) -> list[str]:
     return [
         name
         for name, digest in sorted(entry.files.items())
-        if not (folder / name).is_file() or sha256_of(folder / name) != digest
+        if not (folder / name).is_file() or sha256(folder / name) != digest
     ]

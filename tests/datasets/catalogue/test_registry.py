@@ -8,7 +8,7 @@ import pytest
 
 from helpers.file_server import served
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.datasets import registry
+from splatproof.datasets.catalogue import registry
 from splatproof.metrics.protocol_files import protocol_names
 
 
@@ -50,7 +50,7 @@ def test_another_folder_name_of_a_public_scene(roots):
 
 
 def test_an_unknown_name_gets_the_nearest_one(roots):
-    with pytest.raises(UsageError, match="'brighton_beach'") as caught:
+    with pytest.raises(UsageError, match="did you mean 'brighton_beach'") as caught:
         registry.find_scene("brigton_beech")
     assert caught.value.exit_code == 2
 
@@ -99,10 +99,10 @@ def test_folders_of_a_set_name_its_scenes(roots):
     [
         ("[mine\n", "not a TOML"),
         ("mine = 3", "expected a table"),
-        (ENTRY.replace('kind = "real"', 'kind = "odd"'), "kind is 'odd'"),
-        (ENTRY.replace('about = "a test"', ""), "lacks.*about"),
-        (ENTRY + "colour = 3", "unknown field 'colour'"),
-        (ENTRY.replace('"us"', "3"), "source is 3"),
+        (ENTRY.replace('kind = "real"', 'kind = "odd"'), "kind: .*found 'odd'"),
+        (ENTRY.replace('about = "a test"', ""), "about is missing"),
+        (ENTRY + "colour = 3", "unknown 'colour'"),
+        (ENTRY.replace('"us"', "3"), "source: .*found 3"),
         (ENTRY + 'url = "https://example.org/x.zip"', "both url and sha256"),
     ],
 )

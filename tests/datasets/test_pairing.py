@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from splatproof.datasets.ingesting import pairing
+from splatproof.datasets import pairing
 
 
 def test_exhaustive_and_following():

@@ -154,7 +154,7 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
     folder = Path(spec)
     if not folder.is_dir():
         # imported late: a folder can be opened without the registry's file
-        from splatproof.datasets.registry import find_scene
+        from splatproof.datasets.catalogue.registry import find_scene
 
         folder = find_scene(str(spec))
     scene = _with_test_views(folder, protocol)

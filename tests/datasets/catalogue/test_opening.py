@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
-from splatproof.datasets.opening import open_scene
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.scene_file import SceneFile, write_scene_file
 from splatproof.datasets.splits import split_hash
 from splatproof.reference.types.camera import project_points

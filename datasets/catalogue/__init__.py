@@ -1,0 +1,1 @@
+"""The known scenes, how to get them, and how a scene of any kind is opened."""

@@ -1,0 +1,52 @@
+"""Tensors on disk: safetensors that are there whole or not at all, read with one-line errors."""
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from splatproof.base.errors import DataError
+from splatproof.base.files import whole_file
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = None) -> None:
+    """Write named tensors and JSON-ready facts into one file that is there whole or not at all.
+
+    Args:
+        path: Its folder is made.
+        tensors: By name.
+        facts: Stored in the file's header.
+    Raises: OSError where the disk does not take it.
+    """
+    content = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}
+    try:
+        with whole_file(path) as partial:
+            save_file(content, partial, metadata={"facts": json.dumps(facts)})
+    except SafetensorError as error:
+        number = re.search(r"os error (\d+)", str(error))
+        if number is None:
+            raise
+        code = int(number[1])
+        raise OSError(code, os.strerror(code), str(path)) from error
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], Any]:
+    """Read what `write_tensors` wrote: the tensors and the facts.
+
+    Raises: DataError if the file is missing, cut short or not of this kind.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            facts = json.loads((file.metadata() or {}).get("facts", "null"))
+            return {name: file.get_tensor(name) for name in file.keys()}, facts  # noqa: SIM118
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such file") from None
+    except (SafetensorError, OSError, ValueError) as error:
+        found = str(error).splitlines()[0]
+        raise DataError(f"{path}: not a whole safetensors file ({found})") from None

@@ -1,0 +1,116 @@
+"""Workers: what they say, how they end, and ctrl-C at any moment of their start."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from helpers.talking_workers import die, echo
+from splatproof.base.processes import Worker, how_it_ended, listening
+
+
+@pytest.mark.parametrize("preload", [(), ("splatproof.base.errors",)])
+def test_what_is_said_comes_back(preload):
+    with Worker(echo, "hello", preload=preload) as worker:
+        assert worker.pid != os.getpid()
+        assert worker.receive() == "hello"
+        worker.send({"a": [1]})
+        assert listening([worker]) == [worker]
+        assert worker.receive() == {"a": [1]}
+        worker.send("end")
+        with pytest.raises(EOFError):
+            worker.receive()
+        assert worker.how_it_ended() == "ended with exit code 0"
+
+
+@pytest.mark.parametrize(("code", "how"), [(7, "exit code 7"), (-signal.SIGTERM, "by SIGTERM")])
+def test_a_death_without_a_word_is_told(code, how):
+    with Worker(die, code) as worker:
+        with pytest.raises(EOFError):
+            worker.receive()
+        assert how in worker.how_it_ended()
+        with pytest.raises(EOFError):
+            worker.send("more")
+
+
+def test_running_out_of_memory_is_guessed():
+    assert "running out of memory" in how_it_ended(-signal.SIGKILL)
+
+
+def test_the_block_ends_the_worker():
+    with Worker(echo, "hello") as worker:
+        worker.receive()
+        pid = worker.pid
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_what_cannot_be_sent_starts_nothing():
+    with pytest.raises(AttributeError):
+        Worker(echo, lambda: None)
+
+
+SLOW = """
+import time
+time.sleep(0.3)  # as torch: a signal may come while this is imported
+def work(says):
+    says.send("ready")
+    time.sleep(600)
+"""
+STARTS = """
+import signal, sys
+from splatproof.base.processes import Worker
+from slow import work
+
+def end(*_):
+    raise KeyboardInterrupt
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, end)
+    try:
+        print("starting", flush=True)
+        with Worker(work, preload=["slow"] if sys.argv[1] == "preload" else []) as worker:
+            worker.receive()
+            print("ready", flush=True)
+            worker.receive()
+    except KeyboardInterrupt:
+        print("ended", file=sys.stderr)
+        sys.exit(130)
+"""
+MOMENTS = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.45, 0.6, 1.0)
+"""Seconds after the start begins; a worker here is ready after about 0.5 to 1."""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", ["spawn", "preload"])
+def test_ctrl_c_at_any_moment_of_a_start_is_one_line(tmp_path, number, how):
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "starts.py").write_text(STARTS)
+    with ThreadPoolExecutor(4) as pool:
+        said = list(pool.map(partial(_interrupted, tmp_path, number, how), MOMENTS))
+    ready = sum("ready" in words for words in said)
+    # else the moments lie before or after the start, not in it
+    assert ready < len(MOMENTS)
+
+
+def _interrupted(folder: Path, number: signal.Signals, how: str, moment: float) -> str:
+    """What starts.py prints when all its processes get the signal so long after "starting"."""
+    process = subprocess.Popen(
+        [sys.executable, "starts.py", how], cwd=folder, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env=os.environ | {"PYTHONPATH": str(folder)},
+    )  # fmt: skip
+    assert process.stdout is not None
+    assert process.stdout.readline() == "starting\n"
+    time.sleep(moment)
+    os.killpg(process.pid, number)
+    said, errors = process.communicate(timeout=60)
+    assert errors == "ended\n", f"{number.name} after {moment} s"
+    assert process.returncode == 130
+    return said

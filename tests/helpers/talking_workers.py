@@ -1,0 +1,19 @@
+"""What the workers of tests/base/test_processes.py do; a new process imports it by this name."""
+
+import os
+from multiprocessing.connection import Connection
+
+
+def echo(says: Connection, greeting: str) -> None:
+    """Say the greeting, then whatever is heard, until that is "end"."""
+    says.send(greeting)
+    while (heard := says.recv()) != "end":
+        says.send(heard)
+
+
+def die(says: Connection, code: int) -> None:
+    """End without a word: with an exit code, or by a signal where it is negative."""
+    del says
+    if code < 0:
+        os.kill(os.getpid(), -code)
+    os._exit(code)
