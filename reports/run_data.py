@@ -35,6 +35,7 @@ def params(result: Result) -> dict[str, str]:
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "seed": result.seed,
         "protocol": result.protocol,
         "settings": result.settings,

@@ -178,14 +178,16 @@ def _escaped(text: str) -> str:
 def record(result: Result) -> dict[str, object]:
     """One case for a machine.
 
-    Returns: suite, scene, method, seed, protocol, every metric by its name, train_seconds,
-        render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and error ("" when done).
+    Returns: suite, scene, method, variant, pose_noise, seed, protocol, every metric by its name,
+        train_seconds, render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and error
+        ("" when done).
     """
     return {
         "suite": result.suite,
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,

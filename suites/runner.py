@@ -194,10 +194,11 @@ def finished(job: Job) -> Result | str:
         settings=result.settings,
         seed=result.seed,
         protocol=result.protocol_rules,
+        pose_noise=result.pose_noise,
         backend=result.environment.get("backend"),
     )
     if key != job.key:
-        return "runs again: the record in its folder has other settings, protocol or backend"
+        return "runs again: the record in its folder has other settings, protocol, pose noise or backend"
     return result
 
 

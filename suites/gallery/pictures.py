@@ -132,7 +132,13 @@ COMPONENTS = (
 
 
 def draw(scene: Scene, folder: Path, report: Callable[[str], None]) -> list[Path]:
-    """Draw every picture into a folder; `report` hears each file as it is done."""
+    """Draw every picture into a folder; `report` hears each file as it is done.
+
+    Args:
+        scene: Scene that the pictures are made of.
+        folder: Folder of the pictures.
+        report: Called with the name of each file as it is done.
+    """
     files = []
     for component in COMPONENTS:
         for picture in component.pictures:

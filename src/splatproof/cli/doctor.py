@@ -55,6 +55,7 @@ def findings(out: Path) -> Iterator[Finding]:
     yield from _processor()
     yield from _backends()
     yield from _metrics()
+    yield from _adapters()
     yield from _scenes()
     yield from _folders(out)
 
@@ -122,6 +123,19 @@ def _metrics() -> Iterator[Finding]:
             found, fix = "missing", str(error)
         status = "absent" if fix else "ok"
         yield Finding(topic="weights", name=metric.name, status=status, found=found, fix=fix)
+
+
+def _adapters() -> Iterator[Finding]:
+    """Kinds of scene folders that can be opened, those of other packages included."""
+    from splatproof.datasets.catalogue.opening import ADAPTERS, GROUP, all_adapters
+
+    topic, adapters = "scene adapters", ADAPTERS
+    try:
+        adapters = tuple(all_adapters().values())
+    except SplatproofError as error:
+        yield Finding(topic=topic, name=GROUP, status="fault", found="not usable", fix=str(error))
+    for adapter in adapters:
+        yield Finding(topic=topic, name=adapter.name, status="ok", found=adapter.looks_for)
 
 
 def _scenes() -> Iterator[Finding]:
