@@ -25,21 +25,22 @@ PATH = ("/", "./", "../")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Block:
-    """Cases that are a full product: every scene with every method, protocol and seed."""
+class CaseTable:
+    """A table [[cases]]: every scene with every method under every protocol with every seed."""
 
     scenes: tuple[str, ...]
     """Registered names, or folders as "/...", "./..." or "../..." relative to the suite file."""
     methods: tuple[str, ...]
-    """Names, or "method@variant" for a method that runs with several settings: a row each."""
+    """Names of methods, or "method@variant" where one runs with several settings: each variant has
+    table rows of its own."""
     protocols: tuple[str, ...]
-    """Names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
+    """Registered names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
     seeds: tuple[int, ...] = (0,)
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
-    """Settings that differ from the defaults, by method and by "method@variant"; a variant has its
-    method's too, and its own go first."""
+    """Settings that differ from the defaults, by method and by "method@variant"; a variant has those
+    of its method too, and where both name a setting the variant's own holds."""
     shared: dict[str, object] = field(default_factory=dict)
-    """Settings that every row of the block has, unless `settings` says otherwise."""
+    """Settings that every case of this table has, unless `settings` says otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +48,7 @@ class SuiteFile:
     """What a suite file holds, word by word."""
 
     description: str
-    blocks: tuple[Block, ...]
+    cases: tuple[CaseTable, ...]
     optional_scenes: tuple[str, ...] = ()
     """Scenes that are left out, with a said reason, where they are not on this machine."""
 
@@ -62,7 +63,7 @@ class Case:
     settings: Any
     """Instance of the method's settings dataclass."""
     variant: str = ""
-    """What follows the "@", see Block; only the folder and the row's name depend on it."""
+    """What follows the "@", see CaseTable; only the folder and the name in tables depend on it."""
     seed: int
     protocol: Protocol
 
@@ -95,13 +96,17 @@ class Suite:
     description: str
     cases: tuple[Case, ...]
     scenes: tuple[str, ...]
-    """Names of all scenes that the file declares, also of those whose cases were left out."""
+    """Names of all scenes that the file declares, also of those whose cases were left out. A mean
+    over scenes is given only where all of them are there; empty: no mean is wanted."""
     optional_scenes: tuple[str, ...] = ()
 
 
 def load_suite(name_or_path: str | Path) -> Suite:
-    """The suite of that name (suites/<name>.toml) or in that file, every setting checked.
+    """Read a suite file and check every setting in it.
 
+    Args:
+        name_or_path: Name of a suite that ships with the package, or the path of a .toml file.
+    Returns: The suite with all its cases.
     Raises: UsageError naming the file, the key and the nearest name that exists.
     """
     path = _find(name_or_path)
@@ -110,13 +115,16 @@ def load_suite(name_or_path: str | Path) -> Suite:
     file = build(SuiteFile, read_toml(path), str(path))
     cases = [
         case
-        for index, block in enumerate(file.blocks)
-        for case in _cases(block, path, f"{path}: blocks[{index}]")
+        for index, table in enumerate(file.cases)
+        for case in _cases(table, path, f"{path}: cases[{index}]")
     ]
     _check_distinct(cases, path)
-    unused = set(file.optional_scenes) - {scene for block in file.blocks for scene in block.scenes}
+    unused = set(file.optional_scenes) - {scene for table in file.cases for scene in table.scenes}
     if unused:
-        raise UsageError(f"{path}: optional_scenes: no block has {', '.join(sorted(unused))}")
+        raise UsageError(
+            f"{path}: optional_scenes: {min(unused)} is among the scenes of no table [[cases]]; "
+            "add it to one or leave it out here"
+        )
     return Suite(
         name=path.stem,
         description=file.description,
@@ -134,20 +142,29 @@ def suite_names() -> list[str]:
 def quick_form(suite: str) -> str:
     """Name of the reduced form of a suite: SUITE-quick, a file beside it.
 
+    Args:
+        suite: Name of the whole suite.
+    Returns: Name of the reduced one.
     Raises: UsageError for a suite that has none.
     """
     name = f"{suite}-quick"
     if not (FOLDER / f"{name}.toml").is_file():
         forms = sorted(path.stem.removesuffix("-quick") for path in FOLDER.glob("*-quick.toml"))
         raise UsageError(
-            f"--quick: suite {suite!r} has no reduced form; studies have one, and "
+            f"--quick: suite {suite!r} has no reduced form; there is one of "
             f"{', '.join(forms) or 'no suite'}"
         )
     return name
 
 
 def case_key(case: Case, backend: str) -> str:
-    """Hash of everything that a case's numbers depend on, apart from data, code and machine."""
+    """Hash of everything that a case's numbers depend on, apart from data, code and machine.
+
+    Args:
+        case: What is run.
+        backend: Name of the rasterizer that runs it.
+    Returns: SHA-256 in hexadecimal.
+    """
     return key_of(
         scene=case.scene_name,
         method=case.method,
@@ -159,7 +176,12 @@ def case_key(case: Case, backend: str) -> str:
 
 
 def key_of(**parts: object) -> str:
-    """SHA-256 of the parts as canonical JSON (sorted keys; tuples and lists are the same)."""
+    """SHA-256 of the parts as canonical JSON (sorted keys; tuples and lists are the same).
+
+    Args:
+        parts: Plain data by name.
+    Returns: SHA-256 in hexadecimal.
+    """
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -176,27 +198,27 @@ def _find(name_or_path: str | Path) -> Path:
     return path
 
 
-def _cases(block: Block, path: Path, where: str) -> list[Case]:
-    """The product of a block, scenes outermost so that a scene's rows fill one after the other."""
+def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
+    """The product of a table, scenes outermost so that each scene is finished before the next."""
     for name in ("scenes", "methods", "protocols", "seeds"):
-        if not getattr(block, name):
-            raise UsageError(f"{where}.{name}: empty; a block needs at least one")
-    if min(block.seeds) < 0:
-        raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(block.seeds)}")
-    parts = {row: _parts(row, f"{where}.methods") for row in block.methods}
+        if not getattr(table, name):
+            raise UsageError(f"{where}.{name}: empty; expected at least one")
+    if min(table.seeds) < 0:
+        raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(table.seeds)}")
+    parts = {row: _parts(row, f"{where}.methods") for row in table.methods}
     known = {*parts, *(method for method, _ in parts.values())}
-    for name in block.settings:
+    for name in table.settings:
         if name not in known:
             raise unknown(f"{where}.settings", name, known)
     settings = {
         row: build(
-            methods()[method].settings, _table(block, method, row), f"{where}.settings.{row}"
+            methods()[method].settings, _settings(table, method, row), f"{where}.settings.{row}"
         )
         for row, (method, _) in parts.items()
     }
-    protocols = [load_protocol(_beside(name, path)) for name in block.protocols]
-    scenes = [_beside(name, path) for name in block.scenes]
-    product = itertools.product(scenes, block.methods, protocols, block.seeds)
+    protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
+    scenes = [_beside(name, path) for name in table.scenes]
+    product = itertools.product(scenes, table.methods, protocols, table.seeds)
     return [
         Case(
             scene=scene, method=parts[row][0], settings=settings[row], variant=parts[row][1],
@@ -216,14 +238,20 @@ def _parts(row: str, where: str) -> tuple[str, str]:
     return method, variant
 
 
-def _table(block: Block, method: str, row: str) -> dict[str, Any]:
-    """Settings of a row: what all rows share, then its method's, then its own."""
-    own = block.settings.get(row, {}) if row != method else {}
-    return merged(merged(block.shared, block.settings.get(method, {})), own)
+def _settings(table: CaseTable, method: str, row: str) -> dict[str, Any]:
+    """Settings of "method@variant": what all share, then the method's, then the variant's own."""
+    own = table.settings.get(row, {}) if row != method else {}
+    return merged(merged(table.shared, table.settings.get(method, {})), own)
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """One table of two: where both have a table it is merged too, else `above` wins."""
+    """Join two TOML tables; where both have a table under one key, those are joined too.
+
+    Args:
+        below: Values that hold where `above` says nothing.
+        above: Values that hold in any case.
+    Returns: A new table.
+    """
     both = dict(below)
     for key, value in above.items():
         mine = both.get(key)
@@ -243,5 +271,8 @@ def _check_distinct(cases: list[Case], path: Path) -> None:
     seen: set[str] = set()
     for case in cases:
         if case.label in seen:
-            raise UsageError(f"{path}: the case {case.label} is there twice; its folder is one")
+            raise UsageError(
+                f"{path}: the case {case.label} is there twice and would have one folder; "
+                "remove one, or give it a variant (method@variant)"
+            )
         seen.add(case.label)

@@ -1,4 +1,4 @@
-"""`bench run memory`: layered memory (LDI) against a cloud that only grows (StratoSplat, Table 5).
+"""`bench study memory`: layered memory (LDI) against a cloud that only grows (StratoSplat, Table 5).
 
 Both are filled with the same dense points, view by view; then each guides the depth of the
 held-out views. Truth are the sparse points that the held-out view's own track holds.

@@ -1,4 +1,4 @@
-"""`bench run partition`: the partitions on a real scene where one is found, else on a made one."""
+"""`bench study partition`: the partitions on a real scene where one is found, else on a made one."""
 
 from collections.abc import Iterator
 from typing import Any

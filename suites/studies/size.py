@@ -1,4 +1,4 @@
-"""`bench run size`: bytes of a trained model against what they cost in image quality.
+"""`bench study size`: bytes of a trained model against what they cost in image quality.
 
 Every row is one way to store the same model. PSNR is that of the held-out views, rendered from what
 comes back from the file, less that of the model itself; bytes are given by part, so that it shows

@@ -1,4 +1,4 @@
-"""`bench run stability`: every hard case through every implementation, its error and its budget."""
+"""`bench study stability`: every hard case through every implementation, its error and its budget."""
 
 import time
 from collections.abc import Iterator

@@ -1,1 +1,1 @@
-"""Components with several implementations, side by side: what `bench run speed` measures."""
+"""Components with several implementations, side by side: what `bench study speed` measures."""

@@ -17,11 +17,11 @@ from splatproof.base.processes import how_it_ended
 BENCH = str(Path(sys.executable).with_name("bench"))
 SUITE = """
 description = "For tests"
-[[blocks]]
+[[cases]]
 scenes = ["./town"]
 methods = ["3dgs"]
 protocols = ["default"]
-[blocks.settings.3dgs]
+[cases.settings.3dgs]
 iterations = 1_000_000
 """
 

@@ -20,12 +20,12 @@ from splatproof.suites.workers import in_process
 
 SUITE = """
 description = "For tests"
-[[blocks]]
+[[cases]]
 scenes = ["./town"]
 methods = ["fake"]
 protocols = ["default"]
 seeds = [0, 1]
-[blocks.settings.fake]
+[cases.settings.fake]
 iterations = 6
 """
 

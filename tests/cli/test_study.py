@@ -22,7 +22,7 @@ def tiny(monkeypatch):
 
 
 def test_rows_are_printed_and_kept(tiny, tmp_path, capsys):
-    assert main(["run", "tiny", "--quick", "--out", str(tmp_path), "--json", "--quiet"]) == 0
+    assert main(["study", "tiny", "--quick", "--out", str(tmp_path), "--json", "--quiet"]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["case"] for row in printed] == ["needle", "disc"]
     assert printed[1]["error"] is None
@@ -31,7 +31,7 @@ def test_rows_are_printed_and_kept(tiny, tmp_path, capsys):
 
 
 def test_a_row_over_its_budget_fails_the_command(tiny, tmp_path, capsys):
-    assert main(["run", "tiny", "--out", str(tmp_path)]) == 1
+    assert main(["study", "tiny", "--out", str(tmp_path)]) == 1
     out, err = capsys.readouterr()
     assert [line.split() for line in out.splitlines()] == [
         ["case", "error", "ok"], ["needle", "1e-07", "yes"], ["disc", "nan", "NO"],
@@ -46,16 +46,39 @@ def test_an_interrupted_study_keeps_its_rows_and_says_so(monkeypatch, tmp_path, 
 
     made = study.Study(description="cut", columns=("case", "error"), rows=rows)
     monkeypatch.setitem(study.STUDIES, "cut", made)
-    assert main(["run", "cut", "--out", str(tmp_path)]) == 130
+    assert main(["study", "cut", "--out", str(tmp_path)]) == 130
     assert json.loads((tmp_path / "cut.jsonl").read_text())["case"] == "needle"
     told = " ".join(capsys.readouterr().err.split())
     assert "1 rows are kept" in told
     assert "continues" not in told
 
 
-def test_quick_is_for_studies(tmp_path, capsys):
-    assert main(["run", "quick", "--quick", "--out", str(tmp_path)]) == 2
-    assert "has no reduced form" in capsys.readouterr().err
+def flags(text: str) -> set[str]:
+    return {word for word in text.replace("[", " ").split() if word.startswith("--")}
+
+
+@pytest.mark.parametrize("name", study.STUDIES)
+def test_a_study_shows_what_it_obeys_and_nothing_else(name, capsys):
+    assert main(["study", name, "--help"]) == 0
+    shown = flags(capsys.readouterr().out)
+    obeyed = {f"--{option}" for option in study.STUDIES[name].options}
+    if study.STUDIES[name].page:
+        obeyed |= {"--page", "--rows"}
+    assert shown - {"--help"} == {"--out", "--quick", "--json", "--quiet"} | obeyed
+
+
+def test_an_option_of_another_study_is_refused(tmp_path, capsys):
+    assert main(["study", "memory", "--wait", "7", "--out", str(tmp_path)]) == 2
+    assert "--wait" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_rows_without_a_page_are_refused(tmp_path, capsys):
+    rows = ["--rows", str(tmp_path / "rows.json")]
+    for more in ([], ["--page", str(tmp_path / "page.md"), "--quick"]):
+        assert main(["study", "speed", *rows, *more]) == 2
+        assert "--rows makes a page again" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_page_is_written_with_its_rows_and_made_again_from_them(monkeypatch, tmp_path, capsys):
@@ -79,7 +102,7 @@ def test_a_page_is_written_with_its_rows_and_made_again_from_them(monkeypatch, t
     )  # fmt: skip
     monkeypatch.setitem(study.STUDIES, "paged", made)
     out, file = tmp_path / "out", tmp_path / "docs" / "paged.md"
-    arguments = ["run", "paged", "--wait", "7", "--page", str(file), "--out", str(out)]
+    arguments = ["study", "paged", "--wait", "7", "--page", str(file), "--out", str(out)]
     assert main(arguments) == 0
     assert asked == [(False, 7.0)]
     text = file.read_text()
@@ -89,7 +112,7 @@ def test_a_page_is_written_with_its_rows_and_made_again_from_them(monkeypatch, t
     recorded = file.with_suffix(".json")
     before = recorded.read_text()
     file.unlink()
-    again = ["run", "paged", "--rows", str(recorded), "--page", str(file), "--out", str(out)]
+    again = ["study", "paged", "--rows", str(recorded), "--page", str(file), "--out", str(out)]
     assert main(again) == 0
     assert (file.read_text(), recorded.read_text()) == (text, before)
     assert len(asked) == 1  # nothing was measured

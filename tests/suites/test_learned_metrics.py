@@ -21,7 +21,7 @@ PROTOCOL = replace(load_protocol("default"), metrics=("psnr", "lpips_vgg_m11"))
 LEARNED = 'source = "me"\nmasked = false\nmetrics = ["psnr", "lpips_alex_m11"]\n'
 SUITE = """
 description = "For tests"
-[[blocks]]
+[[cases]]
 scenes = ["courtyard"]
 methods = ["3dgs"]
 protocols = ["./learned.toml"]

@@ -1,4 +1,4 @@
-"""Suite files: the product of their blocks, and one-line errors that name file, key and nearest."""
+"""Suite files: the product of each table, and one-line errors that name file, key and nearest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,12 +14,12 @@ from splatproof.suites.suite_files import FOLDER, case_key, load_suite, quick_fo
 
 GOOD = """
 description = "For tests"
-[[blocks]]
+[[cases]]
 scenes = ["town", "village"]
 methods = ["fake"]
 protocols = ["default", "quick"]
 seeds = [0, 3]
-[blocks.settings.fake]
+[cases.settings.fake]
 iterations = 7
 inner.rate = 1
 """
@@ -87,15 +87,19 @@ def changed(old: str, new: str) -> str:
 BAD = {
     "not a TOML file": (GOOD + "[[", "not a TOML file"),
     "empty": ("", "description is missing"),
-    "no blocks": ('description = "x"', "blocks is missing"),
-    "unknown key": (
-        changed("[[blocks]]", "[[blocks]]\nseed = [1]"),
-        r"blocks.0: unknown 'seed', did you mean 'seeds'",
+    "no cases": ('description = "x"', "cases is missing"),
+    "blocks, as cases were called once": (
+        GOOD.replace("cases", "blocks"),
+        r"unknown 'blocks'.* There are: cases, description",
     ),
-    "unknown top key": ('title = 1\ndescription = "x"\nblocks = []', "unknown 'title'"),
+    "unknown key": (
+        changed("[[cases]]", "[[cases]]\nseed = [1]"),
+        r"cases\[0\]: unknown 'seed', did you mean 'seeds'",
+    ),
+    "unknown top key": ('title = 1\ndescription = "x"\ncases = []', "unknown 'title'"),
     "unknown method": (
         changed('["fake"]', '["fkae"]'),
-        r"blocks\[0\].methods: unknown 'fkae', did you mean 'fake'",
+        r"cases\[0\].methods: unknown 'fkae', did you mean 'fake'",
     ),
     "unknown protocol": (changed('"quick"', '"qiuck"'), "unknown 'qiuck', did you mean 'quick'"),
     "unknown setting": (
@@ -117,7 +121,7 @@ BAD = {
         changed("iterations = 7", "iterations = 0"),
         "iterations is 0, expected",
     ),
-    "text for a list": (changed('["fake"]', '"fake"'), "blocks.0.methods: .*'fake'"),
+    "text for a list": (changed('["fake"]', '"fake"'), r"cases\[0\].methods: .*'fake'"),
     "no scene": (changed('["town", "village"]', "[]"), "scenes: empty"),
     "no seed": (changed("[0, 3]", "[]"), "seeds: empty"),
     "negative seed": (changed("[0, 3]", "[-1]"), "seeds: .*-1"),
@@ -127,7 +131,7 @@ BAD = {
     ),
     "optional scene that is not there": (
         changed("description", 'optional_scenes = ["tonw"]\ndescription'),
-        "optional_scenes: no block has tonw",
+        "optional_scenes: tonw is among the scenes of no table",
     ),
 }
 
@@ -160,7 +164,7 @@ def test_shared_settings_and_variants(tmp_path):
     text = GOOD.replace('["fake"]', '["fake", "fake@long"]').replace(
         "seeds = [0, 3]", "shared = { iterations = 9, inner = { cap = 2 } }"
     )
-    text += '[blocks.settings."fake@long"]\niterations = 100\n'
+    text += '[cases.settings."fake@long"]\niterations = 100\n'
     cases = load_suite(written(tmp_path, text)).cases
     plain, long = cases[0], cases[2]
     assert plain.settings == FakeSettings(iterations=7, inner=fake_methods.Inner(rate=1.0, cap=2))
@@ -183,5 +187,5 @@ def test_shared_settings_and_variants(tmp_path):
 
 def test_the_reduced_form_is_the_suite_beside_it():
     assert quick_form("city") == "city-quick"
-    with pytest.raises(UsageError, match="suite 'brighton' has no reduced form; .* and city"):
+    with pytest.raises(UsageError, match="suite 'brighton' has no reduced form; .* of city"):
         quick_form("brighton")

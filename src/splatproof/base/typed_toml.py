@@ -56,7 +56,9 @@ def build(
         around: Any = GenericAlias(tuple, (kind,))
         return TypeAdapter(around, config=STRICT).validate_json(text)[0]
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        faults = error.errors(include_url=False)
+        # a key that is not known says more than the one that is therefore missing
+        first = min(faults, key=lambda found: found["type"] != "unexpected_keyword_argument")
         raise fault(_told(kind, first["loc"][1:], dict(first), where)) from None
     except SplatproofError as error:  # the dataclass checks its own values
         raise fault(f"{where}: {error}") from None
@@ -64,12 +66,19 @@ def build(
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:
     if fault["type"] == "unexpected_keyword_argument":
-        owner = ".".join([where, *map(str, place[:-1])])
+        inside = ("." if ": " in where else ": ") + _place(place[:-1]) if place[:-1] else ""
+        owner = where + inside
         return str(unknown(owner, str(place[-1]), _keys_at(kind, place[:-1])))
-    key = ".".join(map(str, place)) or "file"
+    key = _place(place) or "file"
     if fault["type"] == "missing":
         return f"{where}: {key} is missing"
     return f"{where}: {key}: {fault['msg']}, found {fault['input']!r}"
+
+
+def _place(steps: tuple[int | str, ...]) -> str:
+    """A place in TOML as people write it: cases[0].settings."""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    return text.removeprefix(".")
 
 
 def _keys_at(kind: Any, place: tuple[int | str, ...]) -> list[str]:

@@ -74,6 +74,11 @@ COMMANDS = {
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
     ),
+    "study": Command(
+        module="study",
+        functions={},
+        help="Measure what no trained case answers: stability, speed, partitions, file sizes, memory.",
+    ),
     "plan": Command(
         module="plan",
         functions={"": "plan"},

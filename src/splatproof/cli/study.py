@@ -1,73 +1,94 @@
-"""How `bench run` answers a study: a line a row as it comes, a table at the end, files in OUT."""
+"""`bench study NAME`: a question answered by measured rows instead of trained cases."""
 
 import json
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.base.files import write_text
 from splatproof.cli import output
+from splatproof.cli.binding import bound
 from splatproof.methods.backends import get_backend
 from splatproof.suites.studies.study import STUDIES, Study
 
 Row = dict[str, Any]
 
 
+def subcommands() -> dict[str, Callable[..., int]]:
+    """One command a study, so that each shows the options that it obeys and no others."""
+    return {name: _command(name, study) for name, study in STUDIES.items()}
+
+
 def run_study(
     name: str,
-    out: Path,
     *,
-    quick: bool,
+    out: Path = Path("runs"),
+    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     wait: float = 300.0,
     backend: str = "cpu",
     page: Path | None = None,
-    recorded: Path | None = None,
+    rows: Path | None = None,
 ) -> int:
-    """Print the rows of a study, write OUT/<name>.jsonl, and what else the study has.
+    """Print a table of the study's rows and keep them in OUT/STUDY.jsonl, a JSON object a line.
+
+    Rows are kept as they come; a study that is stopped starts over. Pictures, where the study draws
+    any, go to OUT/STUDY/. With --json each row is a line on stdout as soon as it is measured. The
+    exit code is 1 if a row is over its error budget.
 
     Args:
-        name: Of the study.
-        out: Folder for rows and pictures.
-        quick: Reduced form.
-        wait: Seconds that may be lost to other processes, for studies that wait.
-        backend: Whose twins are compared, for studies that compare some.
-        page: Write the study's page to this file.
-        recorded: Make the page of the rows in this file and measure nothing.
+        name: Name of the study.
+        out: Folder for the rows and pictures.
+        quick: Measure the reduced form: fewer and smaller cases.
+        wait: Seconds that the whole study may lose while it waits for other processes to leave the
+            machine idle; after that it refuses rows. With --quick it never waits.
+        backend: Name of the rasterizer whose implementations are measured beside those of the CPU.
+        page: Also write the study's Markdown page to this file, its rows as JSON beside it and its
+            pictures to images/ beside it.
+        rows: Measure nothing: write the page again from the rows in this JSON file, which an earlier
+            --page has written. Needs --page.
 
     Returns: 1 if a row says that it failed, else 0.
-    Raises: UsageError for an option that this study does not have; DataError if the file that rows
-        are read from is none.
+    Raises: UsageError for options that do not go together; DataError if the file that rows are read
+        from is none.
     """
     study = STUDIES[name]
-    if page is not None and study.page is None:
-        raise UsageError(f"--page is for studies that have a page, {name} has none")
     if not 0 <= wait < math.inf:
         raise UsageError(f"--wait is {wait}, expected seconds, 0 or more")
-    if recorded is not None:
-        if page is None:
-            raise UsageError("--rows is for making a page again: give --page too")
-        machine, rows = read_rows(recorded)
-        write_page(study, machine, rows, page)
+    if rows is not None:
+        if page is None or quick:
+            raise UsageError("--rows makes a page again from its rows: give --page, not --quick")
+        write_page(study, *read_rows(rows), page)
         return 0
     machine = _machine(study, backend)
     file = out / f"{name}.jsonl"
-    rows = _measure(name, study, quick, {"wait": wait, "backend": backend}, file)
+    found = _measure(name, study, quick, {"wait": wait, "backend": backend}, file)
     if not output.wants_json():
-        _print_table(study.columns, rows)
-    failed = [row for row in rows if row.get("ok") is False]
+        _print_table(study.columns, found)
+    failed = [row for row in found if row.get("ok") is False]
     for row in failed:
         output.warn(f"{name}: {row} is over its budget")
-    output.log(f"{len(rows)} rows, {len(failed)} over their budget; kept in {file}")
-    drawn = study.pictures(rows, out / name) if study.pictures else []
+    output.log(f"{len(found)} rows, {len(failed)} over their budget; kept in {file}")
+    drawn = study.pictures(found, out / name) if study.pictures else []
     for path in drawn:
         output.log(f"drawn: {path}")
     if page is not None:
-        write_page(study, machine, rows, page)
+        write_page(study, machine, found, page)
     if study.logged:
-        _log(name, out, machine, rows, [file, *drawn])
+        _log(name, out, machine, found, [file, *drawn])
     return int(bool(failed))
+
+
+def _command(name: str, study: Study) -> Callable[..., int]:
+    """The command of one study, without the options that it takes no notice of."""
+    obeyed = {"out", "quick", *study.options, *(("page", "rows") if study.page else ())}
+    without = {"wait", "backend", "page", "rows"} - obeyed
+    title = f"{study.description[0].upper()}{study.description[1:]}."
+    return bound(run_study, {"name": name}, without=without, title=title)
 
 
 def _measure(name: str, study: Study, quick: bool, given: dict[str, Any], file: Path) -> list[Row]:
@@ -107,8 +128,11 @@ def _machine(study: Study, backend: str) -> dict[str, str]:
 
 
 def read_rows(path: Path) -> tuple[dict[str, str], list[Row]]:
-    """Machine and rows of a file that `write_page` wrote.
+    """Read the machine and the rows that `write_page` wrote.
 
+    Args:
+        path: JSON file beside a page.
+    Returns: Facts of the machine by name, and the rows.
     Raises: DataError for anything else; MissingError where there is no such file.
     """
     try:
@@ -126,6 +150,12 @@ def write_page(study: Study, machine: dict[str, str], rows: list[Row], page: Pat
     """Write the page, its rows as JSON beside it, and its pictures below images/.
 
     The page is made of the rows as they are in the file, so it can be made again from it.
+
+    Args:
+        study: One that has a page.
+        machine: Facts of the machine that the rows were measured on, by name.
+        rows: What was measured.
+        page: Markdown file to write.
     """
     assert study.page is not None
     kept: Any = [{key: _short(value) for key, value in row.items()} for row in rows]

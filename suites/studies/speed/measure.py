@@ -1,4 +1,4 @@
-"""`bench run speed`: error against speed, for everything that has a twin."""
+"""`bench study speed`: error against speed, for everything that has a twin."""
 
 import math
 import statistics

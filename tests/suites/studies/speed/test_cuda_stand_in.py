@@ -80,5 +80,5 @@ def test_without_a_gpu_the_command_says_what_is_missing(tmp_path, capsys, monkey
     monkeypatch.delitem(sys.modules, "gsplat")
     if torch.cuda.is_available():
         pytest.skip("there is a GPU here")
-    assert main(["run", "speed", "--quick", "--backend", "cuda", "--out", str(tmp_path)]) == 3
+    assert main(["study", "speed", "--quick", "--backend", "cuda", "--out", str(tmp_path)]) == 3
     assert "backend 'cuda' cannot run here" in capsys.readouterr().err

@@ -38,7 +38,7 @@ ROWS = [
 def test_the_committed_page_is_what_the_generator_makes_of_the_committed_rows(tmp_path):
     page = tmp_path / "performance.md"
     recorded = DOCS / "performance.json"
-    assert main(["run", "speed", "--rows", str(recorded), "--page", str(page)]) == 0
+    assert main(["study", "speed", "--rows", str(recorded), "--page", str(page)]) == 0
     assert page.read_text() == (DOCS / "performance.md").read_text()
     assert page.with_suffix(".json").read_text() == recorded.read_text()
     for name in ("pareto", "growth"):
@@ -99,9 +99,9 @@ def test_a_file_without_rows_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["run", "partition", "--page", "x.md"], "partition has none"),
-        (["run", "speed", "--rows", "x.json"], "give --page too"),
-        (["run", "speed", "--wait", "-1"], "expected seconds"),
+        (["study", "partition", "--page", "x.md"], "--page"),
+        (["study", "speed", "--rows", "x.json"], "give --page"),
+        (["study", "speed", "--wait", "-1"], "expected seconds"),
         (["run", "quick", "--page", "x.md"], "are for the studies"),
     ],
 )
