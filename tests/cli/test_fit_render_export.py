@@ -1,6 +1,7 @@
 """`bench fit`, `bench render` and `bench export`, from arguments to files."""
 
 import json
+from functools import partial
 
 import cv2
 import numpy as np
@@ -8,23 +9,35 @@ import pytest
 from plyfile import PlyData
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatproof.cli import main
+from splatproof.cli import main, report
 from splatproof.datasets.catalogue import opening
 from splatproof.methods.loading import load_reconstruction
 from splatproof.reference.types.scene import camera_view
+from splatproof.suites import run_case as cases
+from splatproof.suites import runner
+from splatproof.suites.records import read_record
+from splatproof.suites.workers import in_process
+
+OPTIONS = ["--backend", "reference", "--protocol", "3dgs", "--seed", "4"]
+SETTINGS = ["--iterations", "4", "--density.most", "50"]
+
+
+def bench_fit(out, *more: str) -> int:
+    """`bench fit` on a tiny scene, in this process and without a tracking store."""
+    scene = out.parent / "tiny"
+    scene.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cases, "open_scene", lambda spec, protocol: tiny_scene())
+        patch.setattr(runner, "run_alone", partial(runner.run_alone, launch=in_process))
+        patch.setattr(report, "sync_cases", lambda out, uri: False)
+        return main(["fit", "3dgs", str(scene), "--out", str(out), *OPTIONS, *SETTINGS, *more])
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """A model folder made by `bench fit` on a tiny scene."""
-    out = tmp_path_factory.mktemp("fit")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-        options = ["--backend", "reference", "--out", str(out), "--protocol", "3dgs", "--seed", "4"]
-        assert (
-            main(["fit", "3dgs", "tiny", "--iterations", "4", "--density.most", "50", *options])
-            == 0
-        )
+    out = tmp_path_factory.mktemp("fit") / "out"
+    assert bench_fit(out) == 0
     return out
 
 
@@ -35,20 +48,31 @@ def test_fit_leaves_a_model_with_its_settings(fitted):
     assert (fitted / "renders" / "0.png").exists()
 
 
-def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, monkeypatch, capsys):
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-    options = ["--backend", "reference", "--out", str(fitted), "--protocol", "3dgs", "--seed", "4"]
-    options += ["--iterations", "4", "--density.most", "50", "--json"]
-    assert main(["fit", "3dgs", "tiny", *options]) == 0
-    image, mean = map(json.loads, capsys.readouterr().out.splitlines())
+def test_fit_leaves_the_record_of_a_suite_of_one_case(fitted):
+    result = read_record(fitted)
+    assert (result.suite, result.suite_scenes, result.scene) == ("fit", (), "tiny")
+    assert (result.method, result.variant, result.seed, result.protocol) == ("3dgs", "", 4, "3dgs")
+    assert set(result.stages) == {"load", "init", "train", "save", "score"}
+    assert result.curve[-1][0] == 4
+    assert result.environment["backend"] == "reference"
+    assert not list(fitted.rglob("*.partial"))
+    assert not (fitted / "checkpoint").exists()
+
+
+def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, capsys):
+    before = (fitted / "record.json").stat().st_mtime_ns
+    assert bench_fit(fitted, "--json") == 0
+    assert (fitted / "record.json").stat().st_mtime_ns == before
+    image, whole = map(json.loads, capsys.readouterr().out.splitlines())
     assert image["image"] == "0.png"
-    assert {
-        "scene": "tiny",
-        "method": "3dgs",
-        "seed": 4,
-        "protocol": "3dgs",
-    }.items() <= mean.items()
-    assert mean["psnr"] == image["psnr"] > 5
+    label = {"scene": "tiny", "method": "3dgs", "seed": 4, "protocol": "3dgs"}
+    assert label.items() <= image.items()
+    assert (label | {"suite": "fit", "status": "kept", "error": ""}).items() <= whole.items()
+    assert whole["psnr"] == image["psnr"] > 5
+    assert bench_fit(fitted, "--quiet") == 0
+    shown = capsys.readouterr()
+    assert [line.split()[0] for line in shown.out.splitlines()] == ["0.png", "mean"]
+    assert shown.err == ""
 
 
 def test_render_from_a_camera_file(fitted, tmp_path):
