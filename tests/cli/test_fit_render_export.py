@@ -127,6 +127,12 @@ def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch
     assert "m.spgs" in capsys.readouterr().err
     assert main(["export", str(fitted / "model")]) == 2
     assert "--packed" in capsys.readouterr().err
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["export", str(fitted), "--ply", str(tmp_path / "b.ply"), "--gate", "0"]) == 2
+    assert "--gate is for --packed" in capsys.readouterr().err
+    assert main(["export", str(fitted), "--packed", str(tmp_path / "b.spgs"), "--local"]) == 2
+    assert "--local is for --ply" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(

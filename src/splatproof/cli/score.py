@@ -43,22 +43,24 @@ def score(
     bit RGB as PNG). The folders renders/ and truth/ (with masks/, where there are any) of a finished
     case, under its protocol, give the image scores of its record again to the last digit. Every
     file is looked at before anything is scored, and each that is missing, left over, unreadable or
-    of another size is named. Of a protocol only the scoring rules apply (rounding, masks, region,
-    metrics, colour fits): which images there are and how large is what is in the folders.
+    of another size is named. Only the scoring rules of a protocol apply (rounding, masks, region,
+    metrics, colour fits); which images there are, and their sizes, is what the folders hold.
 
     With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
     valid_share and every metric by its name; then a line with image null: the mean of each over the
     images, and psnr_of_mean_mse. Values that are not finite are null.
 
     Args:
-        renders: Folder of images to score.
-        truth: Folder of true images of the same sizes.
-        protocol: Names of protocols or paths of .toml files, with commas between them.
+        renders: Folder of the images to score.
+        truth: Folder of the true images, of the same sizes.
+        protocol: Names of protocols or paths of .toml files, with commas between them; every one
+            gives a table of its own.
         masks: Folder of masks, white where a pixel counts, one for each truth: of the same path
-            without the suffix, or the truth's whole name with another suffix behind it.
-        scene: Name for the output.
-        method: Name for the output.
-        seed: Number for the output.
+            without the suffix, or the truth's whole name with another suffix behind it. None: all
+            pixels count.
+        scene: Name of the scene, for the output alone.
+        method: Name of what made the renders, for the output alone.
+        seed: Seed of what made the renders, for the output alone.
     """
     from splatproof.base.errors import UsageError
     from splatproof.metrics.protocol_files import load_protocol
@@ -79,7 +81,9 @@ def score(
             for line in _lines(images, means):
                 output.print_record(label | {"protocol": rule.name} | line)
         else:
-            _print_table(rule.name, images, means)
+            named = [f"{key} {value}" for key, value in label.items() if value is not None]
+            title = ", ".join([*named, f"protocol {rule.name}", f"{len(images)} images"])
+            _print_table(title, images, means)
     return 0
 
 
@@ -207,13 +211,13 @@ def _lines(
     yield {"image": None, **means}
 
 
-def _print_table(protocol: str, images: "Sequence[ImageScore]", means: Mapping[str, float]) -> None:
+def _print_table(title: str, images: "Sequence[ImageScore]", means: Mapping[str, float]) -> None:
     """A table on stdout: one row an image, the mean below."""
     from rich.console import Console
     from rich.table import Table
 
     masked = any(image.valid_share < 1 for image in images)
-    table = Table(title=f"protocol {protocol}, {len(images)} images")
+    table = Table(title=title)
     table.add_column("image", no_wrap=True)
     for name in (*(["valid"] if masked else []), *images[0].metrics):
         table.add_column(name, justify="right", no_wrap=True)
