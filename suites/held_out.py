@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
@@ -80,9 +81,8 @@ def score_views(
         new_folder(folder / "masks") if masked else nullcontext(folder) as masks,
     ):
         for view, name in zip(views, names, strict=True):
-            asked = appearance.shown(view, scene.train_views, model, protocol)
-            drawn = appearance.exposed(view, model.render(asked, background).colour, protocol)
-            render, shown = kept(drawn, protocol.rounding)
+            image = drawn(view, scene.train_views, model, protocol)
+            render, shown = kept(image, protocol.rounding)
             truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
             scores.append(
@@ -95,6 +95,23 @@ def score_views(
                 valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
                 write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
     return tuple(scores), render_milliseconds(views, model, background)
+
+
+def drawn(
+    view: View, training: Sequence[View], model: Reconstruction, protocol: Protocol
+) -> Float[Tensor, "h w 3"]:
+    """What a model shows of a view under a protocol: its background, and the light it allows.
+
+    Args:
+        view: The view; its image is looked at only where the protocol's `appearance` says so.
+        training: The views that the model was trained on.
+        model: What is looked at.
+        protocol: The rules.
+    Returns: The image, neither rounded nor clamped.
+    """
+    asked = appearance.shown(view, training, model, protocol)
+    image = model.render(asked, torch.tensor(protocol.background)).colour
+    return appearance.exposed(view, image, protocol)
 
 
 def _moving(view: View, protocol: Protocol) -> dict[str, Bool[Tensor, "h w"]] | None:

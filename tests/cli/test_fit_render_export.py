@@ -1,6 +1,8 @@
 """`bench fit`, `bench render` and `bench export`, from arguments to files."""
 
 import json
+import shutil
+from dataclasses import asdict
 from functools import partial
 
 import cv2
@@ -12,6 +14,7 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main, report
 from splatproof.datasets.catalogue import opening
 from splatproof.methods.loading import load_reconstruction
+from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import camera_view
 from splatproof.suites import run_case as cases
 from splatproof.suites import runner
@@ -43,8 +46,11 @@ def fitted(tmp_path_factory):
 
 def test_fit_leaves_a_model_with_its_settings(fitted):
     facts = json.loads((fitted / "model" / "model.json").read_text())
-    assert facts["method"] == "3dgs"
-    assert (facts["settings"]["iterations"], facts["settings"]["density"]["most"]) == (4, 50)
+    origin = facts["origin"]
+    assert (origin["method"], origin["variant"], origin["seed"]) == ("3dgs", "", 4)
+    assert (origin["settings"]["iterations"], origin["settings"]["density"]["most"]) == (4, 50)
+    assert origin["scene"] == str(fitted.parent / "tiny")
+    assert origin["protocol"] == json.loads(json.dumps(asdict(load_protocol("3dgs"))))
     assert (fitted / "renders" / "0.png").exists()
 
 
@@ -75,14 +81,17 @@ def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, capsy
     assert shown.err == ""
 
 
-def test_render_from_a_camera_file(fitted, tmp_path):
+def test_render_from_a_camera_file(fitted, tmp_path, capsys):
     where = camera(0)
     cameras = [
         {"name": "sub/left.jpg", "width": where.width, "height": where.height,
          "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()}
     ]  # fmt: skip
     (tmp_path / "cameras.json").write_text(json.dumps(cameras))
-    arguments = [str(fitted / "model"), str(tmp_path / "cameras.json"), str(tmp_path / "out")]
+    arguments = [str(fitted), str(tmp_path / "out"), "--cameras", str(tmp_path / "cameras.json")]
+    for more in (["--scene", "tiny"], ["--views", "all"]):
+        assert main(["render", *arguments, *more]) == 2
+        assert "--cameras says what is rendered" in capsys.readouterr().err
     assert main(["render", *arguments, "--backend", "reference"]) == 0
     got = cv2.imread(str(tmp_path / "out" / "sub-left.png"))
     want = (
@@ -93,12 +102,59 @@ def test_render_from_a_camera_file(fitted, tmp_path):
     assert np.array_equal(got, want)
 
 
-def test_render_the_held_out_view_as_fit_did(fitted, tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-    arguments = [str(fitted), "tiny", str(tmp_path), "--protocol", "3dgs"]
-    assert main(["render", *arguments, "--backend", "reference"]) == 0
+@pytest.fixture
+def asked(monkeypatch):
+    """What `bench render` opens: (scene, protocol); it finds the tiny scene each time."""
+    seen = []
+
+    def opened(spec, protocol):
+        seen.append((spec, protocol))
+        return tiny_scene()
+
+    monkeypatch.setattr(opening, "open_scene", opened)
+    return seen
+
+
+def test_a_model_renders_its_own_scored_views_byte_for_byte(fitted, tmp_path, asked):
+    assert main(["render", str(fitted), str(tmp_path), "--backend", "reference"]) == 0
+    assert asked == [(str(fitted.parent / "tiny"), load_protocol("3dgs"))]
     assert [path.name for path in tmp_path.iterdir()] == ["0.png"]
     assert (tmp_path / "0.png").read_bytes() == (fitted / "renders" / "0.png").read_bytes()
+
+
+def test_a_scene_and_a_protocol_that_are_named_go_first(fitted, tmp_path, asked, capsys):
+    (tmp_path / "white.toml").write_text('source = "ours"\nbackground = [1.0, 1.0, 1.0]\n')
+    options = ["--scene", "elsewhere", "--protocol", str(tmp_path / "white.toml"), "--json"]
+    out = tmp_path / "out"
+    assert main(["render", str(fitted), str(out), *options, "--views", "all"]) == 0
+    ((scene, protocol),) = asked
+    assert (scene, protocol.name, protocol.background) == ("elsewhere", "white", (1.0, 1.0, 1.0))
+    assert len(list(out.iterdir())) == 6
+    assert (out / "0.png").read_bytes() != (fitted / "renders" / "0.png").read_bytes()
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"out": str(out), "images": 6, "source": "elsewhere", "protocol": "white"}
+
+
+def test_what_a_model_does_not_know_is_asked_for_in_one_line(fitted, tmp_path, asked, capsys):
+    moved = tmp_path / "moved"
+    shutil.copytree(fitted / "model", moved)
+    told = json.loads((moved / "model.json").read_text())
+    whole = told["origin"]
+
+    def refused(*more: str, **changes: object) -> str:
+        told["origin"] = whole | changes
+        (moved / "model.json").write_text(json.dumps(told))
+        assert main(["render", str(moved), str(tmp_path / "out"), *more]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    assert "does not say which scene" in refused(scene="")
+    assert "which is no folder any more; say with --scene" in refused(scene="/gone/away")
+    assert "does not say which protocol" in refused(protocol={})
+    assert "name a protocol with --protocol" in refused(protocol={"name": "x", "hodl": 1})
+    assert "does not say which protocol" in refused("--scene", "tiny", scene="", protocol={})
+    assert not asked
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("inside", ["", "model"])
@@ -109,21 +165,23 @@ def test_export(fitted, tmp_path, capsys, inside):
     assert said["frame"] == "as trained"
 
 
-def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("asked")
+def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys):
     packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["bytes"] == packed.stat().st_size == sum(told["bytes_by_part"].values())
     assert main(["export", str(packed), "--ply", str(ply)]) == 0
     assert len(PlyData.read(ply)["vertex"].data) == told["gaussians"]
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
     out = tmp_path / "renders"
-    assert main(["render", str(packed), "tiny", str(out), "--protocol", "3dgs"]) == 0
+    assert main(["render", str(packed), str(out)]) == 2
+    assert "does not say which scene it was trained on" in capsys.readouterr().err
+    assert main(["render", str(packed), str(out), "--scene", "tiny", "--protocol", "3dgs"]) == 0
     mine, whole = (cv2.imread(str(f / "0.png")) for f in (out, fitted / "renders"))
     assert np.abs(np.asarray(mine, dtype=int) - np.asarray(whole, dtype=int)).max() <= 2
     capsys.readouterr()
     packed.write_bytes(packed.read_bytes()[:-1])
-    assert main(["render", str(packed), "tiny", str(out)]) == 2
+    assert main(["render", str(packed), str(out), "--scene", "tiny", "--protocol", "3dgs"]) == 2
     assert "m.spgs" in capsys.readouterr().err
     assert main(["export", str(fitted / "model")]) == 2
     assert "--packed" in capsys.readouterr().err
@@ -139,7 +197,7 @@ def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch
     ("arguments", "code", "said"),
     [
         (["export", "nowhere", "--ply", "a.ply"], 2, "model.json: no such file"),
-        (["render", "nowhere", "a.json", "out"], 2, "model.json: no such file"),
+        (["render", "nowhere", "out"], 2, "model.json: no such file"),
         (["fit", "3dgs", "x", "--out", "o", "--iterations", "0"], 2, "iterations is 0, expected"),
         (["fit", "3dgs", "x", "--out", "o", "--backend", "gpu"], 2, "did you mean"),
         (["fit", "3dgs", "x", "--out", "o", "--density.strat", "1"], 2, "--density.start"),

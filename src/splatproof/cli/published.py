@@ -48,7 +48,7 @@ def published(
         scene: Name of the one scene of the suite to show. None: all of its scenes.
         out: Folder of our runs, where `bench run SUITE` has left its records.
     """
-    from splatproof.base.typed_toml import unknown
+    from splatproof.base.names import unknown
     from splatproof.suites.published.ours import our_rows
     from splatproof.suites.published.rows import load_published, published_suites, rows_of
 
