@@ -102,6 +102,40 @@ def test_render_from_a_camera_file(fitted, tmp_path, capsys):
     assert np.array_equal(got, want)
 
 
+def test_the_pictures_of_a_fit_are_scored_under_its_own_protocol(fitted, tmp_path, capsys):
+    arguments = ["score", str(fitted / "renders"), str(fitted / "truth"), "--json"]
+    image = read_record(fitted).images[0]
+
+    def scored(*more: str) -> dict:
+        assert main([*arguments, *more]) == 0
+        return json.loads(capsys.readouterr().out.splitlines()[0])
+
+    own = scored()
+    assert own["protocol"] == "3dgs"
+    assert {name: own[name] for name in image.metrics} == image.metrics
+    assert scored("--protocol", "default")["protocol"] == "default"
+    arguments[2] = str(tmp_path / "truth")
+    shutil.copytree(fitted / "truth", arguments[2])
+    assert scored()["protocol"] == "default"
+
+
+def test_masks_of_a_case_belong_to_its_own_protocol(fitted, tmp_path, capsys):
+    case = tmp_path / "case"
+    shutil.copytree(fitted, case)
+    shutil.copytree(case / "truth", case / "masks")
+    mask = cv2.imread(str(case / "masks" / "0.png"))
+    assert mask is not None
+    mask[:] = 255
+    mask[:, ::2] = 0
+    cv2.imwrite(str(case / "masks" / "0.png"), mask)
+    record = (case / "record.json").read_text()
+    (case / "record.json").write_text(record.replace('"masked": false', '"masked": true'))
+    for more, share in (([], 0.5), (["--protocol", "default"], 1.0)):
+        pictures = [str(case / "renders"), str(case / "truth")]
+        assert main(["score", *pictures, "--json", *more]) == 0
+        assert json.loads(capsys.readouterr().out.splitlines()[0])["valid_share"] == share
+
+
 @pytest.fixture
 def asked(monkeypatch):
     """What `bench render` opens: (scene, protocol); it finds the tiny scene each time."""
