@@ -216,5 +216,5 @@ def test_values_that_cannot_be_are_told_in_one_line(town, capsys, options, said)
 @pytest.mark.usefixtures("no_store")
 def test_a_scene_that_is_not_there_is_told_before_anything_is_written(town, capsys):
     assert fit(scene="twon") == 2
-    assert "no such folder and no registered scene" in capsys.readouterr().err
+    assert "unknown 'twon'" in capsys.readouterr().err
     assert not (town / "out").exists()
