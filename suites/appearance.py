@@ -63,7 +63,7 @@ def usable_columns(width: int, protocol: Protocol) -> slice:
     On odd widths the middle column belongs to neither half.
 
     Args:
-        width: Of the image, in pixels.
+        width: Width of the image, in pixels.
         protocol: Its `appearance`.
     """
     return slice(0, width if protocol.appearance == "oracle" else width // 2)

@@ -20,7 +20,12 @@ def cpu_seconds() -> float:
 
 @contextmanager
 def timed(stages: dict[str, float], name: str) -> Iterator[None]:
-    """Add the block's wall seconds to stages[name]."""
+    """Add the wall seconds of the `with` block to stages[name].
+
+    Args:
+        stages: Seconds by stage, changed in place.
+        name: Name of the stage.
+    """
     started = time.perf_counter()
     yield
     stages[name] = stages.get(name, 0.0) + time.perf_counter() - started

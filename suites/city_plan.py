@@ -37,23 +37,23 @@ class City:
 
     views: int = 10_000
     gaussians: int = 100_000_000
-    """Of the finished model."""
+    """Number of Gaussians in the finished model."""
     pixels: int = 1_600 * 1_200
-    """Of a view."""
+    """Number of pixels of a view."""
     iterations: int = 30_000
-    """Of each block."""
+    """Training steps of each block."""
     refinement: int = 7_000
-    """Steps over the merged model; 0: none."""
+    """Training steps over the merged model; 0: it is not refined."""
     margin: float = 0.15
-    """By which blocks are widened while they train."""
+    """Share of its own size by which a block is widened while it trains."""
     views_a_block: float = 2.5
     """Blocks that a view is trained by, on average (2 to 3 in the partition study at K = 4 to 8)."""
     cores: int = 16
-    """Of a machine."""
+    """Number of cores of a machine."""
     memory_gb: float = 64.0
-    """Of a machine, in 2^30 bytes."""
+    """Memory of a machine, in 2^30 bytes."""
     image_bytes: int = 2**30
-    """Of training images that a worker keeps in memory."""
+    """Bytes of training images that a worker keeps in memory."""
 
     def __post_init__(self) -> None:
         """Refuse what is no city."""
@@ -76,7 +76,7 @@ class Plan:
     workers: int
     """Blocks that a machine trains at once; 0: not even one fits."""
     block_memory_mb: float
-    """Of one block's process, in 2^20 bytes."""
+    """Peak memory of one block's process, in 2^20 bytes."""
     block_seconds: float
     """Wall seconds of one block with its share of a machine's cores."""
     blocks_seconds: float
@@ -84,7 +84,8 @@ class Plan:
     serial_seconds: float
     """Wall seconds of what one machine does alone: stitching, merging, refining, packing."""
     refine_memory_mb: float
-    """Of refining, which holds the whole model; above a machine's memory it cannot be done there."""
+    """Peak memory of refining in 2^20 bytes; it holds the whole model, so where this is more than a
+    machine has it cannot be done there."""
 
     @property
     def seconds(self) -> float:
@@ -93,19 +94,34 @@ class Plan:
 
 
 def block_gaussians(city: City, blocks: int) -> float:
-    """Gaussians of a block at the end: its share of the city, widened on two axes by the margin."""
+    """Gaussians of a block at the end: its share of the city, widened on two axes by the margin.
+
+    Args:
+        city: What is built.
+        blocks: Number of blocks of equal size.
+    """
     grown = (1 + city.margin) ** 2 if blocks > 1 else 1.0
     return float(min(city.gaussians, city.gaussians / blocks * grown))
 
 
 def block_memory(city: City, blocks: int) -> float:
-    """Peak memory of a block's process in 2^20 bytes, by the pipeline's own estimate."""
+    """Peak memory of a block's process in 2^20 bytes, by the pipeline's own estimate.
+
+    Args:
+        city: What is built.
+        blocks: Number of blocks of equal size.
+    """
     views = city.views * min(1.0, city.views_a_block / blocks)
     return _memory(city, block_gaussians(city, blocks), views)
 
 
 def block_cpu_seconds(city: City, blocks: int) -> float:
-    """CPU seconds of a block: iterations x (pixels a + Gaussians b), half of the final Gaussians."""
+    """CPU seconds of a block: iterations x (pixels a + Gaussians b), half of the final Gaussians.
+
+    Args:
+        city: What is built.
+        blocks: Number of blocks of equal size.
+    """
     step = city.pixels * PIXEL_STEP + block_gaussians(city, blocks) / 2 * GAUSSIAN_STEP
     return START_SECONDS + city.iterations * step
 
@@ -122,8 +138,10 @@ def plan(city: City, blocks: int, machines: int) -> Plan:
 
     Args:
         city: What is built.
-        blocks: K >= 1.
-        machines: n >= 1.
+        blocks: Number of blocks K, at least 1.
+        machines: Number of machines n, at least 1.
+    Returns: Memory and wall seconds, infinite where not even one block fits into a machine.
+    Raises: UsageError for fewer than one of either.
     """
     if blocks < 1 or machines < 1:
         raise UsageError(f"{blocks} blocks on {machines} machines: expected at least one of each")
@@ -142,7 +160,7 @@ def plan(city: City, blocks: int, machines: int) -> Plan:
 
 
 def _refine_memory(city: City) -> float:
-    """Of refining in 2^20 bytes: a trainer that holds all Gaussians at once; 0 without it."""
+    """Memory of refining in 2^20 bytes: a trainer holds all Gaussians at once; 0 without it."""
     if not city.refinement:
         return 0.0
     return _memory(city, float(city.gaussians), float(city.views))
@@ -177,8 +195,15 @@ def most_useful_blocks(city: City) -> int:
 
 
 def most_useful_machines(city: City, blocks: int) -> int:
-    """n at which what one machine does alone takes as long as all blocks: from there on more
-    machines halve nothing."""  # fmt: skip
+    """Number of machines at which what one machine does alone takes as long as all blocks.
+
+    From there on more machines halve nothing.
+
+    Args:
+        city: What is built.
+        blocks: Number of blocks of equal size.
+    Returns: At most one machine a block; 0 where not even one block fits into a machine.
+    """
     one = plan(city, blocks, 1)
     if not one.workers:
         return 0
@@ -203,9 +228,11 @@ def simulate(found: Plan, spread: float, seed: int) -> Simulated:
     Times are the plan's, times exp(spread N(0, 1) - spread^2 / 2): their mean stays.
 
     Args:
-        found: With at least one worker a machine.
-        spread: Standard deviation of log times, >= 0.
-        seed: Of the draws.
+        found: Plan with at least one worker a machine.
+        spread: Standard deviation of the logarithm of block times, 0 or more.
+        seed: Number that the draws depend on.
+    Returns: Mean and extremes of the wall seconds of DRAWS runs.
+    Raises: UsageError for a negative spread.
     Source: list scheduling by longest first, Graham 1969.
     """
     if spread < 0:
@@ -224,7 +251,13 @@ def simulate(found: Plan, spread: float, seed: int) -> Simulated:
 
 
 def makespan(times: Sequence[float], workers: int) -> float:
-    """When the last job ends if each worker, once free, takes the next of the list."""
+    """When the last job ends if each worker, once free, takes the next of the list.
+
+    Args:
+        times: Seconds of each job, in the order in which they are handed out.
+        workers: Number of workers.
+    Returns: Seconds from the start of the first job to the end of the last.
+    """
     free = [0.0] * workers
     for time in times:
         heapq.heappush(free, heapq.heappop(free) + time)

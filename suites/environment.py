@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 PACKAGES = ("splatproof", "torch", "numpy", "pycolmap", "opencv-contrib-python-headless")
-"""Those whose version can change a number."""
+"""Packages whose version can change a number."""
 
 
 def environment(backend: str) -> dict[str, str]:
@@ -15,6 +15,7 @@ def environment(backend: str) -> dict[str, str]:
 
     Args:
         backend: Name of the rasterizer in use.
+    Returns: Versions, commit, machine, threads and SIMD level by name.
     """
     import torch
 

@@ -41,7 +41,7 @@ def estimate_suite(suite: Suite, folder: Path, backend: str) -> list[Estimate]:
 
     Args:
         suite: Its scenes must be on this machine.
-        folder: Of the runs.
+        folder: Folder of the runs, with the suites' folders.
         backend: Name of the rasterizer.
     """
     rows = {(case.scene, case.protocol.name): case for case in suite.cases}

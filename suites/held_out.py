@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Literal
@@ -34,6 +35,10 @@ TIMED_SECONDS = 5.0
 def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
     """The views that are scored, sorted by name; what can be said against them before training.
 
+    Args:
+        scene: Scene, opened under the protocol.
+        protocol: The rules that the views are scored by.
+    Returns: At least one view.
     Raises: DataError for a scene without test views, with two that differ by their suffix alone,
         or with masks under a metric that has no masked form.
     """
@@ -61,10 +66,10 @@ def score_views(
     was scored: scoring the files again gives the same numbers (see `kept`).
 
     Args:
-        scene: With test views.
+        scene: Scene with test views.
         model: What is scored.
         protocol: The rules.
-        folder: Of the case.
+        folder: Folder of the case.
     Returns: Scores sorted by name, and the median milliseconds a frame after warm-up.
     Raises: DataError where `scored_views` refuses the scene, or a view cannot be scored.
     """
@@ -80,9 +85,8 @@ def score_views(
         new_folder(folder / "masks") if masked else nullcontext(folder) as masks,
     ):
         for view, name in zip(views, names, strict=True):
-            asked = appearance.shown(view, scene.train_views, model, protocol)
-            drawn = appearance.exposed(view, model.render(asked, background).colour, protocol)
-            render, shown = kept(drawn, protocol.rounding)
+            image = drawn(view, scene.train_views, model, protocol)
+            render, shown = kept(image, protocol.rounding)
             truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
             scores.append(
@@ -95,6 +99,23 @@ def score_views(
                 valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
                 write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
     return tuple(scores), render_milliseconds(views, model, background)
+
+
+def drawn(
+    view: View, training: Sequence[View], model: Reconstruction, protocol: Protocol
+) -> Float[Tensor, "h w 3"]:
+    """What a model shows of a view under a protocol: its background, and the light it allows.
+
+    Args:
+        view: The view; its image is looked at only where the protocol's `appearance` says so.
+        training: The views that the model was trained on.
+        model: What is looked at.
+        protocol: The rules.
+    Returns: The image, neither rounded nor clamped.
+    """
+    asked = appearance.shown(view, training, model, protocol)
+    image = model.render(asked, torch.tensor(protocol.background)).colour
+    return appearance.exposed(view, image, protocol)
 
 
 def _moving(view: View, protocol: Protocol) -> dict[str, Bool[Tensor, "h w"]] | None:
@@ -114,7 +135,7 @@ def kept(
 
     Args:
         image: Any values; outside [0, 1] and where it is not finite it is scored as it is.
-        rounding: The protocol's, of a render; "float" for truth.
+        rounding: The protocol's rule for renders; "float" for truth.
     """
     clean = image.detach().float().nan_to_num().clamp(0, 1)
     rounded = round_to_8_bit(clean, rounding)
@@ -136,7 +157,16 @@ def to_8_bit(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
 def error_picture(
     name: str, render: Tensor, truth: Tensor, protocol: Protocol, mask: Tensor | None
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """FLIP of what is scored as colours: black (equal) over red to yellow-white (1)."""
+    """FLIP of what is scored as colours: black (equal) over red to yellow-white (1).
+
+    Args:
+        name: Name of the view, for errors.
+        render: The model's image, h x w x 3, sRGB in [0, 1].
+        truth: The photo, of the same size.
+        protocol: The rules: what of the image is scored.
+        mask: True where a pixel is valid, h x w; None: everywhere.
+    Returns: A picture of the whole image, black where nothing is scored.
+    """
     ready = prepare(render, truth, protocol, mask, name=name)
     pair = check_pair(ready.render, ready.truth, ready.mask, metric="error map")
     error = np.where(pair.valid, flip_map(pair), 0.0)
@@ -147,7 +177,12 @@ def error_picture(
 
 
 def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]) -> None:
-    """Write RGB of 8 or 16 bits as a PNG."""
+    """Write RGB of 8 or 16 bits as a PNG; a kill leaves the old file or the new one.
+
+    Args:
+        path: File to write.
+        image: Pixels, h x w x 3.
+    """
     done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
     assert done
     write_bytes(path, data.tobytes())
@@ -156,7 +191,13 @@ def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray,
 def render_milliseconds(
     views: list[View], model: Reconstruction, background: Float[Tensor, "3"]
 ) -> float:
-    """Median milliseconds a frame over the views; the first frame only warms up."""
+    """Median milliseconds a frame over the views; the first frame only warms up.
+
+    Args:
+        views: Views to render, at least one.
+        model: What is timed.
+        background: Colour behind everything, sRGB in [0, 1].
+    """
     chosen = [views[int(i * len(views) / TIMED_FRAMES)] for i in range(TIMED_FRAMES)]
     model.render(chosen[0].without_truth(), background)
     times: list[float] = []

@@ -29,6 +29,11 @@ def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Par
 
     "odbp" asks for loads within 1 % of the mean and takes the best of ten METIS seeds; "odbp_paper"
     is DPGS' own setting, 5 %, with one seed.
+
+    Args:
+        place: The scene's points and views on the ground plane.
+        blocks: Number of blocks K.
+        backend: Name of the rasterizer for CityGaussian's view rule.
     """
     yield odbp_blocks(place, blocks, "odbp", settings=PartitionSettings())
     yield odbp_blocks(place, blocks, "odbp_paper", settings=PAPER)
@@ -38,11 +43,17 @@ def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Par
 
 
 def partition_row(place: Ground, found: Partition, blocks: int) -> dict[str, Any]:
-    """Figures of one partition.
+    """Judge one partition: how even its loads, how long its cut, how many views a block.
 
     Load is the summed track length of a block's points. The cut is counted for all partitions on
     one graph, the plain voxel grid: a voxel belongs to the block that has most of its load, by
     points where nobody saw any. Empty blocks count with load 0 and no views.
+
+    Args:
+        place: The scene's points and views on the ground plane.
+        found: The partition.
+        blocks: Number of blocks that were asked for.
+    Returns: What `partition_rows` says of one partition.
     """
     load = torch.bincount(found.labels, weights=place.loads.double(), minlength=blocks)
     mean = load.mean()
@@ -70,10 +81,10 @@ def partition_rows(
     """Compare the partitions of a scene: a row for each number of blocks and method.
 
     Args:
-        scene: With training views and sparse points with tracks.
-        ks: Numbers of blocks, each at least 1.
+        scene: Scene with training views, and sparse points with tracks.
+        ks: Numbers of blocks to compare, each at least 1.
         voxel_size: Side of ODBP's voxels in scene units; None: 64 along the scene.
-        backend: Rasterizer for CityGaussian's view rule.
+        backend: Name of the rasterizer for CityGaussian's view rule.
 
     Returns: Rows with scene, k, method, load_std_over_mean, load_max_over_mean, edge_cut,
         views_mean, views_max and note.

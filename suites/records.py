@@ -11,7 +11,12 @@ RECORD_NAME = "record.json"
 
 
 def write_record(folder: Path, result: Result) -> None:
-    """Write <folder>/record.json as one line of JSON; a kill leaves the old one or the new one."""
+    """Write <folder>/record.json as one line of JSON; a kill leaves the old one or the new one.
+
+    Args:
+        folder: Folder of the case.
+        result: What came out of it.
+    """
     write_text(folder / RECORD_NAME, result_to_json(result) + "\n")
 
 

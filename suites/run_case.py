@@ -1,11 +1,12 @@
 """Run one case: open the scene, train or continue, save, score, and write the record."""
 
 import json
+import math
 import shutil
 import traceback
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from splatproof.base.errors import SplatproofError
 from splatproof.base.files import write_text
@@ -15,13 +16,13 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.models.base import Origin, Reconstruction, save_model
 from splatproof.methods.registry import get_method
 from splatproof.methods.run import Run
 from splatproof.methods.training.loop import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
-from splatproof.reference.types.result import Result
+from splatproof.reference.types.result import ImageScore, Result
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
@@ -34,15 +35,33 @@ from splatproof.suites.suite_files import Case, case_key
 from splatproof.suites.training_curve import Curve
 
 CHECKPOINT_SECONDS = 15.0
-"""A kill loses at most this much training."""
+"""Default seconds of training between two checkpoints; a kill loses at most this much."""
+CASE_NAME = "case.json"
+"""File that says what the case in its folder is made of."""
 OURS = (
-    RECORD_NAME, "case.json", "trained.json", "curve.jsonl", "failure.txt",
+    RECORD_NAME, CASE_NAME, "trained.json", "curve.jsonl", "failure.txt",
     "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
 
-Tell = Callable[[str, int, int, dict[str, float]], None]
-"""tell(stage, step, total, values): where a case is; step and total are 0 outside training."""
+
+@runtime_checkable
+class Tell(Protocol):
+    """Whoever is told where a case is."""
+
+    def __call__(
+        self, stage: str, step: int, total: int, values: dict[str, float], note: str = "", /
+    ) -> None:
+        """Hear where a case is.
+
+        Args:
+            stage: load, init, train, save or score.
+            step: Training step that was just done; 0 in other stages.
+            total: Number of training steps; 0 in other stages.
+            values: What the method says of the step by name, e.g. its loss.
+            note: One line for people that the method says besides.
+        """
+        ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,21 +70,30 @@ class Job:
 
     case: Case
     suite: str
+    """Name of the suite, for the record."""
     suite_scenes: tuple[str, ...]
+    """Names of all scenes that the suite declares, for the record."""
     folder: Path
-    """Of the case."""
+    """The case's own folder."""
     backend: str = "cpu"
+    """Name of the rasterizer."""
     threads: int | None = None
+    """Threads of torch and the kernels; None leaves them alone."""
     resume: bool = True
     """False: what is in the folder is removed first."""
+    checkpoint_seconds: float = CHECKPOINT_SECONDS
+    """Seconds of training between two checkpoints."""
     workers: int = 1
     """Blocks of a city that are trained at the same time."""
     engine: str = "processes"
-    """Where they are trained."""
+    """Where blocks are trained, see splatproof.methods.city.executor."""
+    unscored: bool = False
+    """True: a scene without held-out views is trained and not scored. False: it is refused."""
     cache: Path | None = None
     """Where cases of one suite and the same data share trained blocks; None: they do not."""
     data: dict[str, str] = field(default_factory=dict)
-    """Facts of the scene's files, for the record; nothing that was made of others is continued."""
+    """Facts of the scene's files, for the record; nothing that was made of other files is
+    continued."""
 
     @property
     def key(self) -> str:
@@ -89,6 +117,10 @@ def run_case(job: Job, tell: Tell) -> None:
 
     A folder of other settings or data is emptied first; one of these is continued: from the
     saved model if training had ended, else from the method's last checkpoint.
+
+    Args:
+        job: What to run, and where.
+        tell: Hears where the case is.
     """
     try:
         with threads(job.threads):
@@ -100,13 +132,19 @@ def run_case(job: Job, tell: Tell) -> None:
 
 
 def reason_of(error: BaseException) -> str:
-    """One line that says why a case failed."""
+    """Say in one line why a case failed."""
     line = " ".join(str(error).split())
     return line if isinstance(error, SplatproofError) else f"{type(error).__name__}: {line}"
 
 
 def failed_result(job: Job, reason: str) -> Result:
-    """The record of a case without numbers."""
+    """Make the record of a case that has no numbers.
+
+    Args:
+        job: What was to be run.
+        reason: One line that says why it failed.
+    Returns: A result with no images and no metrics.
+    """
     return Result(
         **_identity(job), images=(), metrics={}, stages={}, cpu_seconds=0.0, peak_memory_mb=0.0,
         primitives=0, bytes_on_disk=0, render_ms=float("nan"), split_sha256="", model_sha256="",
@@ -127,7 +165,7 @@ def clear(folder: Path) -> None:
 def _prepare(job: Job) -> None:
     """Leave in the folder only what belongs to this very case, and no record."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    path = job.folder / "case.json"
+    path = job.folder / CASE_NAME
     made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
     text = json.dumps(made_of) + "\n"
     same = path.exists() and path.read_text(encoding="utf-8") == text
@@ -144,7 +182,8 @@ def _run(job: Job, tell: Tell) -> None:
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
-        scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
+        if scene.test or not job.unscored:
+            scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
         given = disturbed(scene, job.case.pose_noise, job.case.seed)  # scores are of the true scene
     done = job.folder / "trained.json"
     if not done.exists():
@@ -158,11 +197,7 @@ def _run(job: Job, tell: Tell) -> None:
     # What is scored is what lies on disk, so a continued case and an undisturbed one agree.
     model = load_reconstruction(job.folder / "model", backend=job.backend)
     with measure.timed(before.stages, "score"):
-        images, render_ms = score_views(scene, model, job.case.protocol, job.folder)
-        means = scene_metrics(images) | geometry_metrics(scene, model)
-        if isinstance(model, CityModel):
-            images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
-            means |= extra
+        images, means, render_ms = _scores(job, scene, model)
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     identity["environment"] |= before.facts | {
@@ -187,6 +222,20 @@ def _run(job: Job, tell: Tell) -> None:
     write_record(job.folder, result)
 
 
+def _scores(
+    job: Job, scene: Scene, model: Reconstruction
+) -> tuple[tuple[ImageScore, ...], dict[str, float], float]:
+    """The scores of each held-out view, those of the scene, and milliseconds a frame."""
+    if not scene.test:
+        return (), {}, math.nan
+    images, render_ms = score_views(scene, model, job.case.protocol, job.folder)
+    means = scene_metrics(images) | geometry_metrics(scene, model)
+    if isinstance(model, CityModel):
+        images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
+        means |= extra
+    return images, means, render_ms
+
+
 def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> None:
     """Fit the method, or continue it, and save the model."""
     method = get_method(job.case.method)
@@ -208,10 +257,11 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             report=report,
             on_stage=spent.stages.__setitem__,
             on_fact=spent.facts.__setitem__,
-            checkpoint_seconds=CHECKPOINT_SECONDS,
+            checkpoint_seconds=job.checkpoint_seconds,
             workers=job.workers,
             engine=job.engine,
             cache=job.cache,
+            say=lambda line: tell("train", 0, 0, {}, line),
         ),
     )
     tell("save", 0, 0, {})

@@ -1,21 +1,24 @@
 """Run a suite: every case once, resumable at any moment, one failing case never stops the others."""
 
+import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
 from splatproof.reference.types.result import Result
 from splatproof.suites.records import RECORD_NAME, read_record
-from splatproof.suites.run_case import Job, reason_of
+from splatproof.suites.run_case import CASE_NAME, CHECKPOINT_SECONDS, OURS, Job, reason_of
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import Case, Suite, key_of
 from splatproof.suites.workers import Launch, in_worker
 
+FILES_NAME = ".files.json"
+"""File that remembers the hashes of the scenes' files."""
 Status = Literal["kept", "finished", "failed"]
 """kept: it was finished before; finished, failed: it ran now."""
 
@@ -36,26 +39,38 @@ class Progress:
 
     case: Case
     index: int
-    """Of the case among those of this run, from 0."""
+    """Number of the case among those of this run, from 0."""
     count: int
-    """Cases of this run."""
+    """Number of cases of this run."""
     stage: str
-    """files (hashing the scene's), then "start" with a note why an old result does not count, then
-    load, init, train, save, score."""
+    """"files" while the scene's are hashed, then "start" with a note why an old result does not
+    count, then load, init, train, save, score."""
     step: int = 0
+    """Training steps that are done, or files that are hashed; 0 in other stages."""
     total: int = 0
-    """Training steps, or files; 0 elsewhere."""
+    """Number of all those steps or files; 0 in other stages."""
     values: dict[str, float] | None = None
+    """What the method says of its last step by name, e.g. the loss."""
     note: str = ""
+    """One line for people."""
+
+
+def _busy(folder: Path) -> str:
+    """What a user is told where another process is at work in the folder."""
+    return (
+        f"{folder}: another `bench` is at work in this folder; wait for it to end, or take another "
+        "folder with --out"
+    )
 
 
 def select(suite: Suite, *, only: str | None = None, seeds: int | None = None) -> Suite:
     """The suite with fewer cases or other seeds.
 
     Args:
-        suite: As loaded.
-        only: Pattern on scene/method/protocol/seed<k>, "*" and "?" as in a shell.
-        seeds: Every scene, method and protocol with the seeds 0 to seeds - 1.
+        suite: Suite to choose from.
+        only: Pattern on scene/method/protocol/seed<k>, "*" and "?" as in a shell; None: all cases.
+        seeds: Every scene, method and protocol with the seeds 0 to seeds - 1; None: the suite's own.
+    Returns: The suite with what was chosen.
     Raises: UsageError if nothing is left.
     """
     cases = suite.cases
@@ -84,6 +99,7 @@ def run_suite(
     backend: str = "cpu",
     threads: int | None = None,
     resume: bool = True,
+    checkpoint_seconds: float = CHECKPOINT_SECONDS,
     workers: int = 1,
     engine: str = "processes",
     launch: Launch = in_worker,
@@ -97,62 +113,132 @@ def run_suite(
     Args:
         suite: What to run.
         folder: Results go to <folder>/<suite>/<scene>/<method>/<protocol>/seed<k>/.
-        only: See `select`.
+        only: Pattern that the cases to run match, see `select`.
         on_progress: Hears where a running case is.
         on_result: Hears what became of each case, kept ones included.
         backend: Name of the rasterizer; part of what makes a result count as this case's.
-        threads: Of torch and the kernels; None leaves them alone.
+        threads: Threads of torch and the kernels; None leaves them alone.
         resume: False starts every case over.
+        checkpoint_seconds: Seconds of training between two checkpoints.
         workers: Blocks of a city that are trained at the same time. Equal blocks of several cases
             are trained once, in <folder>/<suite>/.blocks/.
-        engine: Where they are trained, see splatproof.methods.city.executor.
+        engine: Where blocks are trained, see splatproof.methods.city.executor.
         launch: Runs a job to its record.
     Returns: One outcome a case, in the suite's order.
-    Raises: UsageError if `only` matches nothing; also if the folder is in use.
+    Raises: UsageError if `only` matches nothing; also if another process is at work in the folder.
     """
     cases = select(suite, only=only).cases
     outcomes = []
-    blocks = folder / suite.name / ".blocks"
-    scenes = SceneData(folder / suite.name / ".files.json")
-    in_use = (
-        f"{folder / suite.name}: another `bench run` is using this folder; wait for it or use --out"
-    )
-    with locked(folder / suite.name / ".lock", busy=in_use):
+    root = folder / suite.name
+    blocks = root / ".blocks"
+    scenes = SceneData(root / FILES_NAME)
+    with locked(root / ".lock", busy=_busy(root)):
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
         for index, case in enumerate(cases):
             job = Job(
-                case=case,
-                suite=suite.name,
-                suite_scenes=suite.scenes,
-                folder=folder / suite.name / case.folder,
-                backend=backend,
-                threads=threads,
-                resume=resume,
-                workers=workers,
-                engine=engine,
-            )
+                case=case, suite=suite.name, suite_scenes=suite.scenes, folder=root / case.folder,
+                backend=backend, threads=threads, resume=resume,
+                checkpoint_seconds=checkpoint_seconds, workers=workers, engine=engine,
+            )  # fmt: skip
             here = Progress(case=case, index=index, count=len(cases), stage="start")
-            job, unread = _with_data(job, scenes, blocks, here, on_progress)
+            job, unread = _with_data(job, scenes, here, on_progress)
+            job = replace(job, cache=blocks / ("unread" if unread else digest(job.data)))
             found = finished(job) if resume else "starts over"
             if isinstance(found, Result) and (odd := changed(found.scene_facts, job.data)):
                 found = f"runs again: {odd} changed since; the old result is in {_set_aside(job)}"
-            if isinstance(found, str):
-                on_progress(replace(here, note=found))
-                outcome = _launch(job, here, on_progress, launch)
-            else:
-                if unread:
-                    on_progress(replace(here, note=f"kept, unchecked: {unread}"))
-                outcome = Outcome(case=case, folder=job.folder, status="kept", result=found)
+            outcome = _run_or_keep(job, found, unread, here, on_progress, launch)
             outcomes.append(outcome)
             on_result(outcome)
     return tuple(outcomes)
 
 
+def run_alone(
+    job: Job,
+    *,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    on_result: Callable[[Outcome], None] = lambda _: None,
+    launch: Launch = in_worker,
+) -> Outcome:
+    """Run one case in a folder that the user chose, as `run_suite` does; `bench fit` is this.
+
+    What lies there is continued or kept if it was made of these settings, protocol, backend and
+    data, and is never replaced unasked: a folder that a user names holds what they want to keep.
+
+    Args:
+        job: What to run. With resume = False what an earlier run left in its folder is removed.
+        on_progress: Hears where the case is.
+        on_result: Hears what became of it, also where it was kept.
+        launch: Runs a job to its record.
+    Returns: What became of the case.
+    Raises: UsageError if the folder holds something else, or another process is at work in it.
+    """
+    check_chosen(job)
+    here = Progress(case=job.case, index=0, count=1, stage="start")
+    with locked(job.folder / ".lock", busy=_busy(job.folder)):
+        job, unread = _with_data(job, SceneData(job.folder / FILES_NAME), here, on_progress)
+        if job.resume and (odd := changed(_made_of(job.folder).get("data", {}), job.data)):
+            raise UsageError(
+                f"{job.folder}: {odd} changed since this was trained; take another folder, or start "
+                "over in this one with --no-resume"
+            )
+        found = finished(job) if job.resume else "starts over"
+        outcome = _run_or_keep(job, found, unread, here, on_progress, launch)
+        on_result(outcome)
+    return outcome
+
+
+def check_chosen(job: Job) -> None:
+    """Refuse a folder that holds what this job did not make; nothing is written.
+
+    Raises: UsageError naming the folder and what it holds.
+    """
+    made_of = _made_of(job.folder)
+    if not made_of:
+        foreign = [name for name in OURS if (job.folder / name).exists()]
+        if foreign:
+            raise UsageError(
+                f"{job.folder}: holds {foreign[0]!r}, which no `bench fit` left there; take a folder "
+                "that is new or empty"
+            )
+    elif job.resume and made_of.get("key") != job.key:
+        case, backend = made_of.get("case"), made_of.get("backend")
+        same = (case, backend) == (job.case.label, job.backend)
+        raise UsageError(
+            f"{job.folder}: holds {case} of backend {backend}"
+            + (" with other settings or protocol rules" if same else "")
+            + "; take another folder, or start over in this one with --no-resume"
+        )
+
+
+def _made_of(folder: Path) -> dict[str, Any]:
+    """What an earlier run says that the case in this folder is made of; {} where there is none."""
+    try:
+        return dict(json.loads((folder / CASE_NAME).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return {}
+
+
+def _run_or_keep(
+    job: Job,
+    found: Result | str,
+    unread: str,
+    here: Progress,
+    on_progress: Callable[[Progress], None],
+    launch: Launch,
+) -> Outcome:
+    """Run the case if its result was not found, saying why; else keep the result."""
+    if isinstance(found, str):
+        on_progress(replace(here, note=found))
+        return _launch(job, here, on_progress, launch)
+    if unread:
+        on_progress(replace(here, note=f"kept, unchecked: {unread}"))
+    return Outcome(case=job.case, folder=job.folder, status="kept", result=found)
+
+
 def _with_data(
     job: Job,
     scenes: SceneData,
-    blocks: Path,
     here: Progress,
     on_progress: Callable[[Progress], None],
 ) -> tuple[Job, str]:
@@ -164,8 +250,8 @@ def _with_data(
     try:
         data = scenes.of(job.case.scene, job.case.protocol, report)
     except Exception as error:  # noqa: BLE001 (whatever an adapter raises, the other cases go on)
-        return replace(job, cache=blocks / "unread"), reason_of(error)
-    return replace(job, data=data, cache=blocks / digest(data)), ""
+        return job, reason_of(error)
+    return replace(job, data=data), ""
 
 
 def _set_aside(job: Job) -> Path:
@@ -181,7 +267,7 @@ def _set_aside(job: Job) -> Path:
 def finished(job: Job) -> Result | str:
     """The job's result if it is there and counts, else why the case has to run ("" if it is new)."""
     if not (job.folder / RECORD_NAME).exists():
-        return "continues" if (job.folder / "case.json").exists() else ""
+        return "continues" if (job.folder / CASE_NAME).exists() else ""
     try:
         result = read_record(job.folder)
     except DataError as error:
@@ -205,8 +291,8 @@ def finished(job: Job) -> Result | str:
 def _launch(
     job: Job, here: Progress, on_progress: Callable[[Progress], None], launch: Launch
 ) -> Outcome:
-    def tell(stage: str, step: int, total: int, values: dict[str, float]) -> None:
-        on_progress(replace(here, stage=stage, step=step, total=total, values=values, note=""))
+    def tell(stage: str, step: int, total: int, values: dict[str, float], note: str = "") -> None:
+        on_progress(replace(here, stage=stage, step=step, total=total, values=values, note=note))
 
     launch(job, tell)
     result = read_record(job.folder)

@@ -59,7 +59,13 @@ class SceneData:
 
 
 def changed(old: Mapping[str, str], new: Mapping[str, str]) -> str:
-    """Words for the data that differ; empty where nothing does that both have."""
+    """Say which data differ; empty where nothing does that both have.
+
+    Args:
+        old: Facts of the scene's files when the result was made.
+        new: Facts of the scene's files now.
+    Returns: Words such as "its photos".
+    """
     odd = [name for name in new if name in old and old[name] != new[name]]
     if not odd:
         return ""

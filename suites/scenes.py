@@ -10,8 +10,11 @@ from splatproof.suites.suite_files import PATH, Suite
 
 
 def without_absent(suite: Suite) -> tuple[Suite, tuple[str, ...]]:
-    """The suite without the optional scenes that are not here, and one line a scene saying why.
+    """Leave out the cases of optional scenes that are not on this machine.
 
+    Args:
+        suite: Suite whose scenes are looked for.
+    Returns: The suite with the cases that can run, and one line for each scene that was left out.
     Raises: UsageError for a scene that is neither registered nor a folder, and MissingError for one
         that is not optional and not here: better now than after hours of other cases.
     """
@@ -26,8 +29,11 @@ def without_absent(suite: Suite) -> tuple[Suite, tuple[str, ...]]:
 
 
 def absences(suite: Suite) -> dict[str, str]:
-    """Scenes of the suite that are not here, each with where it was looked for and how to get it.
+    """Find the scenes of the suite that are not here and cannot be made.
 
+    Args:
+        suite: Suite whose scenes are looked for.
+    Returns: For each such scene where it was looked for and how to get it.
     Raises: UsageError for a scene that is neither registered nor a folder.
     """
     absent = {}
@@ -42,6 +48,8 @@ def absences(suite: Suite) -> dict[str, str]:
 def check_scene(scene: str) -> None:
     """Raise if the scene is neither on this machine nor one that the package can make.
 
+    Args:
+        scene: Registered name, or folder as a path that starts with "/", "./" or "../".
     Raises: UsageError for an unknown name or folder; MissingError for a registered scene that has
         to be fetched first.
     """
@@ -54,12 +62,36 @@ def check_scene(scene: str) -> None:
         raise MissingError(absence(entry))
 
 
+def not_made(suite: Suite) -> tuple[str, ...]:
+    """Names of the suite's scenes that the package can make and has not made yet."""
+    names = dict.fromkeys(case.scene for case in suite.cases if not case.scene.startswith(PATH))
+    entries = (get_entry(name) for name in names)
+    return tuple(e.name for e in entries if e.kind == "made" and locate(e) is None)
+
+
+def without_side_effects(suite: Suite) -> Suite:
+    """The suite for estimates alone: its scenes can be opened without anything being computed.
+
+    Sparse points are the scene's own: triangulating them takes minutes and fills the cache.
+
+    Args:
+        suite: Its scenes are on this machine.
+    Returns: The same cases under protocols that open faster.
+    """
+    return replace(
+        suite,
+        cases=tuple(
+            replace(case, protocol=replace(case.protocol, points="scene")) for case in suite.cases
+        ),
+    )
+
+
 def make_scenes(suite: Suite, report: Callable[[int, int], None]) -> None:
-    """Make the self-made scenes of the suite that are not made yet, so that no case is charged for it.
+    """Make the procedural scenes of the suite that are not made yet, so that no case is charged.
 
     Args:
         suite: Its scenes are known (see `without_absent`).
-        report: Told (views done, views in all).
+        report: Hears how far it is: report(views done, views in all).
     """
     for scene in dict.fromkeys(case.scene for case in suite.cases):
         if not scene.startswith(PATH):

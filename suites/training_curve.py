@@ -12,7 +12,7 @@ POINTS = 200
 
 
 class Curve:
-    """Points (step, values) of one training run, appended to a file of JSON lines.
+    """What one training run reports, as points (step, values) appended to a file of JSON lines.
 
     A run that continues from a checkpoint reports again the steps after it; those points are
     replaced. Each line also holds the CPU seconds and the peak memory so far, over all attempts.
@@ -27,7 +27,13 @@ class Curve:
         self._before = (0.0, 0.0)
 
     def add(self, step: int, total: int, values: dict[str, float]) -> None:
-        """Keep this point if it is the first of its 1/POINTS of the run, or the last."""
+        """Keep this point if it is the first of its 1/POINTS of the run, or the last.
+
+        Args:
+            step: Training step that was just done.
+            total: Number of training steps.
+            values: What the method says of the step by name.
+        """
         if self._first:
             self._first = False
             self._lines = [line for line in self._lines if line["step"] < step]

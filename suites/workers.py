@@ -10,11 +10,16 @@ from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.run_case import Job, Tell, failed_result, run_case
 
 Launch = Callable[[Job, Tell], None]
-"""Runs a job to its record; `tell` hears where it is."""
+"""launch(job, tell): runs a job to its record; `tell` hears where it is."""
 
 
 def in_process(job: Job, tell: Tell) -> None:
-    """Run the case here."""
+    """Run the case in this process.
+
+    Args:
+        job: What to run.
+        tell: Hears where the case is.
+    """
     run_case(job, tell)
 
 
@@ -27,8 +32,8 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
 
     Args:
         job: What to run.
-        tell: Called here with what the case reports there.
-        target: What runs there; importable by name.
+        tell: Called in this process with what the case reports in the other.
+        target: What the other process runs; importable by name.
     """
     (job.folder / RECORD_NAME).unlink(missing_ok=True)  # one that is there afterwards is new
     with Worker(_work, target, job) as worker:

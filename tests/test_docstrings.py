@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-DONE = {"metrics", "reference"}
+DONE = {"metrics", "reference", "src/splatproof/cli"}
 """Rooms whose words are done: folders below the root. A room joins when it passes."""
 DANGLING = re.compile(r"(Of|By)\b")
 SECTION = re.compile(r"(\w+):")

@@ -58,7 +58,9 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, 
 CASES = [
     pytest.param("ingest", signal.SIGTERM),
     pytest.param("run", signal.SIGINT),
+    pytest.param("fit", signal.SIGTERM),
     pytest.param("ingest", signal.SIGINT, marks=pytest.mark.slow),
+    pytest.param("fit", signal.SIGINT, marks=pytest.mark.slow),
     pytest.param("run", signal.SIGTERM, marks=pytest.mark.slow),
 ]
 
@@ -68,6 +70,10 @@ def test_one_line_and_the_usual_exit_code(tmp_path, command, number):
     if command == "ingest":
         write_flight(tmp_path / "photos")
         process = started(["ingest", "photos", "scene"], tmp_path, "features")
+    elif command == "fit":
+        write_scene(tmp_path / "town", Flight())
+        settings = ["--iterations", "1000000", "--out", "runs"]
+        process = started(["fit", "3dgs", "town", *settings], tmp_path, "[1/1]")
     else:
         write_scene(tmp_path / "town", Flight())
         (tmp_path / "mine.toml").write_text(SUITE)

@@ -1,6 +1,9 @@
 """`bench fit`, `bench render` and `bench export`, from arguments to files."""
 
 import json
+import shutil
+from dataclasses import asdict
+from functools import partial
 
 import cv2
 import numpy as np
@@ -8,57 +11,87 @@ import pytest
 from plyfile import PlyData
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatproof.cli import main
+from splatproof.cli import main, report
 from splatproof.datasets.catalogue import opening
 from splatproof.methods.loading import load_reconstruction
+from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import camera_view
+from splatproof.suites import run_case as cases
+from splatproof.suites import runner
+from splatproof.suites.records import read_record
+from splatproof.suites.workers import in_process
+
+OPTIONS = ["--backend", "reference", "--protocol", "3dgs", "--seed", "4"]
+SETTINGS = ["--iterations", "4", "--density.most", "50"]
+
+
+def bench_fit(out, *more: str) -> int:
+    """`bench fit` on a tiny scene, in this process and without a tracking store."""
+    scene = out.parent / "tiny"
+    scene.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cases, "open_scene", lambda spec, protocol: tiny_scene())
+        patch.setattr(runner, "run_alone", partial(runner.run_alone, launch=in_process))
+        patch.setattr(report, "sync_cases", lambda out, uri: False)
+        return main(["fit", "3dgs", str(scene), "--out", str(out), *OPTIONS, *SETTINGS, *more])
 
 
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """A model folder made by `bench fit` on a tiny scene."""
-    out = tmp_path_factory.mktemp("fit")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-        options = ["--backend", "reference", "--out", str(out), "--protocol", "3dgs", "--seed", "4"]
-        assert (
-            main(["fit", "3dgs", "tiny", "--iterations", "4", "--density.most", "50", *options])
-            == 0
-        )
+    out = tmp_path_factory.mktemp("fit") / "out"
+    assert bench_fit(out) == 0
     return out
 
 
 def test_fit_leaves_a_model_with_its_settings(fitted):
     facts = json.loads((fitted / "model" / "model.json").read_text())
-    assert facts["method"] == "3dgs"
-    assert (facts["settings"]["iterations"], facts["settings"]["density"]["most"]) == (4, 50)
+    origin = facts["origin"]
+    assert (origin["method"], origin["variant"], origin["seed"]) == ("3dgs", "", 4)
+    assert (origin["settings"]["iterations"], origin["settings"]["density"]["most"]) == (4, 50)
+    assert origin["scene"] == str(fitted.parent / "tiny")
+    assert origin["protocol"] == json.loads(json.dumps(asdict(load_protocol("3dgs"))))
     assert (fitted / "renders" / "0.png").exists()
 
 
-def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, monkeypatch, capsys):
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-    options = ["--backend", "reference", "--out", str(fitted), "--protocol", "3dgs", "--seed", "4"]
-    options += ["--iterations", "4", "--density.most", "50", "--json"]
-    assert main(["fit", "3dgs", "tiny", *options]) == 0
-    image, mean = map(json.loads, capsys.readouterr().out.splitlines())
+def test_fit_leaves_the_record_of_a_suite_of_one_case(fitted):
+    result = read_record(fitted)
+    assert (result.suite, result.suite_scenes, result.scene) == ("fit", (), "tiny")
+    assert (result.method, result.variant, result.seed, result.protocol) == ("3dgs", "", 4, "3dgs")
+    assert set(result.stages) == {"load", "init", "train", "save", "score"}
+    assert result.curve[-1][0] == 4
+    assert result.environment["backend"] == "reference"
+    assert not list(fitted.rglob("*.partial"))
+    assert not (fitted / "checkpoint").exists()
+
+
+def test_fit_prints_scores_and_a_finished_run_is_not_trained_again(fitted, capsys):
+    before = (fitted / "record.json").stat().st_mtime_ns
+    assert bench_fit(fitted, "--json") == 0
+    assert (fitted / "record.json").stat().st_mtime_ns == before
+    image, whole = map(json.loads, capsys.readouterr().out.splitlines())
     assert image["image"] == "0.png"
-    assert {
-        "scene": "tiny",
-        "method": "3dgs",
-        "seed": 4,
-        "protocol": "3dgs",
-    }.items() <= mean.items()
-    assert mean["psnr"] == image["psnr"] > 5
+    label = {"scene": "tiny", "method": "3dgs", "seed": 4, "protocol": "3dgs"}
+    assert label.items() <= image.items()
+    assert (label | {"suite": "fit", "status": "kept", "error": ""}).items() <= whole.items()
+    assert whole["psnr"] == image["psnr"] > 5
+    assert bench_fit(fitted, "--quiet") == 0
+    shown = capsys.readouterr()
+    assert [line.split()[0] for line in shown.out.splitlines()] == ["0.png", "mean"]
+    assert shown.err == ""
 
 
-def test_render_from_a_camera_file(fitted, tmp_path):
+def test_render_from_a_camera_file(fitted, tmp_path, capsys):
     where = camera(0)
     cameras = [
         {"name": "sub/left.jpg", "width": where.width, "height": where.height,
          "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()}
     ]  # fmt: skip
     (tmp_path / "cameras.json").write_text(json.dumps(cameras))
-    arguments = [str(fitted / "model"), str(tmp_path / "cameras.json"), str(tmp_path / "out")]
+    arguments = [str(fitted), str(tmp_path / "out"), "--cameras", str(tmp_path / "cameras.json")]
+    for more in (["--scene", "tiny"], ["--views", "all"]):
+        assert main(["render", *arguments, *more]) == 2
+        assert "--cameras says what is rendered" in capsys.readouterr().err
     assert main(["render", *arguments, "--backend", "reference"]) == 0
     got = cv2.imread(str(tmp_path / "out" / "sub-left.png"))
     want = (
@@ -69,12 +102,93 @@ def test_render_from_a_camera_file(fitted, tmp_path):
     assert np.array_equal(got, want)
 
 
-def test_render_the_held_out_view_as_fit_did(fitted, tmp_path, monkeypatch):
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
-    arguments = [str(fitted), "tiny", str(tmp_path), "--protocol", "3dgs"]
-    assert main(["render", *arguments, "--backend", "reference"]) == 0
+def test_the_pictures_of_a_fit_are_scored_under_its_own_protocol(fitted, tmp_path, capsys):
+    arguments = ["score", str(fitted / "renders"), str(fitted / "truth"), "--json"]
+    image = read_record(fitted).images[0]
+
+    def scored(*more: str) -> dict:
+        assert main([*arguments, *more]) == 0
+        return json.loads(capsys.readouterr().out.splitlines()[0])
+
+    own = scored()
+    assert own["protocol"] == "3dgs"
+    assert {name: own[name] for name in image.metrics} == image.metrics
+    assert scored("--protocol", "default")["protocol"] == "default"
+    arguments[2] = str(tmp_path / "truth")
+    shutil.copytree(fitted / "truth", arguments[2])
+    assert scored()["protocol"] == "default"
+
+
+def test_masks_of_a_case_belong_to_its_own_protocol(fitted, tmp_path, capsys):
+    case = tmp_path / "case"
+    shutil.copytree(fitted, case)
+    shutil.copytree(case / "truth", case / "masks")
+    mask = cv2.imread(str(case / "masks" / "0.png"))
+    assert mask is not None
+    mask[:] = 255
+    mask[:, ::2] = 0
+    cv2.imwrite(str(case / "masks" / "0.png"), mask)
+    record = (case / "record.json").read_text()
+    (case / "record.json").write_text(record.replace('"masked": false', '"masked": true'))
+    for more, share in (([], 0.5), (["--protocol", "default"], 1.0)):
+        pictures = [str(case / "renders"), str(case / "truth")]
+        assert main(["score", *pictures, "--json", *more]) == 0
+        assert json.loads(capsys.readouterr().out.splitlines()[0])["valid_share"] == share
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What `bench render` opens: (scene, protocol); it finds the tiny scene each time."""
+    seen = []
+
+    def opened(spec, protocol):
+        seen.append((spec, protocol))
+        return tiny_scene()
+
+    monkeypatch.setattr(opening, "open_scene", opened)
+    return seen
+
+
+def test_a_model_renders_its_own_scored_views_byte_for_byte(fitted, tmp_path, asked):
+    assert main(["render", str(fitted), str(tmp_path), "--backend", "reference"]) == 0
+    assert asked == [(str(fitted.parent / "tiny"), load_protocol("3dgs"))]
     assert [path.name for path in tmp_path.iterdir()] == ["0.png"]
     assert (tmp_path / "0.png").read_bytes() == (fitted / "renders" / "0.png").read_bytes()
+
+
+def test_a_scene_and_a_protocol_that_are_named_go_first(fitted, tmp_path, asked, capsys):
+    (tmp_path / "white.toml").write_text('source = "ours"\nbackground = [1.0, 1.0, 1.0]\n')
+    options = ["--scene", "elsewhere", "--protocol", str(tmp_path / "white.toml"), "--json"]
+    out = tmp_path / "out"
+    assert main(["render", str(fitted), str(out), *options, "--views", "all"]) == 0
+    ((scene, protocol),) = asked
+    assert (scene, protocol.name, protocol.background) == ("elsewhere", "white", (1.0, 1.0, 1.0))
+    assert len(list(out.iterdir())) == 6
+    assert (out / "0.png").read_bytes() != (fitted / "renders" / "0.png").read_bytes()
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"out": str(out), "images": 6, "source": "elsewhere", "protocol": "white"}
+
+
+def test_what_a_model_does_not_know_is_asked_for_in_one_line(fitted, tmp_path, asked, capsys):
+    moved = tmp_path / "moved"
+    shutil.copytree(fitted / "model", moved)
+    told = json.loads((moved / "model.json").read_text())
+    whole = told["origin"]
+
+    def refused(*more: str, **changes: object) -> str:
+        told["origin"] = whole | changes
+        (moved / "model.json").write_text(json.dumps(told))
+        assert main(["render", str(moved), str(tmp_path / "out"), *more]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    assert "does not say which scene" in refused(scene="")
+    assert "which is no folder any more; say with --scene" in refused(scene="/gone/away")
+    assert "does not say which protocol" in refused(protocol={})
+    assert "name a protocol with --protocol" in refused(protocol={"name": "x", "hodl": 1})
+    assert "does not say which protocol" in refused("--scene", "tiny", scene="", protocol={})
+    assert not asked
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("inside", ["", "model"])
@@ -85,31 +199,39 @@ def test_export(fitted, tmp_path, capsys, inside):
     assert said["frame"] == "as trained"
 
 
-def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("asked")
+def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys):
     packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["bytes"] == packed.stat().st_size == sum(told["bytes_by_part"].values())
     assert main(["export", str(packed), "--ply", str(ply)]) == 0
     assert len(PlyData.read(ply)["vertex"].data) == told["gaussians"]
-    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: tiny_scene())
     out = tmp_path / "renders"
-    assert main(["render", str(packed), "tiny", str(out), "--protocol", "3dgs"]) == 0
+    assert main(["render", str(packed), str(out)]) == 2
+    assert "does not say which scene it was trained on" in capsys.readouterr().err
+    assert main(["render", str(packed), str(out), "--scene", "tiny", "--protocol", "3dgs"]) == 0
     mine, whole = (cv2.imread(str(f / "0.png")) for f in (out, fitted / "renders"))
     assert np.abs(np.asarray(mine, dtype=int) - np.asarray(whole, dtype=int)).max() <= 2
     capsys.readouterr()
     packed.write_bytes(packed.read_bytes()[:-1])
-    assert main(["render", str(packed), "tiny", str(out)]) == 2
+    assert main(["render", str(packed), str(out), "--scene", "tiny", "--protocol", "3dgs"]) == 2
     assert "m.spgs" in capsys.readouterr().err
     assert main(["export", str(fitted / "model")]) == 2
     assert "--packed" in capsys.readouterr().err
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["export", str(fitted), "--ply", str(tmp_path / "b.ply"), "--gate", "0"]) == 2
+    assert "--gate is for --packed" in capsys.readouterr().err
+    assert main(["export", str(fitted), "--packed", str(tmp_path / "b.spgs"), "--local"]) == 2
+    assert "--local is for --ply" in capsys.readouterr().err
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
         (["export", "nowhere", "--ply", "a.ply"], 2, "model.json: no such file"),
-        (["render", "nowhere", "a.json", "out"], 2, "model.json: no such file"),
+        (["render", "nowhere", "out"], 2, "model.json: no such file"),
         (["fit", "3dgs", "x", "--out", "o", "--iterations", "0"], 2, "iterations is 0, expected"),
         (["fit", "3dgs", "x", "--out", "o", "--backend", "gpu"], 2, "did you mean"),
         (["fit", "3dgs", "x", "--out", "o", "--density.strat", "1"], 2, "--density.start"),

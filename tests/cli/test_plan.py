@@ -16,6 +16,20 @@ def test_a_plan_for_people_and_for_machines(capsys):
     assert record["seconds"] == record["blocks_seconds"] + record["serial_seconds"]
 
 
+def test_what_only_a_simulation_obeys_is_refused_without_one(capsys):
+    for option in (["--spread", "0.5"], ["--seed", "0"]):
+        assert main(["plan", *option]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert "are for --simulate" in said.err
+    drawn = []
+    for option in (["--spread", "0.9"], ["--seed", "1"], []):
+        arguments = ["plan", "--json", "--machines", "8", "--blocks", "64", "--simulate", *option]
+        assert main(arguments) == 0
+        drawn.append(json.loads(capsys.readouterr().out)["simulated_slowest"])
+    assert len(set(drawn)) == 3
+
+
 def test_what_fits_nowhere_is_told(capsys):
     assert main(["plan", "--blocks", "1", "--machines", "1"]) == 0
     assert "–" in capsys.readouterr().out

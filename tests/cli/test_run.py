@@ -104,6 +104,38 @@ def test_a_dry_run_prints_estimates_and_leaves_nothing(suite, capsys):
     assert not (suite.parent / "runs").exists()
 
 
+def test_a_dry_run_makes_no_scene_computes_no_points_and_writes_nothing(
+    suite, capsys, monkeypatch, tmp_path
+):
+    opened = []
+
+    def opens(spec, protocol):
+        opened.append((spec, protocol.points))
+        return fake_scene(spec, protocol)
+
+    monkeypatch.setattr(estimate, "open_scene", opens)
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("SPLATPROOF_DATA", str(tmp_path / "no data"))
+    (tmp_path / "points.toml").write_text('source = "ours"\npoints = "triangulated"\n')
+    three = SUITE.replace('"./town"', '"./town", "courtyard", "seneca"')
+    suite.write_text(three.replace('"default"', '"./points.toml"'))
+    before = sorted(tmp_path.rglob("*"))
+    assert bench_run(suite, "--dry-run", "--json") == 0
+    said = capsys.readouterr()
+    plan = {case["scene"]: case for case in lines(said.out)}
+    assert plan["town"]["estimated_seconds"] > 0
+    assert plan["courtyard"]["estimated_seconds"] is plan["seneca"]["estimated_seconds"] is None
+    assert plan["courtyard"]["basis"] == "scene not made yet"
+    assert plan["courtyard"]["missing"] == ""
+    assert plan["seneca"]["basis"] == "scene not on this machine"
+    assert "seneca: not on this machine" in plan["seneca"]["missing"]
+    assert "2 wait for scenes to be made and have no estimate, 2 cannot run here" in said.err
+    assert opened == [(str(tmp_path / "town"), "scene")]
+    assert bench_run(suite, "--dry-run") == 0
+    assert "not made  courtyard/fake/points/seed0" in capsys.readouterr().out
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_a_store_that_is_away_does_not_stop_the_run(suite, capsys, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
     monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
@@ -147,7 +179,9 @@ BAD_FILES = {
 }
 BAD_ARGUMENTS = {
     "unknown suite": (["qiuck"], "did you mean 'quick'"),
-    "unknown study": (["stabilty"], "did you mean 'stability'"),
+    "study": (["stability"], "stability is a study, not a suite: run `bench study stability`"),
+    "nearly a study": (["stabilty"], "did you mean `bench study stability`?"),
+    "no reduced form": (["brighton", "--quick"], "suite 'brighton' has no reduced form"),
     "no such file": (["nothing.toml"], "no such suite file"),
     "nothing chosen": (["mine.toml", "--only", "x/*"], "matches none"),
     "no seeds": (["mine.toml", "--seeds", "0"], "expected 1 or more"),

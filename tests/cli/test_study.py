@@ -1,6 +1,7 @@
 """Studies from the command line: rows, table, file, exit code."""
 
 import json
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -54,7 +55,7 @@ def test_an_interrupted_study_keeps_its_rows_and_says_so(monkeypatch, tmp_path, 
 
 
 def flags(text: str) -> set[str]:
-    return {word for word in text.replace("[", " ").split() if word.startswith("--")}
+    return set(re.findall(r"(?<!\S)--[a-z]+(?!\S)", text))
 
 
 @pytest.mark.parametrize("name", study.STUDIES)

@@ -1,4 +1,7 @@
-"""A program for the kill tests: run the fake suite in the folder named on the command line."""
+"""A program for the kill tests: run the fake suite in the folder named on the command line.
+
+With the word "alone" before the folder, its first case alone runs in that very folder.
+"""
 
 import sys
 from functools import partial
@@ -6,7 +9,8 @@ from pathlib import Path
 
 from helpers.fake_methods import FakeSettings, run_fake_case
 from splatproof.metrics.protocol_files import load_protocol
-from splatproof.suites.runner import run_suite
+from splatproof.suites.run_case import Job
+from splatproof.suites.runner import run_alone, run_suite
 from splatproof.suites.suite_files import Case, Suite
 from splatproof.suites.workers import in_worker
 
@@ -23,9 +27,13 @@ def fake_suite() -> Suite:
 
 
 if __name__ == "__main__":
-    run_suite(
-        fake_suite(),
-        Path(sys.argv[1]),
-        backend="reference",
-        launch=partial(in_worker, target=run_fake_case),
-    )
+    launch = partial(in_worker, target=run_fake_case)
+    folder, suite = Path(sys.argv[-1]), fake_suite()
+    if sys.argv[1] == "alone":
+        case = suite.cases[0]
+        run_alone(
+            Job(case=case, suite="fit", suite_scenes=(), folder=folder, backend="reference"),
+            launch=launch,
+        )
+    else:
+        run_suite(suite, folder, backend="reference", launch=launch)

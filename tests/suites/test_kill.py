@@ -29,13 +29,13 @@ def essence(result: Result) -> Result:
 
 
 def records(out: Path) -> dict[str, Result]:
-    folders = sorted(path.parent for path in out.glob("*/*/*/*/seed*/record.json"))
+    folders = sorted(path.parent for path in out.rglob("record.json"))
     return {str(folder.relative_to(out)): essence(read_record(folder)) for folder in folders}
 
 
 def pictures(out: Path) -> dict[str, bytes]:
     folders = ("renders", "truth", "errors")
-    files = [path for name in folders for path in out.glob(f"*/*/*/*/seed*/{name}/*.png")]
+    files = [path for name in folders for path in out.rglob(f"{name}/*.png")]
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
 
@@ -100,6 +100,21 @@ def test_killed_and_continued_equals_undisturbed(tmp_path, undisturbed):
         kill_after(FAKE, tmp_path, draw.uniform(0, 1.5))
     finish(FAKE, tmp_path)
     assert_same_end(tmp_path, undisturbed)
+
+
+def test_a_case_alone_killed_and_continued_is_that_of_the_suite(tmp_path, undisturbed):
+    draw = random.Random(5)
+    alone, first = tmp_path / "alone", undisturbed / "tiny/town/fake/default/seed0"
+    command = [*FAKE, "alone"]
+    for _ in range(2):
+        kill_after(command, alone, draw.uniform(0, 1.5))
+    finish(command, alone)
+    (found,), (whole, _) = records(alone).values(), records(undisturbed).values()
+    assert found == replace(whole, suite="fit", suite_scenes=())
+    assert pictures(alone) == pictures(first)
+    assert pictures(alone)
+    assert not list(tmp_path.rglob("*.partial"))
+    assert not (alone / "checkpoint").exists()
 
 
 def test_the_comparison_sees_another_seed(undisturbed):

@@ -121,6 +121,10 @@ def test_ours_stand_beside_theirs(tmp_path, capsys):
         "cannot be",
     ):
         assert part in text
+    assert main(["published", "paper_dpgs", "--scene", "mill19/ruble"]) == 2
+    assert "did you mean 'mill19/rubble'" in capsys.readouterr().err
+    assert main(["published", "--scene", "mill19/rubble"]) == 2
+    assert "name its suite too" in capsys.readouterr().err
     assert main(["published"]) == 0
     assert "paper_stitchgs: StitchGS" in capsys.readouterr().out
 

@@ -241,7 +241,7 @@ def test_select_by_pattern_and_seeds():
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
-    with locked(tmp_path / "tiny/.lock"), pytest.raises(UsageError, match="another `bench run`"):
+    with locked(tmp_path / "tiny/.lock"), pytest.raises(UsageError, match="`bench` is at work"):
         run(suite(case()), tmp_path)
     run(suite(case()), tmp_path)
 

@@ -30,10 +30,11 @@ class Finding:
 def doctor(*, out: Path = Path("runs")) -> int:
     """Say what this machine has, what is missing and how to get it; exit code 3 on a fault.
 
-    With --json each finding is a line: topic, name, status (ok, absent, fault), found, fix.
+    It looks at versions, processor, rasterizers, weights of learned metrics, scenes and folders. With
+    --json each finding is a line: topic, name, status (ok, absent, fault), found, fix.
 
     Args:
-        out: Folder of the runs, for the tracking store.
+        out: Folder of runs: whether it can be written, and whether its tracking store answers.
     """
     faults, topic = 0, ""
     for finding in findings(out):
@@ -50,7 +51,11 @@ def doctor(*, out: Path = Path("runs")) -> int:
 
 
 def findings(out: Path) -> Iterator[Finding]:
-    """Everything that is looked at, topic by topic."""
+    """Look at everything, topic by topic.
+
+    Args:
+        out: Folder of runs.
+    """
     yield from _versions()
     yield from _processor()
     yield from _backends()

@@ -13,27 +13,35 @@ if TYPE_CHECKING:
     from splatproof.reference.types.gaussians import Gaussians
 
 
+GATE = 0.02
+"""Mean size of the view-dependent colour below which a packed Gaussian loses it."""
+
+
 def export(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     *,
     ply: Path | None = None,
     packed: Path | None = None,
-    gate: float = 0.02,
+    gate: float | None = None,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> int:
     """Write a trained model as a .ply with the original 3DGS release's properties, or packed small.
 
-    In a .ply positions return to the scene's original frame: where that is shifted (UTM, say), x, y, z are
-    written in float64, which some viewers do not read. A packed file keeps the local frame and says
-    the shift; `bench render` and `bench export` take it wherever they take a model folder.
+    In a .ply positions return to the scene's original frame: where that is shifted (UTM, say), x, y
+    and z are written in float64, which some viewers do not read. A packed file keeps the local frame
+    and says the shift; `bench render` and `bench export` take it wherever they take a model folder.
+
+    With --json each written file is a line: ply or packed (its path), gaussians, and frame of a
+    .ply; bytes, bytes_by_part and open_share of a packed file.
 
     Args:
-        model: What `bench fit` calls OUT, a model folder in it, or a packed file.
-        ply: File to write.
-        packed: Packed file to write.
-        gate: Of a packed file: mean size of the view-dependent colour below which a Gaussian's is
-            dropped; 0 keeps all.
-        local: Keep the scene's local frame, with all properties in float32, for any viewer.
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a packed file.
+        ply: Path of the .ply file to write.
+        packed: Path of the packed file to write.
+        gate: With --packed: a Gaussian whose view-dependent colour is smaller than this on average,
+            in units of colour (0 to 1), loses it; 0 keeps all. None: 0.02.
+        local: With --ply: keep the scene's local frame, with all properties in float32, so that any
+            viewer reads it.
     """
     from splatproof.base.errors import UsageError
     from splatproof.methods.loading import load_origin, load_reconstruction
@@ -41,9 +49,13 @@ def export(
 
     if ply is None and packed is None:
         raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
+    if packed is None and gate is not None:
+        raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
+    if ply is None and local:
+        raise UsageError("--local is for --ply FILE; add it or leave --local out")
     loaded = load_reconstruction(model_path(model))
     if packed is not None:
-        _pack(loaded, load_origin(model_path(model)), packed, gate)
+        _pack(loaded, load_origin(model_path(model)), packed, GATE if gate is None else gate)
     if ply is None:
         return 0
     shift = None if local else getattr(loaded, "shift", None)

@@ -15,11 +15,14 @@ def gallery(
     scene: str = "courtyard",
     page: Path | None = None,
 ) -> int:
-    """Draw every component's picture.
+    """Draw a picture of every component, made by the component itself.
+
+    With --json each picture is a line: picture (its path).
 
     Args:
         out: Folder for the pictures.
-        scene: Scene to draw them on; some pictures need one with true depth.
+        scene: Name of a registered scene, or a scene folder, to draw them on; some pictures need one
+            with true depth.
         page: Also write the Markdown page of all components to this file.
     """
     from splatproof.base.files import write_text

@@ -20,14 +20,16 @@ def ingest(
     """Turn a folder of photos into a scene: OUT/photos, OUT/sparse/0 and OUT/scene.toml.
 
     GPS in the photos' EXIF is used to choose which photos are matched and to bring the scene
-    to metres with z up. The same command goes on with a run that was interrupted.
+    to metres with z up. The same command continues a run that was interrupted. With --json the scene
+    is a line: scene (its folder), registered, left_out, units, facts.
 
     Args:
         photos: Folder of JPEG or PNG photos that overlap by 60 to 80 %.
         out: Scene folder to make; must not exist yet.
-        max_image_size: Features are looked for at this longest side, in pixels.
-        threads: CPU threads; all of them if not given. The result does not depend on it.
-        seed: Equal seeds give equal scenes.
+        max_image_size: Longest side, in pixels, at which features are looked for; larger photos are
+            scaled down for that.
+        threads: Number of CPU threads. None: one for each core. The result does not depend on it.
+        seed: Number that every random draw depends on; equal seeds give equal scenes.
     """
     from splatproof.datasets.ingesting.ingest import ingest_photos
 

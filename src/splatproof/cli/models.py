@@ -1,9 +1,67 @@
-"""Where a command finds the trained model that it is told."""
+"""Where a command finds the trained model that it is told, and what that model says of itself."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from splatproof.base.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from splatproof.methods.models.base import Origin
+    from splatproof.reference.types.protocol import Protocol
 
 
 def model_path(given: Path) -> Path:
     """The model that a path means: itself, or its model/ where it is what `bench fit` calls OUT."""
     inner = given / "model"
     return inner if (inner / "model.json").is_file() else given
+
+
+def scene_of(given: Path, origin: "Origin", scene: str | None) -> str:
+    """The scene whose views are looked at: the one that is named, else the model's own.
+
+    Args:
+        given: The model as the user named it, for errors.
+        origin: What the model says of itself.
+        scene: Scene that the user named; None: none.
+    Returns: Name of a registered scene, or a scene folder.
+    Raises: UsageError if nobody says which, or the model's own is not where it was.
+    """
+    if scene is not None:
+        return scene
+    if not origin.scene:
+        raise UsageError(
+            f"{given}: does not say which scene it was trained on; name it with --scene, and the "
+            "protocol with --protocol"
+        )
+    if Path(origin.scene).is_absolute() and not Path(origin.scene).is_dir():
+        raise UsageError(
+            f"{given}: was trained on {origin.scene}, which is no folder any more; say with --scene "
+            "where the scene is now"
+        )
+    return origin.scene
+
+
+def protocol_of(given: Path, origin: "Origin", protocol: str | None) -> "Protocol":
+    """The protocol of the views: the one that is named, else the model's own, rule by rule.
+
+    Args:
+        given: The model as the user named it, for errors.
+        origin: What the model says of itself.
+        protocol: Name of a protocol or path of a .toml file; None: the model's own.
+    Returns: The rules.
+    Raises: UsageError if nobody says which; DataError if the model's own rules are damaged.
+    """
+    from splatproof.metrics.protocol_files import load_protocol, protocol_from_rules
+
+    if protocol is not None:
+        return load_protocol(protocol)
+    if not origin.protocol:
+        raise UsageError(
+            f"{given}: does not say which protocol it was trained under; name it with --protocol, "
+            "and the scene with --scene"
+        )
+    rules = dict(origin.protocol)
+    try:
+        return protocol_from_rules(str(rules.pop("name", "")), rules, f"{given}: its protocol")
+    except UsageError as error:
+        raise DataError(f"{error}; name a protocol with --protocol") from None

@@ -63,7 +63,12 @@ def print_text(text: str) -> None:
 
 
 def emit(record: Mapping[str, object], text: str) -> None:
-    """Print one result: `record` as a JSON line with --json, else `text`."""
+    """Print one result on stdout.
+
+    Args:
+        record: What --json prints, as a JSON object on a line.
+        text: What a person reads without --json.
+    """
     if wants_json():
         print_record(record)
     else:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from splatproof.base.errors import UsageError
 from splatproof.cli import output
 
 if TYPE_CHECKING:
@@ -30,31 +31,36 @@ def plan(
     machines: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64),
     simulate: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     spread: float | None = None,
-    seed: int = 0,
+    seed: int | None = None,
 ) -> int:
-    """Block count, memory a block and wall time of a city on n machines, and where it stops scaling.
+    """Plan a city: block count, memory a block and wall time on n machines, and where it stops scaling.
 
-    Times are those of this package's CPU kernels; their constants stand, with how they were measured,
-    in suites/city_plan.py and suites/estimate.py. With --json a plan is a line.
+    Nothing is trained. Times are those of this package's CPU kernels; their constants stand, with how
+    they were measured, in suites/city_plan.py and suites/estimate.py. With --json each plan is a
+    line: blocks, machines, workers, memory and seconds of each part by name, and seconds in all.
 
     Args:
-        views: Training views.
-        gaussians: Of the finished model.
-        width: Of a view in pixels.
-        height: Of a view in pixels.
+        views: Number of training views.
+        gaussians: Number of Gaussians in the finished model.
+        width: Width of a view in pixels.
+        height: Height of a view in pixels.
         iterations: Training steps of each block.
-        refinement: Steps over the merged model; 0: none.
-        margin: By which blocks are widened while they train.
-        views_a_block: Blocks that train on a view, on average.
-        cores: Of each machine.
-        memory_gb: Of each machine.
-        blocks: Numbers of blocks to plan for; none: the fewest that fit, and 2, 4 and 8 times those.
+        refinement: Training steps over the merged model; 0: it is not refined.
+        margin: Share of its own size by which a block is widened while it trains.
+        views_a_block: Number of blocks that train on a view, on average.
+        cores: Number of cores of each machine.
+        memory_gb: Memory of each machine in 2^30 bytes.
+        blocks: Numbers of blocks to plan for. None given: the fewest that fit, and 2, 4 and 8 times
+            as many.
         machines: Numbers of machines to plan for.
-        simulate: Also draw unequal block times and hand the blocks out, longest first.
-        spread: Of the simulated times: standard deviation of their logarithm.
-        seed: Of the simulation.
+        simulate: Also draw unequal block times at random and hand the blocks out, longest first.
+        spread: With --simulate: standard deviation of the logarithm of block times. None: as measured.
+        seed: With --simulate: seed of the draw. None: 0.
     """
     from splatproof.suites import city_plan
+
+    if not simulate and (spread is not None or seed is not None):
+        raise UsageError("--spread and --seed are for --simulate; add it or leave them out")
 
     city = city_plan.City(
         views=views, gaussians=gaussians, pixels=width * height, iterations=iterations,
@@ -72,7 +78,7 @@ def plan(
             text = _line(found)
             if simulate and found.workers:
                 width_of = city_plan.SPREAD if spread is None else spread
-                drawn = city_plan.simulate(found, width_of, seed)
+                drawn = city_plan.simulate(found, width_of, seed or 0)
                 record |= {f"simulated_{key}": value for key, value in asdict(drawn).items()}
                 low, high, mean = (
                     (value + found.serial_seconds) / 3600

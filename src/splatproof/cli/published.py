@@ -8,6 +8,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from splatproof.base.errors import UsageError
 from splatproof.cli import output
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ METRICS = {
     "storage_mb": "MB",
     "fps": "FPS",
 }
-"""Columns, those that some row has."""
+"""Columns; those are shown that some row has a value for."""
 PIPED_WIDTH = 160
 """Characters a line where stdout is no terminal."""
 
@@ -36,19 +37,23 @@ def published(
     scene: str | None = None,
     out: Path = Path("runs"),
 ) -> None:
-    """List the papers whose tables a suite reruns, or show one's rows beside ours.
+    """List the papers whose tables a suite reruns, or show a paper's table rows beside our own.
 
     Beside every scene stands why our rows are or are not comparable with the printed ones; a
-    published value that looks like a slip is marked. With --json a row a line: suite, scene, ours,
-    method, variant, source, values, comparable, reasons, notes.
+    published value that looks like a slip is marked. With --json each table row is a line: suite,
+    scene, ours, method, variant, source, values, comparable, reasons, notes.
 
     Args:
-        suite: Name of a suite of a paper; without it they are listed.
-        scene: Only this scene of it.
-        out: Folder of our runs.
+        suite: Name of the suite that reruns a paper. Without it the papers are listed.
+        scene: Name of the one scene of the suite to show. None: all of its scenes.
+        out: Folder of our runs, where `bench run SUITE` has left its records.
     """
+    from splatproof.base.names import unknown
     from splatproof.suites.published.ours import our_rows
     from splatproof.suites.published.rows import load_published, published_suites, rows_of
+
+    if suite is None and scene is not None:
+        raise UsageError(f"--scene {scene}: name its suite too; `bench published` lists them")
 
     if suite is None:
         for name in published_suites():
@@ -61,6 +66,8 @@ def published(
             output.emit(record, text)
         return
     paper = load_published(suite)
+    if scene is not None and scene not in paper.scenes:
+        raise unknown(f"scene of suite {suite}", scene, paper.scenes)
     ours = our_rows(out / suite)
     for one in [scene] if scene else paper.scenes:
         _show(suite, paper, one, [row for row in ours if row.scene == one])

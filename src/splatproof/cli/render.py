@@ -1,77 +1,109 @@
-"""`bench render MODEL CAMERAS OUT`: a trained model's views as images."""
+"""`bench render MODEL OUT`: a trained model's views as images."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from splatproof.cli import output
-from splatproof.cli.models import model_path
+from splatproof.cli.models import model_path, protocol_of, scene_of
 
 if TYPE_CHECKING:
-    from splatproof.reference.types.camera import Camera
+    from torch import Tensor
+
+    from splatproof.methods.models.base import Reconstruction
+    from splatproof.reference.types.protocol import Protocol
+    from splatproof.reference.types.scene import View
 
 
 def render(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
-    cameras: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CAMERAS")],
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
     *,
-    protocol: str = "default",
-    views: Literal["test", "train", "all"] = "test",
+    scene: str | None = None,
+    protocol: str | None = None,
+    views: Literal["test", "train", "all"] | None = None,
+    cameras: Path | None = None,
     backend: str = "cpu",
 ) -> int:
-    """Render a model's views to OUT as 8-bit PNGs (clamped, rounded half up) named after the views.
+    """Render a trained model's views to OUT as PNGs named after the views.
+
+    A model that `bench fit` or `bench run` saved knows its scene and protocol: without options its
+    held-out views are rendered as they were scored, at the protocol's size and over its background,
+    and the images are those in the case's renders/ byte for byte. A model from elsewhere (a packed
+    file) needs --scene and --protocol. PNGs have 8 bits a channel, or 16 where the protocol scores
+    renders that are not rounded. With --json one line tells out, images (how many),
+    source (the scene or the file of cameras) and protocol.
 
     Args:
-        model: What `bench fit` calls OUT, a model folder in it, or a packed file.
-        cameras: Name of a registered scene, a scene folder, or a .json file: a list of objects
-            with name, width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a packed file.
         out: Folder for the images.
-        protocol: Size, split and background: name of a protocol or path of a .toml file.
-        views: Which views of a scene.
-        backend: Rasterizer: cpu, reference or cuda.
+        scene: Name of a registered scene, or a scene folder, whose views are rendered. None: the
+            scene that the model was trained on.
+        protocol: Name of a protocol, or the path of a .toml file, that says size, split and
+            background. None: the protocol that the model was trained under.
+        views: Which views of the scene: those that are scored, those that train, or all. None: test.
+        cameras: Render from the cameras in this .json file instead: a list of objects with name,
+            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
+        backend: Name of the rasterizer: cpu, reference or cuda.
     """
-    import torch
-
-    from splatproof.base.errors import DataError
-    from splatproof.methods.loading import load_reconstruction
-    from splatproof.methods.storage.camera_files import read_cameras
-    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.base.errors import DataError, UsageError
+    from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.reference.types.result import picture_name
-    from splatproof.reference.types.scene import camera_view
-    from splatproof.suites.held_out import to_8_bit, write_png
+    from splatproof.suites.held_out import kept, write_png
 
-    rules = load_protocol(protocol)
-    loaded = load_reconstruction(model_path(model), backend=backend)
-    found = (
-        read_cameras(Path(cameras))
-        if cameras.endswith(".json")
-        else _scene_cameras(cameras, protocol, views)
-    )
-    if not found:
-        raise DataError(f"{cameras}: no {views} view under protocol {rules.name}")
-    names = [picture_name(name) for name in found]
+    if cameras is not None and (scene is not None or views is not None):
+        raise UsageError("--cameras says what is rendered; leave --scene and --views out")
+    path = model_path(model)
+    origin = load_origin(path)
+    if cameras is None:
+        source = scene_of(model, origin, scene)
+        rules = protocol_of(model, origin, protocol)
+        chosen, draw = _of_scene(source, rules, views or "test")
+    else:
+        source = str(cameras)
+        known = protocol is not None or bool(origin.protocol)
+        rules = protocol_of(model, origin, protocol if known else "default")
+        chosen, draw = _of_file(cameras, rules)
+    if not chosen:
+        raise DataError(f"{source}: no {views or 'test'} view under protocol {rules.name}")
+    names = [picture_name(view.name) for view in chosen]
     if len(set(names)) < len(names):
-        raise DataError(f"{cameras}: two views have the same name but for the suffix")
+        raise DataError(f"{source}: two views have the same name but for the suffix")
+    loaded = load_reconstruction(path, backend=backend)
     out.mkdir(parents=True, exist_ok=True)
-    background = torch.tensor(rules.background)
     with output.progress() as bar:
-        task = bar.add_task("render", total=len(found), values="")
-        for name, camera in zip(names, found.values(), strict=True):
-            write_png(
-                out / name, to_8_bit(loaded.render(camera_view(camera, name), background).colour)
-            )
+        task = bar.add_task("render", total=len(chosen), values="")
+        for name, view in zip(names, chosen, strict=True):
+            write_png(out / name, kept(draw(view, loaded), rules.rounding)[1])
             bar.advance(task)
-    output.emit({"out": str(out), "images": len(found)}, f"{out}: {len(found)} images")
+    record = {"out": str(out), "images": len(names), "source": source, "protocol": rules.name}
+    output.emit(record, f"{out}: {len(names)} images of {source} under protocol {rules.name}")
     return 0
 
 
-def _scene_cameras(scene: str, protocol: str, views: str) -> "dict[str, Camera]":
-    """Cameras of a scene's views by name."""
+def _of_scene(
+    scene: str, rules: "Protocol", views: str
+) -> "tuple[Sequence[View], Callable[[View, Reconstruction], Tensor]]":
+    """A scene's views, and how a model shows one as it is scored."""
     from splatproof.datasets.catalogue.opening import open_scene
-    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.suites.held_out import drawn
 
-    opened = open_scene(scene, load_protocol(protocol))
+    opened = open_scene(scene, rules)
     chosen = {"test": opened.test_views, "train": opened.train_views, "all": opened.views}[views]
-    return {view.name: view.camera for view in chosen}
+    return chosen, lambda view, model: drawn(view, opened.train_views, model, rules)
+
+
+def _of_file(
+    cameras: Path, rules: "Protocol"
+) -> "tuple[Sequence[View], Callable[[View, Reconstruction], Tensor]]":
+    """Views that nobody took, from the cameras of a file, and how a model shows one."""
+    import torch
+
+    from splatproof.methods.storage.camera_files import read_cameras
+    from splatproof.reference.types.scene import camera_view
+
+    background = torch.tensor(rules.background)
+    chosen = [camera_view(camera, name) for name, camera in read_cameras(cameras).items()]
+    return chosen, lambda view, model: model.render(view, background).colour

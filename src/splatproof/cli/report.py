@@ -32,10 +32,10 @@ def report(
     render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, error.
 
     Args:
-        out: Folder of the runs.
-        uri: Tracking URI (default: MLFLOW_TRACKING_URI, else OUT/mlflow.db).
+        out: Folder of runs: what `bench run` or `bench fit` calls OUT, or a folder above several.
+        uri: Tracking URI of the store. None: MLFLOW_TRACKING_URI, else OUT/mlflow.db.
         markdown: Also write the leaderboard as Markdown to this file.
-        html: Where the page is written (default: OUT/report.html).
+        html: File that the page is written to. None: OUT/report.html.
     """
     from splatproof.base.files import write_text
     from splatproof.reports.leaderboard import build_tables
@@ -81,7 +81,13 @@ def print_tables(tables: "list[Table]") -> None:
 
 
 def sync_cases(out: Path, uri: str) -> bool:
-    """Log the cases below `out` that are not in the store yet; whether any could not be."""
+    """Log the cases below `out` that are not in the store yet, and tell which could not be.
+
+    Args:
+        out: Folder of the runs.
+        uri: Tracking URI of the store.
+    Returns: Whether any case could not be logged.
+    """
     from splatproof.reports.store import find_cases, sync
 
     with output.progress() as bar:

@@ -1,4 +1,4 @@
-"""bench scenes: the registered scenes, and the worlds that the package makes."""
+"""`bench scenes`: the registered scenes, and the worlds that the package makes."""
 
 import sys
 from pathlib import Path
@@ -19,7 +19,7 @@ Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 def list_scenes() -> None:
     """List the registered scenes: kind, licence, and whether each is on this machine.
 
-    With --json, an object a line: name, kind, licence, present, path.
+    With --json each scene is a line: name, kind, licence, present, path.
     """
     from splatproof.datasets.catalogue import registry
 
@@ -40,10 +40,12 @@ def list_scenes() -> None:
 
 
 def show(name: Name) -> None:
-    """Show everything that is known of one scene.
+    """Show everything that is known of one scene: source, licence, checksums, how to get it.
+
+    With --json all of it is one line.
 
     Args:
-        name: As in `bench scenes list`.
+        name: Name of the scene, as `bench scenes list` prints it.
     """
     from splatproof.datasets.catalogue import registry
 
@@ -72,11 +74,12 @@ def show(name: Name) -> None:
 def get(name: Name) -> None:
     """Get a scene onto this machine: make it, or download, check and unpack it.
 
-    A scene that has to be downloaded by hand is said to be so, with the place (exit code 3). What
-    was stopped is continued by the same command.
+    Where a scene has to be downloaded by hand, it says from which page (exit code 3). The same
+    command continues what was interrupted. With --json the scene is a line: name, kind, licence,
+    present, path.
 
     Args:
-        name: As in `bench scenes list`.
+        name: Name of the scene, as `bench scenes list` prints it.
     """
     from splatproof.datasets.catalogue import registry
 
@@ -103,13 +106,14 @@ def make(
 ) -> None:
     """Make a procedural world as a COLMAP scene folder with true depth, normals and objects.
 
-    What was stopped is continued by the same command.
+    The same command continues what was interrupted. With --json the world is a line: world, preset,
+    seed, path.
 
     Args:
-        world: Name of the world; an unknown one lists them.
-        out: New folder.
-        preset: How large.
-        seed: Of everything random in it.
+        world: Name of the world; an unknown name lists those that there are.
+        out: Folder to make; must not exist yet.
+        preset: Size of the world: how many views there are, and how large.
+        seed: Number that everything random in the world depends on.
     """
     from splatproof.datasets.procedural import worlds
 

@@ -31,7 +31,7 @@ def score(
     renders: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS")],
     truth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRUTH")],
     *,
-    protocol: str = "default",
+    protocol: str | None = None,
     masks: Path | None = None,
     scene: str | None = None,
     method: str | None = None,
@@ -40,33 +40,41 @@ def score(
     """Score a folder of images against a folder of true ones, file by file.
 
     Files are matched by their path in the folder without the suffix (PNG, JPEG, TIFF; 8 bit, or 16
-    bit RGB as PNG). The folders renders/ and truth/ (with masks/, where there are any) of a finished
-    case, under its protocol, give the image scores of its record again to the last digit. Every
-    file is looked at before anything is scored, and each that is missing, left over, unreadable or
-    of another size is named. Of a protocol only the scoring rules apply (rounding, masks, region,
-    metrics, colour fits): which images there are and how large is what is in the folders.
+    bit RGB as PNG). Where TRUTH is the truth/ of a finished case (`bench fit`, `bench run`) and
+    nothing else is asked for, its protocol and its masks/ are used; with its renders/ that gives the
+    image scores of its record again to the last digit. Every file is looked at before anything is scored, and each that is missing, left over, unreadable or
+    of another size is named. Only the scoring rules of a protocol apply (rounding, masks, region,
+    metrics, colour fits); which images there are, and their sizes, is what the folders hold.
 
     With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
     valid_share and every metric by its name; then a line with image null: the mean of each over the
     images, and psnr_of_mean_mse. Values that are not finite are null.
 
     Args:
-        renders: Folder of images to score.
-        truth: Folder of true images of the same sizes.
-        protocol: Names of protocols or paths of .toml files, with commas between them.
+        renders: Folder of the images to score.
+        truth: Folder of the true images, of the same sizes.
+        protocol: Names of protocols or paths of .toml files, with commas between them; every one
+            gives a table of its own. None: that of the case that TRUTH belongs to, else default.
         masks: Folder of masks, white where a pixel counts, one for each truth: of the same path
-            without the suffix, or the truth's whole name with another suffix behind it.
-        scene: Name for the output.
-        method: Name for the output.
-        seed: Number for the output.
+            without the suffix, or the truth's whole name with another suffix behind it. None: the
+            masks of the case where its protocol is used, else all pixels count.
+        scene: Name of the scene, for the output alone.
+        method: Name of what made the renders, for the output alone.
+        seed: Seed of what made the renders, for the output alone.
     """
     from splatproof.base.errors import UsageError
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.metrics.registry import load_weights
     from splatproof.metrics.scoring import scene_metrics
 
-    names = [name.strip() for name in protocol.split(",")]
-    rules = [load_protocol(name) for name in names]
+    own = _of_case(truth) if protocol is None else None
+    if own is not None:
+        rules = [own]
+        output.log(f"protocol {own.name}, as in the record of {truth.parent}")
+        inner = truth.parent / "masks"
+        masks = inner if masks is None and inner.is_dir() else masks
+    else:
+        rules = [load_protocol(name.strip()) for name in (protocol or "default").split(",")]
     if len({rule.name for rule in rules}) < len(rules):
         raise UsageError(f"--protocol {protocol}: one name stands twice")
     load_weights(metric for rule in rules for metric in rule.metrics)
@@ -79,8 +87,25 @@ def score(
             for line in _lines(images, means):
                 output.print_record(label | {"protocol": rule.name} | line)
         else:
-            _print_table(rule.name, images, means)
+            named = [f"{key} {value}" for key, value in label.items() if value is not None]
+            title = ", ".join([*named, f"protocol {rule.name}", f"{len(images)} images"])
+            _print_table(title, images, means)
     return 0
+
+
+def _of_case(truth: Path) -> "Protocol | None":
+    """The protocol of the finished case whose truth/ this is; None where it is none's.
+
+    Raises: DataError if the case's record is damaged.
+    """
+    from splatproof.metrics.protocol_files import protocol_from_rules
+    from splatproof.suites.records import RECORD_NAME, read_record
+
+    if truth.name != "truth" or not (truth.parent / RECORD_NAME).is_file():
+        return None
+    rules = dict(read_record(truth.parent).protocol_rules)
+    source = str(truth.parent / RECORD_NAME)
+    return protocol_from_rules(str(rules.pop("name")), rules, source)
 
 
 def _trios(renders: Path, truth: Path, masks: Path | None) -> list[Trio]:
@@ -207,13 +232,13 @@ def _lines(
     yield {"image": None, **means}
 
 
-def _print_table(protocol: str, images: "Sequence[ImageScore]", means: Mapping[str, float]) -> None:
+def _print_table(title: str, images: "Sequence[ImageScore]", means: Mapping[str, float]) -> None:
     """A table on stdout: one row an image, the mean below."""
     from rich.console import Console
     from rich.table import Table
 
     masked = any(image.valid_share < 1 for image in images)
-    table = Table(title=f"protocol {protocol}, {len(images)} images")
+    table = Table(title=title)
     table.add_column("image", no_wrap=True)
     for name in (*(["valid"] if masked else []), *images[0].metrics):
         table.add_column(name, justify="right", no_wrap=True)

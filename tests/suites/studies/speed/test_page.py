@@ -141,7 +141,6 @@ def test_a_file_without_rows_is_refused(tmp_path):
         (["study", "partition", "--page", "x.md"], "--page"),
         (["study", "speed", "--rows", "x.json"], "give --page"),
         (["study", "speed", "--wait", "-1"], "expected seconds"),
-        (["run", "quick", "--page", "x.md"], "are for the studies"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments, said, capsys, tmp_path):

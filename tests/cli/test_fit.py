@@ -1,0 +1,220 @@
+"""`bench fit` and `bench run` are one road: the same options, records and reports."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from helpers import fake_methods
+from helpers.fake_methods import fake_scene
+from splatproof.cli import main, report
+from splatproof.cli.running import BlockRunning
+from splatproof.methods.city.executor import ENGINES
+from splatproof.methods.city.settings import StitchGS
+from splatproof.methods.registry import METHODS
+from splatproof.methods.run import Run
+from splatproof.suites import run_case as cases
+from splatproof.suites import runner
+from splatproof.suites.records import read_record
+from splatproof.suites.workers import in_process
+
+SUITE = """
+description = "For tests"
+[[cases]]
+scenes = ["./town"]
+methods = ["METHOD"]
+protocols = ["default"]
+"""
+
+
+@pytest.fixture
+def town(tmp_path, monkeypatch):
+    """The fake method on a fake scene; cases run in this process."""
+    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    for name in ("run_suite", "run_alone"):
+        monkeypatch.setattr(runner, name, partial(getattr(runner, name), launch=in_process))
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    monkeypatch.chdir(tmp_path)
+    fake_methods.register()
+    (tmp_path / "town").mkdir()
+    return tmp_path
+
+
+@pytest.fixture
+def no_store(monkeypatch):
+    """Cases are not logged: a new database takes seconds."""
+    monkeypatch.setattr(report, "sync_cases", lambda out, uri: False)
+
+
+def fit(*more: object, method: str = "fake", out: str = "out", scene: str = "town") -> int:
+    options = ["--out", out, "--backend", "reference", "--quiet"]
+    return main(["fit", method, scene, *options, *map(str, more)])
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes()
+            for path in sorted(folder.rglob("*")) if path.is_file()}  # fmt: skip
+
+
+def test_a_report_shows_a_fit_and_all_fits_of_a_folder_above(town, capsys):
+    assert fit("--iterations", 6, out="all/one") == 0
+    assert (town / "all/one/mlflow.db").exists()
+    assert main(["report", "--out", "all/one", "--json", "--quiet"]) == 0
+    (line,) = map(json.loads, capsys.readouterr().out.splitlines()[-1:])
+    assert (line["suite"], line["scene"], line["method"]) == ("fit", "town", "fake")
+    assert line["psnr"] == read_record(town / "all/one").metrics["psnr"]
+    assert main(["report", "--out", "all", "--json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out) == line
+
+
+@pytest.mark.usefixtures("no_store")
+def test_what_is_there_is_never_replaced_unasked(town, capsys):
+    assert fit("--iterations", 6) == 0
+    capsys.readouterr()
+    before = tree(town)
+    for other, said in (
+        (["--iterations", 7], "holds town/fake/default/seed0 of backend reference with other"),
+        (["--iterations", 6, "--seed", 1], "holds town/fake/default/seed0"),
+        (["--iterations", 6, "--backend", "cpu"], "of backend reference; take another folder"),
+    ):
+        assert fit(*other) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert said in line
+        assert "--no-resume" in line
+        assert tree(town) == before
+    assert fit("--iterations", 7, "--no-resume", "--json") == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["status"] == "finished"
+    assert read_record(town / "out").curve[-1][0] == 7
+
+
+@pytest.mark.usefixtures("no_store")
+@pytest.mark.parametrize("more", [[], ["--no-resume"]])
+def test_a_folder_with_other_things_is_refused_and_left_alone(town, capsys, more):
+    (town / "mine" / "model").mkdir(parents=True)
+    (town / "mine" / "model" / "thesis.txt").write_text("years of work")
+    before = tree(town)
+    assert fit(*more, out="mine") == 2
+    assert "mine: holds 'model', which no `bench fit` left there" in capsys.readouterr().err
+    assert tree(town) == before
+
+
+@pytest.mark.usefixtures("no_store")
+def test_data_that_changed_are_told_and_the_model_stays(town, capsys, monkeypatch):
+    from splatproof.suites.scene_data import SceneData
+
+    def found(sha: str) -> None:
+        monkeypatch.setattr(SceneData, "of", lambda *_: {"photos_sha256": sha})
+
+    found("a")
+    assert fit() == 0
+    assert fit() == 0
+    capsys.readouterr()
+    before = tree(town)
+    found("b")
+    assert fit() == 2
+    assert "its photos changed since this was trained" in capsys.readouterr().err
+    assert tree(town) == before
+    assert fit("--no-resume") == 0
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_fit_that_fails_leaves_its_reason_and_runs_again(town, capsys):
+    assert fit("--fail-with", "no sky") == 1
+    assert "town/fake/default/seed0 failed: no sky (folder out)" in capsys.readouterr().err
+    assert read_record(town / "out").error == "no sky"
+    assert "no sky" in (town / "out/failure.txt").read_text()
+    assert fit("--fail-with", "no sky") == 1
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_protocol_without_held_out_views_trains_and_scores_nothing(town, capsys, monkeypatch):
+    monkeypatch.setattr(cases, "open_scene", lambda *a: replace(fake_scene(*a), test=()))
+    assert main(["fit", "fake", "town", "--out", "out", "--backend", "reference"]) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "not scored: protocol default holds no view out" in said.err
+    result = read_record(town / "out")
+    assert (result.images, result.metrics, result.error) == ((), {}, "")
+    assert (town / "out/model/model.json").exists()
+    (town / "mine.toml").write_text(SUITE.replace("METHOD", "fake"))
+    assert main(["run", "mine.toml", "--backend", "reference"]) == 1  # a suite compares scores
+
+
+def spied(monkeypatch) -> list[Run]:
+    """What methods are told: a method with blocks and one without, which keep their Run."""
+    seen: list[Run] = []
+
+    def remembers(scene, settings, run):
+        seen.append(run)
+        run.say("the plan of it all")
+        return fake_methods.model_of(0.5, run.backend)
+
+    fake = replace(METHODS["fake"], fit=remembers)
+    monkeypatch.setitem(METHODS, "fake", fake)
+    monkeypatch.setitem(METHODS, "blocky", replace(fake, name="blocky", settings=StitchGS))
+    return seen
+
+
+@pytest.mark.usefixtures("no_store")
+@pytest.mark.parametrize("command", ["fit", "run"])
+@pytest.mark.parametrize("method", ["fake", "blocky"])
+def test_every_option_reaches_the_method(town, capsys, monkeypatch, command, method):
+    seen = spied(monkeypatch)
+    (town / "mine.toml").write_text(SUITE.replace("METHOD", method))
+    options = ["--backend", "reference", "--threads", "1", "--checkpoint-seconds", "2.5"]
+    if method == "blocky":
+        options += ["--workers", "3", "--engine", "inline"]
+    what = ["fit", method, "town", "--out", "o"] if command == "fit" else ["run", "mine.toml"]
+    assert main([*what, *options]) == 0
+    (run,) = seen
+    assert (run.backend, run.threads, run.checkpoint_seconds) == ("reference", 1, 2.5)
+    if method == "blocky":
+        assert (run.workers, run.engine) == (3, "inline")
+    assert "the plan of it all" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_store")
+def test_options_of_blocks_are_refused_where_no_method_has_blocks(town, capsys):
+    (town / "mine.toml").write_text(SUITE.replace("METHOD", "fake"))
+    before = tree(town)
+    assert fit("--engine", "inline") == 2
+    assert "--engine" in capsys.readouterr().err
+    assert main(["fit", "fake", "--help"]) == 0
+    assert "--engine" not in capsys.readouterr().out
+    for options in (["--engine", "inline"], ["--workers", "2"]):
+        assert main(["run", "mine.toml", *options]) == 2
+        assert "no method of suite mine does" in capsys.readouterr().err
+    assert tree(town) == before
+
+
+def test_the_engines_are_those_that_there_are():
+    assert set(get_args(BlockRunning.__annotations__["engine"])) == set(ENGINES)
+
+
+@pytest.mark.usefixtures("no_store")
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--threads", "0"], "--threads is 0, expected 1 or more"),
+        (["--checkpoint-seconds", "-1"], "--checkpoint-seconds is -1.0, expected 0 or more"),
+        (["--protocol", "3dsg"], "3dgs"),
+        (["--backend", "gpu"], "did you mean"),
+    ],
+)
+def test_values_that_cannot_be_are_told_in_one_line(town, capsys, options, said):
+    before = tree(town)
+    assert main(["fit", "fake", "town", "--out", "out", *options]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert tree(town) == before
+    assert not (town / "out").exists()
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_scene_that_is_not_there_is_told_before_anything_is_written(town, capsys):
+    assert fit(scene="twon") == 2
+    assert "unknown 'twon'" in capsys.readouterr().err
+    assert not (town / "out").exists()
