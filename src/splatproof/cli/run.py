@@ -135,7 +135,6 @@ def _print_plan(suite: "Suite", out: Path, running: Running, blocks: BlockRunnin
             "method": case.method,
             "variant": case.variant,
             "pose_noise": case.pose_noise,
-            "pose_noise": case.pose_noise,
             "protocol": case.protocol.name,
             "seed": case.seed,
             "estimated_seconds": guess.seconds if guess else None,
