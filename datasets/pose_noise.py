@@ -7,27 +7,37 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from splatproof.base.errors import UsageError
+from splatproof.reference.types.result import TRUE_POSES
 from splatproof.reference.types.scene import Scene
 
-LEVELS = {"L1": (0.5, 0.001), "L2": (1.0, 0.002), "L3": (2.0, 0.005)}
-"""Standard deviation of the rotation in degrees, and of the position as a share of the extent."""
+LEVELS = {TRUE_POSES: (0.0, 0.0), "L1": (0.5, 0.001), "L2": (1.0, 0.002), "L3": (2.0, 0.005)}
+"""Name of each level; standard deviation of the rotation in degrees and, on each axis, of the
+position as a share of the scene's extent."""
 
 
 def disturbed(scene: Scene, level: str, seed: int) -> Scene:
-    """The scene with noise on the poses of its training views; tests and points stay true.
+    """The scene with noise on the poses of its training views; test views and points stay true.
 
-    A rotation by a normal angle about a random axis through the camera's centre; a normal shift
-    of the centre on each axis. The extent is the diagonal of the box of all camera centres.
+    Each camera is turned by a normal angle about a random axis through its centre, and its centre
+    is shifted by a normal length on each axis. The extent is the diagonal of the box around all
+    camera centres. Sparse points stay as they are, also those that a protocol has triangulated: the
+    paper disturbs what follows them, completion and training (column "All" of its table). All that
+    a method makes of the photos itself, dense points for example, is made under the noise.
 
     Args:
         scene: Any scene.
-        level: "L1", "L2" or "L3".
-        seed: Equal seeds give equal noise.
+        level: Key of LEVELS; "none" returns the scene itself.
+        seed: Seed of the noise, >= 0. The same seed disturbs a scene in the same way, and the levels
+            of one seed differ in size alone.
 
+    Returns: The scene; its facts name the level and the seed.
+    Raises: UsageError for a level that there is not.
     Source: noise levels of "StratoSplat", Table 6; the distribution (normal) is ours.
     """
     if level not in LEVELS:
         raise UsageError(f"{level}: no such pose noise; there are {', '.join(LEVELS)}")
+    if level == TRUE_POSES:
+        return scene
     degrees, share = LEVELS[level]
     rng = np.random.Generator(np.random.PCG64(seed))
     centres = torch.stack([view.camera.centre for view in scene.views])

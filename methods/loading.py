@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from splatproof.methods.city.model import CityModel, load_city
+from splatproof.methods.city.model import CITY, load_city
 from splatproof.methods.method import Loader
 from splatproof.methods.models.base import (
     Origin,
@@ -11,14 +11,19 @@ from splatproof.methods.models.base import (
     read_stored,
     require_kind,
 )
-from splatproof.methods.models.explicit import ExplicitModel, check_gaussians, load_explicit
+from splatproof.methods.models.explicit import (
+    EXPLICIT,
+    ExplicitModel,
+    check_gaussians,
+    load_explicit,
+)
 from splatproof.methods.registry import methods
 from splatproof.methods.storage.packed.reader import read_packed
 
 
 def loaders() -> dict[str, Loader]:
     """How each kind of model is loaded: the built-in kinds and those of every method."""
-    known: dict[str, Loader] = {ExplicitModel.kind: load_explicit, CityModel.kind: load_city}
+    known: dict[str, Loader] = {EXPLICIT: load_explicit, CITY: load_city}
     for method in methods().values():
         known |= dict(method.loaders)
     return known

@@ -8,10 +8,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.metrics.colour_difference import delta_e_76_map, delta_e_2000_map
 from splatproof.metrics.flip import flip_map
+from splatproof.metrics.gradient import gradient_map
 from splatproof.metrics.pairs import Pair, check_pair, mean_over
 from splatproof.metrics.pixel import psnr_of_mse
-from splatproof.metrics.ssim import WINDOW, skimage_map, ssim_map, windows_valid
+from splatproof.metrics.ssim import WINDOW, kornia_map, skimage_map, ssim_map, windows_valid
 
 PARTS = ("moving", "vehicles", "people", "still")
 """What `Protocol.parts` may name: all that moves, either kind of it, all that does not."""
@@ -91,7 +93,11 @@ OVER: dict[str, Callable[[Pair, Bool[np.ndarray, "h w"]], float]] = {
     "ssim_3dgs": lambda pair, where: mean_over(ssim_map(pair.image, pair.target), where),
     "ssim_valid": _inside,
     "ssim_skimage": lambda pair, where: mean_over(skimage_map(pair), where),
+    "ssim_kornia": lambda pair, where: mean_over(kornia_map(pair), where),
     "flip": lambda pair, where: mean_over(flip_map(pair), where),
     "l1": lambda pair, where: mean_over(np.abs(pair.image - pair.target), where),
+    "delta_e_76": lambda pair, where: mean_over(delta_e_76_map(pair), where),
+    "delta_e_2000": lambda pair, where: mean_over(delta_e_2000_map(pair), where),
+    "gradient_l1": lambda pair, where: mean_over(gradient_map(pair), where),
 }
 """Metrics that have a value at each pixel: those of a protocol that are scored over parts."""

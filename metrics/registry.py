@@ -1,4 +1,4 @@
-"""Every per-image metric by its name."""
+"""Every per-image metric by its name: ours, and those that installed packages add."""
 
 import functools
 import math
@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
-from splatproof.metrics import flip, lpips, pixel, ssim
+from splatproof.base.plugins import with_plugins
+from splatproof.metrics import colour_difference, flip, gradient, lpips, pixel, ssim
+from splatproof.metrics.scene_registry import SCENE_METRICS
+
+GROUP = "splatproof.metrics"
+"""Entry point group of other packages' metrics."""
 
 MetricFunction = Callable[
     [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float
@@ -35,21 +41,49 @@ class Metric:
     they are not on this machine. None: the metric needs no weights."""
 
 
+@functools.cache
+def all_metrics() -> dict[str, Metric]:
+    """Every metric that a protocol may name, in the order in which tables show them.
+
+    Installed packages add theirs through entry points of the group GROUP, each of which loads to a
+    `Metric` and has its name. They are looked up at the first call, so that importing this module
+    loads no other package.
+
+    Returns: Ours by name, then those of other packages.
+    Raises: UsageError, naming the package, where an entry point cannot be loaded or is no Metric,
+        or where its name is another than the metric's or one that is in use.
+    """
+    table = with_plugins(BUILT_IN, GROUP, Metric)
+    for name, metric in table.items():
+        if name != metric.name:
+            raise UsageError(
+                f"entry point {name} in {GROUP}: its metric is called {metric.name!r}; both must "
+                "have one name, by which protocols and tables know it"
+            )
+        if name in SCENE_METRICS:
+            raise UsageError(
+                f"entry point {name} in {GROUP}: the name is taken by a metric of whole scenes; "
+                "give it another one or uninstall it"
+            )
+    return table
+
+
 def find_metric(name: str) -> Metric:
     """The metric of that name.
 
-    Raises: UsageError naming the nearest one where there is none.
+    Raises: UsageError naming the nearest one where there is none, and see `all_metrics`.
     """
-    if name not in METRICS:
-        raise unknown("metric", name, METRICS)
-    return METRICS[name]
+    metrics = all_metrics()
+    if name not in metrics:
+        raise unknown("metric", name, metrics)
+    return metrics[name]
 
 
 def load_weights(names: Iterable[str]) -> dict[str, str]:
     """Load what these metrics need, before long work depends on it.
 
     Args:
-        names: Names of metrics in METRICS.
+        names: Names of metrics, see `all_metrics`.
     Returns: Metric name -> sha256 of its weights, for the record; only metrics that have some.
     Raises: UsageError on an unknown name, MissingError where something is not on this machine.
     """
@@ -91,6 +125,14 @@ _ALL = (
         source="skimage.metrics.structural_similarity(data_range=1, channel_axis=-1)",
     ),
     Metric(
+        name="ssim_kornia",
+        function=ssim.ssim_kornia,
+        unit="",
+        higher_is_better=True,
+        range=(-1.0, 1.0),
+        source="kornia.metrics.ssim(window_size=11, eps=0), borders mirrored",
+    ),
+    Metric(
         name="ms_ssim_kornia",
         function=ssim.ms_ssim_kornia,
         unit="",
@@ -114,6 +156,30 @@ _ALL = (
         range=(0.0, 1.0),
         source="mean absolute difference",
     ),
+    Metric(
+        name="delta_e_76",
+        function=colour_difference.delta_e_76,
+        unit="ΔE",
+        higher_is_better=False,
+        range=(0.0, math.inf),
+        source="CIE76 colour difference, distance in CIELAB (D65) by kornia.color.rgb_to_lab",
+    ),
+    Metric(
+        name="delta_e_2000",
+        function=colour_difference.delta_e_2000,
+        unit="ΔE",
+        higher_is_better=False,
+        range=(0.0, math.inf),
+        source="CIEDE2000 colour difference (Sharma et al. 2005) in CIELAB by kornia.color.rgb_to_lab",
+    ),
+    Metric(
+        name="gradient_l1",
+        function=gradient.gradient_l1,
+        unit="",
+        higher_is_better=False,
+        range=(0.0, gradient.LARGEST),
+        source="mean absolute difference of gradient magnitudes, kornia.filters.spatial_gradient",
+    ),
     *(
         Metric(
             name=function.__name__,
@@ -133,5 +199,5 @@ _ALL = (
     ),
 )
 
-METRICS: dict[str, Metric] = {metric.name: metric for metric in _ALL}
-"""Per-image metrics by name, in the order in which tables show them."""
+BUILT_IN: dict[str, Metric] = {metric.name: metric for metric in _ALL}
+"""Our own per-image metrics by name; see `all_metrics`."""

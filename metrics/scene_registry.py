@@ -1,4 +1,4 @@
-"""Every metric of a whole scene by its name: seams, balance of blocks, true geometry."""
+"""Every metric of a whole scene by its name: seams, balance of blocks, true depth and geometry."""
 
 import math
 from dataclasses import dataclass
@@ -27,9 +27,14 @@ def _metric(
 
 
 SEAM = "StitchGS, Sec. 5.1, over the partition's seam mask (metrics/seam_partition.py)"
+RELEASED = (
+    "as StitchGS's release is understood (metrics/seam_released.py), over the rims of boxes widened by "
+    "15 %, at the rendered depth"
+)
 BLOCKS = ("load", "views", "points", "primitives", "seconds", "memory")
 """What is compared over blocks: observations, training views, points, Gaussians, training seconds,
 peak memory."""
+DEPTH = "Eigen et al. 2014, rendered against true z-depth, mean over the scored views that have it"
 TRUTH = "depth of the training views, back-projected, against the true surface that they see"
 
 _ALL = (
@@ -39,12 +44,24 @@ _ALL = (
     _metric("bpd_l1_sum", f"{SEAM}; channels summed, as the paper reads literally", most=3.0),
     _metric("nbgj", SEAM),
     _metric("seam_coverage", SEAM, None, most=1.0),
+    _metric("seam_psnr_released", f"{RELEASED}; mean over views", True, "dB"),
+    _metric("seam_l1_released", f"{RELEASED}; mean over views", most=1.0),
+    _metric("seam_gradient_ratio_released", f"{RELEASED}; on the seam over off it"),
+    _metric("seam_depth_gradient_ratio_released", f"{RELEASED}; on the seam over off it"),
     *(
         _metric(f"{what}_{ratio}_over_mean", f"{ratio} / mean over blocks of their {what}")
         for what in BLOCKS
         for ratio in ("std", "max")
     ),
     _metric("packed_bytes", "bytes of the compressed file, without facts about blocks", unit="B"),
+    _metric("depth_abs_rel", f"{DEPTH}: abs(d - t) / t"),
+    _metric("depth_sq_rel", f"{DEPTH}: (d - t)^2 / t", unit="scene units"),
+    _metric("depth_rmse", f"{DEPTH}: root of (d - t)^2", unit="scene units"),
+    *(
+        _metric(f"depth_delta{k}", f"{DEPTH}: share off by a factor below 1.25^{k}", True, most=1.0)
+        for k in (1, 2, 3)
+    ),
+    _metric("depth_share", f"{DEPTH}: share of pixels with known depth", None, most=1.0),
     _metric("geometry_accuracy", f"{TRUTH}: mean distance", unit="scene units"),
     _metric("geometry_completeness", f"{TRUTH}: share found", True, most=1.0),
     _metric("geometry_f_score", TRUTH, True, most=1.0),

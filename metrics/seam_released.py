@@ -76,6 +76,7 @@ def seam_view_released(
     truth: Float[Tensor, "h w 3"],
     depth: Float[Tensor, "h w"],
     seam: Bool[Tensor, "h w"],
+    mask: Bool[Tensor, "h w"] | None = None,
 ) -> SeamScores:
     """The released family on one view.
 
@@ -89,12 +90,15 @@ def seam_view_released(
         truth: What the camera saw, in [0, 1].
         depth: The rendered depth in scene units.
         seam: True where a pixel is on the seam, from `seam_mask_released`.
+        mask: True where a pixel counts, on the seam or off it; None: everywhere.
     Raises: DataError where an image is not in [0, 1] or a depth not finite.
     """
     if not bool(depth.isfinite().all()):
         raise DataError("seam metrics: depth holds values that are not finite")
     luminance = (check_pair(image, image, metric=NAMES[2]).image * LUMA).sum(axis=2)
-    on = seam.numpy()
+    counted = torch.ones_like(seam) if mask is None else mask
+    seam = seam & counted
+    on, off = seam.numpy(), (counted & ~seam).numpy()
     if not on.any():
         why = f"the seam mask is empty in all {on.size} pixels"
         return SeamScores(
@@ -104,7 +108,7 @@ def seam_view_released(
     undefined = {}
     for name, field in ((NAMES[2], luminance), (NAMES[3], depth.double().numpy())):
         slope = sobel_magnitude(field)
-        outside = float(slope[~on].mean()) if not on.all() else math.nan
+        outside = float(slope[off].mean()) if off.any() else math.nan
         values[name] = float(slope[on].mean()) / outside if outside > 0 else math.nan
         if not outside > 0:
             undefined[name] = "no pixel or no gradient off the seam to compare with"

@@ -10,7 +10,7 @@ WIDTH, HEIGHT = 440.0, 260.0
 LEFT, RIGHT, TOP, BOTTOM = 58.0, 14.0, 30.0, 44.0
 """Margins around the plotting area, in the same units as WIDTH and HEIGHT."""
 MOST_POINTS = 300
-"""Of one line; a longer one is thinned evenly, which is finer than a pixel of the chart."""
+"""Number of points of a line; a longer one is thinned evenly, still finer than the chart's pixels."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,13 @@ class Line:
 
 
 def ticks(low: float, high: float, most: int = 6) -> list[float]:
-    """At most `most` + 1 round numbers (1, 2 or 5 times a power of 10) in [low, high]."""
+    """At most `most` + 1 round numbers (1, 2 or 5 times a power of 10) in [low, high].
+
+    Args:
+        low: Lower end of the axis, in its own unit.
+        high: Upper end of the axis, above `low`.
+        most: Number of steps that fit, >= 1.
+    """
     step = 10.0 ** math.floor(math.log10((high - low) / most))
     step *= next(m for m in (1, 2, 5, 10) if (high - low) / (step * m) <= most)
     first = math.ceil(low / step - 1e-9)
@@ -62,7 +68,14 @@ def ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 
 def scatter(points: Sequence[Point], x_title: str, y_title: str) -> Markup:
-    """Points with vertical intervals, x from 0; empty where no point is finite."""
+    """Points with vertical intervals, x from 0.
+
+    Args:
+        points: What is drawn; those that are not finite are left out.
+        x_title: Name of the horizontal axis, with its unit.
+        y_title: Name of the vertical axis, with its unit.
+    Returns: An SVG element; empty where no point is finite.
+    """
     shown = [p for p in points if math.isfinite(p.x) and math.isfinite(p.y)]
     if not shown:
         return Markup()
@@ -85,7 +98,14 @@ def scatter(points: Sequence[Point], x_title: str, y_title: str) -> Markup:
 
 
 def lines(curves: Sequence[Line], x_title: str, y_title: str) -> Markup:
-    """Lines over steps; values that are not finite leave gaps, and nothing is drawn without any."""
+    """Lines over steps.
+
+    Args:
+        curves: What is drawn; values that are not finite are left out.
+        x_title: Name of the horizontal axis.
+        y_title: Name of the vertical axis.
+    Returns: An SVG element; empty where no line has two finite points.
+    """
     kept = []
     for curve in curves:
         points = [

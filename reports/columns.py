@@ -2,13 +2,18 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
 
 from splatproof.base.errors import DataError
 from splatproof.metrics.parts import PARTS, is_part_key
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import all_metrics
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.result import Result
+from splatproof.reports.frames import CASE
 from splatproof.reports.statistics import Summary
 
 MB = 2**20
@@ -33,14 +38,26 @@ class Column:
     """None: neither, so it ranks nothing and nothing in it is marked best."""
     digits: int = 4
     """After the point."""
-    value: Callable[[Result], float] = field(compare=False)
-    """The value of one seed; nan where it was not measured."""
+    source: str
+    """Column of `results_frame` that has the case's value."""
+    scale: float = 1.0
+    """What the source's values are multiplied by."""
     per_image: bool = False
     """Whether every image has a value of its own under this key."""
     aside: Callable[[float], str] | None = None
     """What is written in brackets behind the number."""
     of_the_machine: bool = False
     """Whether it depends on where it was measured."""
+
+    def values(self, cases: pd.DataFrame) -> Float[np.ndarray, " _"]:
+        """The value of each case; nan where it was not measured.
+
+        Args:
+            cases: A row a case, of `frames.cases_of`.
+        """
+        if self.source not in cases:
+            return np.full(len(cases), np.nan)
+        return cases[self.source].to_numpy(dtype=np.float64) * self.scale
 
     @property
     def heading(self) -> str:
@@ -87,7 +104,12 @@ def columns(rules: dict[str, object], results: list[Result]) -> tuple[Column, ..
 
 
 def score_column(name: str, per_image: bool) -> Column:
-    """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse."""
+    """The column of a metric; what is known of `psnr` holds for cc_affine_psnr, psnr_of_mean_mse.
+
+    Args:
+        name: Name of the metric, ours, of another package or of none that is known.
+        per_image: Whether any image has a value of that name.
+    """
     plain, said = name.removesuffix("_of_mean_mse"), ""
     if plain != name:
         said = "of the mean squared error over all images, not the mean of each image's: "
@@ -98,7 +120,7 @@ def score_column(name: str, per_image: bool) -> Column:
     for fit, words in FITS.items():
         if plain.startswith(f"{fit}_"):
             plain, said = plain.removeprefix(f"{fit}_"), f"{said}after {words}: "
-    metric = METRICS.get(plain) or SCENE_METRICS.get(plain)
+    metric = all_metrics().get(plain) or SCENE_METRICS.get(plain)
     unit = metric.unit if metric else ""
     return Column(
         key=name,
@@ -107,7 +129,7 @@ def score_column(name: str, per_image: bool) -> Column:
         unit=unit,
         higher_is_better=metric.higher_is_better if metric else None,
         digits=2 if unit == "dB" else 4,
-        value=lambda result: result.metrics.get(name, math.nan),
+        source=CASE + name,
         # images without the part have no value
         per_image=per_image and not over_part and name not in SCENE_METRICS,
     )
@@ -121,7 +143,7 @@ COSTS = (
         unit="s",
         higher_is_better=False,
         digits=1,
-        value=lambda result: result.training_seconds,
+        source="train_seconds",
         of_the_machine=True,
     ),
     Column(
@@ -131,7 +153,7 @@ COSTS = (
         unit="ms",
         higher_is_better=False,
         digits=1,
-        value=lambda result: result.render_ms,
+        source="render_ms",
         aside=lambda ms: f"{1000 / ms:,.0f} FPS" if ms > 0 else "",
         of_the_machine=True,
     ),
@@ -140,7 +162,7 @@ COSTS = (
         title="primitives",
         about="Gaussians of the saved model",
         digits=0,
-        value=lambda result: float(result.primitives),
+        source="primitives",
     ),
     Column(
         key="disk_mb",
@@ -149,7 +171,8 @@ COSTS = (
         unit="MB",
         higher_is_better=False,
         digits=1,
-        value=lambda result: result.bytes_on_disk / MB,
+        source="bytes_on_disk",
+        scale=1 / MB,
     ),
     Column(
         key="peak_memory_mb",
@@ -158,7 +181,7 @@ COSTS = (
         unit="MB",
         higher_is_better=False,
         digits=0,
-        value=lambda result: result.peak_memory_mb,
+        source="peak_memory_mb",
         of_the_machine=True,
     ),
 )

@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
+import pandas as pd
 from markupsafe import Markup
 
 from splatproof.reference.types.result import Result
 from splatproof.reports import charts, run_data, text
+from splatproof.reports.columns import Column
+from splatproof.reports.frames import groups
 from splatproof.reports.mlflow_client import shown_uri
 from splatproof.reports.pictures import QUALITY, WIDEST, Shown, choose
 from splatproof.reports.store import StoredResult
@@ -30,7 +34,7 @@ def render_page(
     """The page as HTML: leaderboards, pictures, per-image tables, curves, and how it was made.
 
     Args:
-        tables: Of `leaderboard.build_tables` on the results of `stored`.
+        tables: What `leaderboard.build_tables` makes of the results of `stored`.
         stored: What was read from the store; the pictures come from there.
         uri: Where it was read from; shown without a password.
         when: Shown as the time of making.
@@ -138,33 +142,28 @@ def _compare(shown: list[Shown], rows: list[Row], pictures: dict[str, str]) -> d
 def _image_table(table: Table, row: Row) -> dict[str, Any]:
     """Scores of every image, means over seeds, and their span in the first column."""
     columns = [column for column in table.columns if column.per_image]
-    scores: dict[str, list[Any]] = {}
-    for result in row.results:
-        for image in result.images:
-            scores.setdefault(image.name, []).append(image)
     lines = []
-    for name, seeds in sorted(scores.items()):
-        means = [_mean([one.metrics.get(c.key, math.nan) for one in seeds]) for c in columns]
-        first = [one.metrics.get(columns[0].key, math.nan) for one in seeds] if columns else []
-        told = [
-            f"{c.title} {c.text(m)} {c.unit}".strip() for c, m in zip(columns, means, strict=True)
-        ]
+    for name, seeds in groups(row.scores, "image"):
+        means = [(float(seeds[c.key].to_numpy().mean()), c) for c in columns]
+        told = [f"{c.title} {c.text(mean)} {c.unit}".strip() for mean, c in means]
         lines.append(
             {
                 "name": name,
                 "told": " · ".join(told),
-                "cells": [(m, c.text(m)) for m, c in zip(means, columns, strict=True)],
-                "span": (max(first) - min(first), columns[0].text(max(first) - min(first)))
-                if columns and all(map(math.isfinite, first))
-                else (math.nan, "–"),
-                "valid": 100 * _mean([one.valid_share for one in seeds]),
+                "cells": [(mean, c.text(mean)) for mean, c in means],
+                "span": _span(columns[0], seeds) if columns else (math.nan, "–"),
+                "valid": 100 * float(seeds["valid_share"].to_numpy().mean()),
             }
         )
     return {"label": row.label, "seeds": row.seeds, "columns": columns, "lines": lines}
 
 
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)
+def _span(column: Column, seeds: pd.DataFrame) -> tuple[float, str]:
+    """How far the seeds' scores of an image are apart; a dash where one is not finite."""
+    values = seeds[column.key].to_numpy(dtype=np.float64)
+    if not np.isfinite(values).all():
+        return math.nan, "–"
+    return float(np.ptp(values)), column.text(float(np.ptp(values)))
 
 
 def _curves(rows: list[Row], series: dict[str, int]) -> list[tuple[str, Markup]]:

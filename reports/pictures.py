@@ -5,9 +5,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from splatproof.base.errors import DataError
 from splatproof.reports import run_data
+from splatproof.reports.frames import groups
 from splatproof.reports.store import Picture, StoredResult
 from splatproof.reports.table import Row, Table
 
@@ -23,7 +25,7 @@ class Shown:
 
     name: str
     truth: dict[str, str]
-    """By row label; rows that were scored on the same truth share the string."""
+    """The truth for each row label; rows that were scored on the same truth share the string."""
     render: dict[str, str]
     error: dict[str, str]
     """Rows without that picture are absent."""
@@ -33,8 +35,8 @@ def choose(table: Table, stored: dict[str, StoredResult], budget: int) -> tuple[
     """The pictures of a scene that fit into `budget`, from worst and best to the ones between.
 
     Args:
-        table: Of one scene.
-        stored: By `run_data.case_key`.
+        table: A table of one scene.
+        stored: Stored results by their `run_data.case_key`.
         budget: Characters of data URIs; the first image is carried whatever it takes.
     Returns: Images sorted by name, and how many test images the scene has.
     """
@@ -67,6 +69,9 @@ def spread(count: int) -> list[int]:
 def encode(png: bytes, name: str) -> str:
     """A picture as a JPEG data URI of at most WIDEST pixels across.
 
+    Args:
+        png: Bytes of an image file.
+        name: What the picture is called in errors.
     Raises: DataError naming the picture where its bytes are no image.
     """
     pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
@@ -84,14 +89,9 @@ def encode(png: bytes, name: str) -> str:
 
 def _by_score(table: Table) -> list[str]:
     """Names of the scene's test images, sorted by their mean score in the first column."""
-    scores: dict[str, list[float]] = {}
-    for row in table.rows:
-        for result in row.results:
-            for image in result.images:
-                scores.setdefault(image.name, []).append(
-                    image.metrics.get(table.columns[0].key, np.nan)
-                )
-    means = {name: float(np.mean(values)) for name, values in scores.items()}
+    key = table.columns[0].key
+    scores = pd.concat([row.scores for row in table.rows]).reindex(columns=["image", key])
+    means = {name: float(own[key].to_numpy().mean()) for name, own in groups(scores, "image")}
     # an undefined score is the first thing to look at
     return sorted(means, key=lambda n: (-np.inf if np.isnan(means[n]) else means[n], n))
 

@@ -5,9 +5,11 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from splatproof.reports import comparable
 from splatproof.reports.columns import Column
+from splatproof.reports.frames import cases_of, rows_where
 from splatproof.reports.statistics import Difference, Scores, paired_difference
 from splatproof.reports.table import Row, Table
 
@@ -54,8 +56,9 @@ def ranked(table: Table, allowed: set[str]) -> Table:
 def _best(table: Table, rows: list[Row], generator: np.random.Generator) -> dict[str, set[str]]:
     """Labels by column of the best ranked row and of those that cannot be told from it."""
     best = {}
-    results = [result for row in rows for result in row.results]
-    one_machine = not comparable.environment_notes(results)
+    one_machine = not rows or not comparable.environment_notes(
+        pd.concat([row.scores for row in rows])
+    )
     for column in table.columns:
         having = [row for row in rows if column.key in row.cells]
         if column.higher_is_better is None or len(having) < 2:
@@ -71,20 +74,23 @@ def _best(table: Table, rows: list[Row], generator: np.random.Generator) -> dict
 
 
 def difference(one: Row, other: Row, column: Column, generator: np.random.Generator) -> Difference:
-    """Paired difference of two rows in a column, over scenes, images (where it has them), seeds."""
-    scenes = sorted({result.scene for result in one.results})
+    """Paired difference of two rows in a column, over scenes, images (where it has them), seeds.
+
+    Args:
+        one: A row of a table whose rows are comparable.
+        other: Another row of it.
+        column: What is compared.
+        generator: Source of the bootstrap's draws.
+    """
+    scenes = sorted(set(one.scores["scene"]))
     tables = [tuple(_scores(row, scene, column) for row in (one, other)) for scene in scenes]
     return paired_difference([(a, b) for a, b in tables], generator)
 
 
 def _scores(row: Row, scene: str, column: Column) -> Scores:
     """A row a seed and a column an image, sorted by name; one column where images have no values."""
-    own = [result for result in row.results if result.scene == scene]
+    own = rows_where(row.scores, (row.scores["scene"] == scene).to_numpy())
+    cases = cases_of(own)
     if not column.per_image:
-        return np.array([[column.value(result)] for result in own])
-    return np.array(
-        [
-            [image.metrics[column.key] for image in sorted(result.images, key=lambda i: i.name)]
-            for result in own
-        ]
-    )
+        return column.values(cases)[:, None]
+    return own[column.key].to_numpy(dtype=np.float64).reshape(len(cases), -1)

@@ -35,6 +35,7 @@ def params(result: Result) -> dict[str, str]:
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "seed": result.seed,
         "protocol": result.protocol,
         "settings": result.settings,
@@ -76,7 +77,12 @@ def tags(result: Result) -> dict[str, str]:
 
 
 def flatten(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Nested mappings as (dotted name, value)."""
+    """Nested mappings as (dotted name, value).
+
+    Args:
+        values: Mappings in mappings.
+        prefix: What every name starts with.
+    """
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from flatten(value, f"{prefix}{name}.")

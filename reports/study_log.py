@@ -16,7 +16,12 @@ NAMED_BY = ("component", "twin", "case")
 
 
 def metric_name(row: Mapping[str, Any], column: str) -> str:
-    """Name that MLflow takes: other characters than letters, digits and _-./ become a dash."""
+    """Name that MLflow takes: other characters than letters, digits and _-./ become a dash.
+
+    Args:
+        row: A row of the study; the columns NAMED_BY begin the name.
+        column: Column of the row that is logged.
+    """
     parts = [str(row[name]) for name in NAMED_BY if row.get(name)]
     return re.sub(r"[^\w\-./ ]+", "-", "/".join([*parts, column]))
 
@@ -30,6 +35,12 @@ def log_study(
 ) -> str:
     """Log one run in experiment splatproof/<name>: machine as params, numbers as metrics, files.
 
+    Args:
+        name: Name of the study.
+        machine: What is known of the machine; empty values are left out.
+        rows: What the study found; numbers that are not finite are left out.
+        files: Files that are kept with the run.
+        uri: Tracking URI.
     Returns: One line saying why it is not in the store; empty when it is.
     Raises: UsageError for a URI that cannot work.
     """

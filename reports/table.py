@@ -1,6 +1,8 @@
 """A leaderboard as data: what the terminal, Markdown and the page all show."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import pandas as pd
 
 from splatproof.reference.types.result import Result
 from splatproof.reports.columns import Column
@@ -15,8 +17,10 @@ class Row:
     """The method, with the settings that set it apart where the table has it more than once."""
     results: tuple[Result, ...]
     """Its finished cases, sorted by scene and seed."""
+    scores: pd.DataFrame = field(compare=False, repr=False)
+    """Rows of `results_frame` of these cases, sorted by scene, seed and image."""
     cells: dict[str, Summary]
-    """By column; without an entry where there is no value."""
+    """Summary over seeds for each column's key; without an entry where there is no value."""
     seeds: int
     """Seeds behind every cell."""
     rank: int | None = None

@@ -29,7 +29,12 @@ def explained(tables: list[Table]) -> dict[str, str]:
 
 
 def texts(table: Table, row: Row) -> list[tuple[str, bool]]:
-    """(text, whether it is marked best) of a row's cells, in the order of `headings`."""
+    """(text, whether it is marked best) of a row's cells, in the order of `headings`.
+
+    Args:
+        table: The table.
+        row: One of its rows.
+    """
     scores = [(_text(table, row, column), column.key in row.best) for column in table.columns]
     rank = "–" if row.rank is None else str(row.rank)
     return [(rank, False), (row.label, False), *scores, (str(row.seeds), False)]
@@ -70,7 +75,7 @@ def terminal(tables: list[Table], width: int) -> Group:
     A table that is too wide goes on below, each part with rank and method: numbers never break.
 
     Args:
-        tables: Of `leaderboard.build_tables`.
+        tables: What `leaderboard.build_tables` makes.
         width: Characters a line.
     """
     parts: list[rich.table.Table | Text] = []
@@ -173,14 +178,16 @@ def _escaped(text: str) -> str:
 def record(result: Result) -> dict[str, object]:
     """One case for a machine.
 
-    Returns: suite, scene, method, seed, protocol, every metric by its name, train_seconds,
-        render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and error ("" when done).
+    Returns: suite, scene, method, variant, pose_noise, seed, protocol, every metric by its name,
+        train_seconds, render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and error
+        ("" when done).
     """
     return {
         "suite": result.suite,
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,

@@ -13,6 +13,7 @@ from splatproof.base.files import write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.base import Origin, Reconstruction, save_model
@@ -183,9 +184,10 @@ def _run(job: Job, tell: Tell) -> None:
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
             scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
+        given = disturbed(scene, job.case.pose_noise, job.case.seed)  # scores are of the true scene
     done = job.folder / "trained.json"
     if not done.exists():
-        _train(job, scene, curve, spent, tell)
+        _train(job, given, curve, spent, tell)
         spent.cpu_seconds, spent.peak_memory_mb = curve.spent()
         write_text(done, json.dumps(asdict(spent)))
     before = Spent(**json.loads(done.read_text(encoding="utf-8")))
@@ -214,7 +216,7 @@ def _run(job: Job, tell: Tell) -> None:
         split_sha256=measure.split_sha256(scene),
         model_sha256=measure.arrays_sha256(job.folder / "model"),
         curve=curve.points(),
-        scene_facts=scene.facts | job.data,
+        scene_facts=given.facts | job.data,
         left_out=scene.left_out,
     )
     write_record(job.folder, result)
@@ -283,6 +285,7 @@ def _identity(job: Job) -> dict:
         "scene": job.case.scene_name,
         "method": job.case.method,
         "variant": job.case.variant,
+        "pose_noise": job.case.pose_noise,
         "seed": job.case.seed,
         "protocol": job.case.protocol.name,
         "protocol_rules": asdict(job.case.protocol),

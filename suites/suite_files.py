@@ -13,10 +13,11 @@ from typing import Any
 from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
+from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.registry import methods
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.result import row_name
+from splatproof.reference.types.result import TRUE_POSES, row_name
 
 FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""
@@ -36,6 +37,9 @@ class CaseTable:
     protocols: tuple[str, ...]
     """Registered names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
     seeds: tuple[int, ...] = (0,)
+    pose_noise: tuple[str, ...] = (TRUE_POSES,)
+    """Levels of noise on the poses of training views, drawn with the case's seed; see
+    `splatproof.datasets.pose_noise`. Each level has table rows of its own."""
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
     """Settings that differ from the defaults, by method and by "method@variant"; a variant has those
     of its method too, and where both name a setting the variant's own holds."""
@@ -66,6 +70,8 @@ class Case:
     """What follows the "@", see CaseTable; only the folder and the name in tables depend on it."""
     seed: int
     protocol: Protocol
+    pose_noise: str = TRUE_POSES
+    """Level of the noise on the poses of training views."""
 
     @property
     def scene_name(self) -> str:
@@ -74,8 +80,8 @@ class Case:
 
     @property
     def row(self) -> str:
-        """What tables call it: method, or method@variant."""
-        return row_name(self.method, self.variant)
+        """What tables call it: method@variant~pose-noise-LEVEL, without the parts that are not."""
+        return row_name(self.method, self.variant, self.pose_noise)
 
     @property
     def folder(self) -> Path:
@@ -171,6 +177,7 @@ def case_key(case: Case, backend: str) -> str:
         settings=dataclasses.asdict(case.settings),
         seed=case.seed,
         protocol=dataclasses.asdict(case.protocol),
+        pose_noise=case.pose_noise,
         backend=backend,
     )
 
@@ -200,11 +207,14 @@ def _find(name_or_path: str | Path) -> Path:
 
 def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     """The product of a table, scenes outermost so that each scene is finished before the next."""
-    for name in ("scenes", "methods", "protocols", "seeds"):
+    for name in ("scenes", "methods", "protocols", "seeds", "pose_noise"):
         if not getattr(table, name):
             raise UsageError(f"{where}.{name}: empty; expected at least one")
     if min(table.seeds) < 0:
         raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(table.seeds)}")
+    for level in table.pose_noise:
+        if level not in LEVELS:
+            raise unknown(f"{where}.pose_noise", level, LEVELS)
     parts = {row: _parts(row, f"{where}.methods") for row in table.methods}
     known = {*parts, *(method for method, _ in parts.values())}
     for name in table.settings:
@@ -218,13 +228,13 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     }
     protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
     scenes = [_beside(name, path) for name in table.scenes]
-    product = itertools.product(scenes, table.methods, protocols, table.seeds)
+    product = itertools.product(scenes, table.methods, protocols, table.pose_noise, table.seeds)
     return [
         Case(
             scene=scene, method=parts[row][0], settings=settings[row], variant=parts[row][1],
-            seed=seed, protocol=protocol,
+            seed=seed, protocol=protocol, pose_noise=level,
         )
-        for scene, row, protocol, seed in product
+        for scene, row, protocol, level, seed in product
     ]  # fmt: skip
 
 

@@ -1,10 +1,12 @@
-"""Opens a scene by its registered name or its folder; one line here for each kind of folder."""
+"""Opens a scene by its registered name or its folder, with the adapter that knows such folders."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatproof.base.errors import DataError
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.plugins import with_plugins
 from splatproof.datasets.adapters import (
     kitti,
     levir_nvs,
@@ -20,16 +22,23 @@ from splatproof.datasets.colmap import open_colmap
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
+GROUP = "splatproof.adapters"
+"""Entry point group of other packages' adapters."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Adapter:
     """A kind of scene folder: how it is recognised and opened."""
 
     name: str
+    """What lists and errors call it; letters, digits and "-"."""
     looks_for: str
     """What a folder must have, in words."""
     recognises: Callable[[Path], bool]
+    """Looks at a folder, briefly and without changing it: whether this adapter can open it."""
     open: Callable[[Path, Protocol], Scene]
+    """Opens a folder that is recognised. Photos keep their size, cameras and split as the protocol
+    says (`assemble.open_layout` does that for any layout); no image is decoded."""
 
 
 ADAPTERS = (
@@ -106,7 +115,29 @@ ADAPTERS = (
         open=levir_nvs.open_levir_nvs,
     ),
 )
-"""Tried in this order; the first that recognises a folder opens it."""
+"""Our own, in the order in which they are asked; see `all_adapters`."""
+
+
+@functools.cache
+def all_adapters() -> dict[str, Adapter]:
+    """Every adapter; the first that recognises a folder opens it.
+
+    Installed packages add theirs through entry points of the group GROUP, each of which loads to an
+    `Adapter` and has its name. They are looked up at the first call, so that importing this module
+    loads no other package.
+
+    Returns: Ours by name, then those of other packages.
+    Raises: UsageError, naming the package, where an entry point cannot be loaded or is no Adapter,
+        or where its name is another than the adapter's or one that is in use.
+    """
+    table = with_plugins({adapter.name: adapter for adapter in ADAPTERS}, GROUP, Adapter)
+    for name, adapter in table.items():
+        if name != adapter.name:
+            raise UsageError(
+                f"entry point {name} in {GROUP}: its adapter is called {adapter.name!r}; both must "
+                "have one name, by which lists and errors know it"
+            )
+    return table
 
 
 def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
@@ -114,10 +145,11 @@ def open_scene(spec: str | Path, protocol: Protocol) -> Scene:
 
     Args:
         spec: A scene folder, or a registered name; an existing folder goes first.
-        protocol: The rules.
+        protocol: The rules that the scene is opened under.
 
     Returns: The scene; no image has been decoded yet, unless points are triangulated.
-    Raises: DataError naming the file and fault, or listing what was looked for in the folder.
+    Raises: DataError naming the file and fault, or listing what was looked for in the folder;
+        UsageError for an installed package whose adapter cannot be used.
     """
     folder = Path(spec)
     if not folder.is_dir():
@@ -148,10 +180,11 @@ def _with_test_views(folder: Path, protocol: Protocol) -> Scene:
 
 def _open_folder(folder: Path, protocol: Protocol) -> Scene:
     """Open a folder with the first adapter that recognises it."""
-    for adapter in ADAPTERS:
+    adapters = all_adapters().values()
+    for adapter in adapters:
         if adapter.recognises(folder):
             return adapter.open(folder, protocol)
-    looked = "; ".join(f"{adapter.name}: {adapter.looks_for}" for adapter in ADAPTERS)
+    looked = "; ".join(f"{adapter.name}: {adapter.looks_for}" for adapter in adapters)
     raise DataError(
         f"{folder}: no scene found here; looked for {looked}; "
         "to make one from photos run `bench ingest PHOTOS OUT`"

@@ -9,7 +9,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
-from splatproof.methods.models.explicit import FIELDS, ExplicitModel, explicit_facts
+from splatproof.methods.models.explicit import EXPLICIT, FIELDS, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.rasterizer.rasterize import Mode
 
@@ -60,7 +60,7 @@ def write_merged(
     facts = explicit_facts(
         mode=mode, shift=shift, units=units, primitives=total, degree=round(count**0.5) - 1
     )
-    write_description(folder, ExplicitModel.kind, origin, facts)
+    write_description(folder, EXPLICIT, origin, facts)
     return counts
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from jaxtyping import Float, Int64
 from torch import Tensor
@@ -16,6 +16,8 @@ from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
 from splatproof.methods.models.explicit import ExplicitModel, described, gaussians_in
 from splatproof.methods.storage.packed.reader import read_packed
 
+CITY = "city"
+"""Kind of models that know their blocks."""
 CONTAINER = "model.spgs"
 """The compressed Gaussians, where a model is compressed."""
 
@@ -27,7 +29,6 @@ REGIONS = "regions.safetensors"
 class CityModel(ExplicitModel):
     """Gaussians of all blocks together, and where each comes from."""
 
-    kind: ClassVar[str] = "city"
     blocks: Int64[Tensor, " n"]
     """Block that trained each Gaussian."""
     distances: Float[Tensor, " n"]
@@ -41,6 +42,11 @@ class CityModel(ExplicitModel):
     """The compressed file that `model` was read from; None: not compressed."""
     packed_parts: Mapping[str, int] = field(default_factory=dict)
     """Bytes of each part of that file, see splatproof.methods.storage.packed; they sum to it."""
+
+    @property
+    def kind(self) -> str:
+        """What models are told apart by when they are loaded."""
+        return CITY
 
     def store(self, folder: Path) -> Stored:
         """What `save_model` writes; regions and compressed Gaussians get files of their own.

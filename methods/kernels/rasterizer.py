@@ -1,6 +1,6 @@
 """The native rasterizer: twin of splatproof.reference.rasterizer.rasterize on the CPU, in float32.
 
-It differs from the reference by rounding only, except on pixels that sit on a step of the image's
+It differs from the reference by rounding only, except on pixels at a discontinuity of the image's
 definition (splatproof.reference.checks.discontinuities). Two additions: a Gaussian with a NaN or infinite parameter is
 not drawn and gets zero gradient, and outputs that nobody differentiates cost nothing in the backward
 pass.

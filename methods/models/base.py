@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -56,8 +56,10 @@ class Stored:
 class Reconstruction(Protocol):
     """A trained model of a scene."""
 
-    kind: ClassVar[str]
-    """What models are told apart by when they are loaded."""
+    @property
+    def kind(self) -> str:
+        """What models are told apart by when they are loaded."""
+        ...
 
     @property
     def primitives(self) -> int:
@@ -83,7 +85,7 @@ class Bakes(Protocol):
     """A reconstruction that can be turned into explicit Gaussians."""
 
     def bake(self, view: View | None = None) -> Gaussians:
-        """Explicit Gaussians in the scene's frame, as they are at a view.
+        """Explicit Gaussians in the scene's frame, on the CPU, as they are at a view.
 
         Args:
             view: Whose camera, time and appearance count; None where the model needs none.

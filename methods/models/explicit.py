@@ -3,8 +3,9 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -17,8 +18,10 @@ from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
-from splatproof.reference.types.splats import activated
+from splatproof.reference.types.splats import Splats, activated
 
+EXPLICIT = "explicit"
+"""Kind of models of nothing but Gaussians."""
 FIELDS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 
 
@@ -26,8 +29,6 @@ FIELDS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
 class ExplicitModel:
     """Gaussians and what is needed to draw and export them."""
 
-    kind: ClassVar[str] = "explicit"
-    """What models are told apart by when they are loaded."""
     model: Gaussians
     mode: Mode = "classic"
     """How it is rasterized, see splatproof.reference.rasterizer."""
@@ -37,6 +38,11 @@ class ExplicitModel:
     """Name of the length unit."""
     backend: str = "cpu"
     """Name of the rasterizer; not stored."""
+
+    @property
+    def kind(self) -> str:
+        """What models are told apart by when they are loaded."""
+        return EXPLICIT
 
     @property
     def primitives(self) -> int:
@@ -61,9 +67,17 @@ class ExplicitModel:
             background: Colour behind everything; None is black.
         """
         backend = get_backend(self.backend)
+        device = self._splats.means.device
         return backend.draw(
-            view.camera, activated(self.model), background=background, mode=self.mode
-        )
+            view.camera, self._splats, mode=self.mode,
+            background=None if background is None else background.to(device),
+        ).to("cpu")  # fmt: skip
+
+    @cached_property
+    def _splats(self) -> Splats:
+        """The Gaussians, activated once, where the backend draws."""
+        device = torch.device(get_backend(self.backend).device)
+        return activated(self.model).to(device)
 
     def store(self, folder: Path) -> Stored:
         """What `save_model` writes: the Gaussians and how they are drawn.

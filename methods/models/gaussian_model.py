@@ -58,8 +58,8 @@ class GaussianModel(Model):
         self.degree, self.sh_every, self.dropout = start.degree, sh_every, dropout
 
     def gaussians(self) -> Gaussians:
-        """The model as it is now, without gradients."""
-        values = {name: value.detach() for name, value in self.parameters.rows.items()}
+        """The model as it is now, on the CPU, without gradients."""
+        values = {name: value.detach().cpu() for name, value in self.parameters.rows.items()}
         return assemble(values, self.degree)
 
     def drawn_degree(self, moment: Moment) -> int:

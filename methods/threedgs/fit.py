@@ -40,12 +40,13 @@ def started(scene: Scene, settings: Settings, run: Run) -> Scene:
 
     Args:
         scene: With its own points, if it has any.
-        settings: random_points and dense_cell count.
+        settings: random_points, dense_cell and dense count.
         run: Seed of the draw and bound on images in memory.
     """
     return initialise.with_points(
-        scene, run, random_points=settings.random_points, dense_cell=settings.dense_cell
-    )
+        scene, run, random_points=settings.random_points, dense_cell=settings.dense_cell,
+        dense=settings.dense,
+    )  # fmt: skip
 
 
 def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, Plan]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,8 @@ class Settings:
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
     0.01). 0: none."""
+    dense: DenseSettings = field(default_factory=DenseSettings)
+    """Which photos are matched, and which matches become points, where `dense_cell` is not 0."""
     rates: Rates = field(default_factory=Rates)
     density: Density = field(default_factory=Density)
 

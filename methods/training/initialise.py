@@ -13,6 +13,7 @@ from splatproof.base.errors import DataError
 from splatproof.methods.run import Run
 from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.reference.rasterizer.spherical_harmonics import C0
+from splatproof.reference.supervision.dense_initialisation import DenseSettings
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, SparsePoints
 
@@ -60,7 +61,14 @@ def extent(scene: Scene) -> float:
     return 1.1 * radius
 
 
-def with_points(scene: Scene, run: Run, *, random_points: int = 0, dense_cell: float = 0) -> Scene:
+def with_points(
+    scene: Scene,
+    run: Run,
+    *,
+    random_points: int = 0,
+    dense_cell: float = 0,
+    dense: DenseSettings | None = None,
+) -> Scene:
     """The scene with the points that training starts from.
 
     Args:
@@ -68,10 +76,12 @@ def with_points(scene: Scene, run: Run, *, random_points: int = 0, dense_cell: f
         run: Seed of the draw and bound on images in memory.
         random_points: Points to draw where the scene has none; 0: none.
         dense_cell: Pixels a point that is matched between photos before training; 0: none are.
+        dense: Which photos are matched, and which matches become points; None: by the defaults.
     """
     scene = with_random_points(scene, random_points, run.seed)
     if dense_cell:
-        scene = with_dense_points(scene, dense_cell, run.image_bytes)
+        dense = dense or DenseSettings()
+        scene = with_dense_points(scene, dense_cell, run.image_bytes, dense)
     return scene
 
 

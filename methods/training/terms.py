@@ -11,6 +11,7 @@ from splatproof.methods.kernels.loss import photometric
 from splatproof.methods.training.contract import Model, Moment
 from splatproof.methods.training.parameters import Parameters
 from splatproof.methods.training.regularisers import opacity_pull
+from splatproof.reference.supervision import losses
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
 from splatproof.reference.types.splats import Splats
@@ -57,7 +58,8 @@ class Photometric:
 
     def loss(self, frame: Frame) -> Float[Tensor, ""]:
         """The term of one view."""
-        return photometric(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
+        loss = photometric if frame.image.device.type == "cpu" else losses.photometric
+        return loss(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
 
 
 ImageTerm = Term | Photometric

@@ -14,7 +14,7 @@ def largest_error(value: Tensor, truth: Tensor, ignore: Bool[Tensor, "h w"] | No
     Args:
         value: What is judged, [h, w] or [h, w, c].
         truth: What is right, in the same shape.
-        ignore: Pixels that do not count, e.g. those on a step; None: all count.
+        ignore: Pixels that do not count, e.g. those at a discontinuity; None: all count.
 
     Returns: 0 where nothing is left to compare.
 

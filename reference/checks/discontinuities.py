@@ -1,4 +1,4 @@
-"""Pixels on which two correct rasterizers may differ: those that sit on a step of the definition."""
+"""Pixels on which two correct rasterizers may differ: those at a discontinuity of the definition."""
 
 import torch
 from jaxtyping import Bool, Float
@@ -9,10 +9,10 @@ from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera
 
 BAND = 2e-5
-"""Relative half-width of a step: some ten times the float32 error of an alpha or a transmittance."""
+"""Relative half-width of a discontinuity: some ten times the float32 error of an alpha or a transmittance."""
 
 
-def step_pixels(
+def discontinuity_pixels(
     camera: Camera,
     means: Float[Tensor, "n 3"],
     quaternions: Float[Tensor, "n 4"],
@@ -24,19 +24,19 @@ def step_pixels(
 ) -> Bool[Tensor, "h w"]:
     """Mark pixels where rounding may decide: |alpha - 1/255| or |T - 1e-4| or |T - 1/2| within a band.
 
-    Also pixels that show two Gaussians whose depths differ by less than a float32 can tell. The step
-    of the median depth, T = 1/2, is counted with the rest.
+    Also pixels that show two Gaussians whose depths differ by less than a float32 can tell. The
+    discontinuity of the median depth, T = 1/2, is counted with the rest.
 
     Args:
         camera: The pinhole camera.
-        means: World positions in scene units. Give all arguments in float64: rounding hides steps.
+        means: World positions in scene units. Give all arguments in float64: rounding would hide them.
         quaternions: (w, x, y, z), any norm; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
         opacities: Opacity of each Gaussian, in [0, 1].
         mode: "classic" or "antialiased", as given to the rasterizer.
-        band: Relative half-width of a step, > 0.
+        band: Relative half-width of a discontinuity, > 0.
 
-    Returns: True on a step.
+    Returns: True at a discontinuity.
 
     Source: ours (spec: conventions, item 7).
     """

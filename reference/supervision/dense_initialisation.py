@@ -1,12 +1,17 @@
 """Dense co-visibility initialisation: match pairs, triangulate, score, merge in voxels."""
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
+from scipy.sparse import csr_array
 from torch import Tensor
 
+from splatproof.base.errors import UsageError
 from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.scene import SparsePoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,17 +19,32 @@ class DenseSettings:
     """Thresholds of the initialisation. The paper gives no values: these are ours, to be swept."""
 
     certainty: float = 0.3
-    """tau_c: matches below are dropped. In [0, 1]."""
+    """tau_c: matches that the matcher is less sure of are dropped. In [0, 1]."""
     sigma: float = 1.0
-    """Geometric sensitivity of the score, in pixels at working resolution."""
+    """Reprojection error at which a match has lost 39 % of its score, > 0, in pixels of the photos
+    that are matched."""
     score: float = 0.3
-    """tau_s: points below are dropped. In [0, 1]."""
+    """tau_s: points with a lower score are dropped. In [0, 1]."""
     partners: int = 4
-    """Pairs are formed with this many most co-visible images."""
+    """Images that each image is matched with, the most co-visible ones, >= 1."""
     angles: tuple[float, float] = (2.0, 45.0)
-    """Baseline angle at the median shared point, degrees: pairs outside are not used."""
+    """Least and largest baseline angle of a pair, degrees in [0, 180], at the median shared point."""
     ray_angle: float = 1.5
-    """Smallest angle between the two rays of a match, degrees."""
+    """Smallest angle between the two rays of a match, degrees in [0, 180]."""
+
+    def __post_init__(self) -> None:
+        """Refuse thresholds that mean nothing."""
+        low, high = self.angles
+        for name, fine, expected in (
+            ("certainty", 0 <= self.certainty <= 1, "0 to 1"),
+            ("sigma", 0 < self.sigma < math.inf, "> 0"),
+            ("score", 0 <= self.score <= 1, "0 to 1"),
+            ("partners", self.partners >= 1, ">= 1"),
+            ("angles", 0 <= low <= high <= 180, "0 <= least <= largest <= 180"),
+            ("ray_angle", 0 <= self.ray_angle <= 180, "0 to 180"),
+        ):
+            if not fine:
+                raise UsageError(f"{name} = {getattr(self, name)}: expected {expected}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,34 +56,85 @@ class DensePoints:
     scores: Float[Tensor, " n"]
 
 
+def observations(points: SparsePoints, views: int) -> csr_array:
+    """The tracks turned round: which points each view sees.
+
+    Args:
+        points: Sparse points with their tracks.
+        views: Number of views of the scene.
+
+    Returns: Boolean views x points matrix with one stored entry an observation, a row's points in
+        rising order; a view's row is empty if no track names it.
+    """
+    seen = csr_array(
+        (np.ones(len(points.track_views), bool), points.track_views.numpy(),
+         points.track_starts.numpy()),
+        shape=(len(points), views),
+    )  # fmt: skip
+    return seen.T.tocsr()
+
+
+def points_of(seen: csr_array, view: int) -> Int[Tensor, " m"]:
+    """Points that a view sees.
+
+    Args:
+        seen: See `observations`.
+        view: Row of the view.
+
+    Returns: Indices of the points, rising.
+    """
+    return torch.from_numpy(seen.indices[seen.indptr[view] : seen.indptr[view + 1]]).long()
+
+
+def seen_by_both(seen: csr_array, first: int, second: int) -> Int[Tensor, " m"]:
+    """Points that two views share.
+
+    Args:
+        seen: See `observations`.
+        first: Row of one view.
+        second: Row of the other view.
+
+    Returns: Indices of the points, rising.
+    """
+    a, b = points_of(seen, first).numpy(), points_of(seen, second).numpy()
+    return torch.from_numpy(np.intersect1d(a, b, assume_unique=True))
+
+
 def select_pairs(
     centres: Float[Tensor, "v 3"],
     points: Float[Tensor, "n 3"],
-    seen: Bool[Tensor, "v n"],
+    seen: csr_array,
     settings: DenseSettings,
 ) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of each image with its most co-visible partners at a useful angle.
 
+    Memory grows with the observations and with the pairs of views that share a point, not with
+    views x points.
+
     Args:
-        centres: Camera centres, scene units.
-        points: Sparse points, scene units.
-        seen: Which view's track holds which point.
-        settings: Number of partners, and range of angles.
+        centres: Camera centres in scene units.
+        points: Sparse points in scene units.
+        seen: Which view sees which point, views x points; see `observations`.
+        settings: Number of partners, and the angles that are useful.
 
     Returns: Sorted, without repeats. Ties in co-visibility go to the lower index.
 
     Source: DPGS, Sec. 3.1; numbers of partners and angles: ours.
     """
-    shared = seen.double() @ seen.double().T
-    shared.fill_diagonal_(0)
+    counted = seen.astype(np.int32)
+    shared = (counted @ counted.T).tocsr()
     low, high = settings.angles
     pairs = set()
     for a in range(len(centres)):
+        row = slice(shared.indptr[a], shared.indptr[a + 1])
+        others, counts = shared.indices[row], shared.data[row]
         found = 0
-        for b in torch.sort(shared[a], descending=True, stable=True).indices.tolist():
-            if found == settings.partners or shared[a, b] == 0:
+        for b in others[np.lexsort((others, -counts))].tolist():
+            if found == settings.partners:
                 break
-            median = points[seen[a] & seen[b]].median(dim=0).values
+            if a == b:
+                continue
+            median = points[seen_by_both(seen, a, b)].median(dim=0).values
             angle = _angle(centres[a] - median, centres[b] - median)
             if low <= float(angle) <= high:
                 pairs.add((min(a, b), max(a, b)))
@@ -85,26 +156,34 @@ def triangulate(
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:
     """Two-view linear triangulation (DLT) in normalised coordinates, and the rays' angle.
 
+    Solved with camera A at the origin and the baseline as unit: the homogeneous least squares
+    weighs its errors by where the origin is and by the unit, which must not matter.
+
     Args:
         camera_a: Camera of image A.
-        camera_b: Camera of image B.
-        pixels_a: Pixel positions (x, y) of the matches in image A, centres at .5.
-        pixels_b: Pixel positions (x, y) of the same points in image B.
+        camera_b: Camera of image B, at another place than camera A.
+        pixels_a: Positions in image A, pixels.
+        pixels_b: Positions of the same things in image B, pixels.
 
     Returns: World points (non-finite where the rays are parallel) and angles in degrees.
 
-    Source: Hartley and Zisserman, "Multiple View Geometry", Sec. 12.2.
+    Source: Hartley and Zisserman, "Multiple View Geometry", Sec. 12.2; origin and unit: ours.
     """
+    origin = camera_a.centre.to(pixels_a)
+    baseline = (camera_b.centre.to(pixels_a) - origin).norm()
     rows, directions = [], []
     for camera, pixels in ((camera_a, pixels_a), (camera_b, pixels_b)):
         ray = torch.cat([pixels, torch.ones_like(pixels[:, :1])], dim=1)
         ray = ray @ torch.linalg.inv(camera.K).to(ray).T
-        pose = camera.world_to_camera[:3].to(ray)
+        rotation = camera.rotation.to(ray)
+        shift = rotation @ (origin - camera.centre.to(ray)) / baseline
+        pose = torch.cat([rotation, shift[:, None]], dim=1)
         rows += [ray[:, i, None] * pose[2] - pose[i] for i in (0, 1)]
-        directions.append(ray @ camera.rotation.to(ray))
+        directions.append(ray @ rotation)
     _, _, axes = torch.linalg.svd(torch.stack(rows, dim=1))
     homogeneous = axes[:, 3]
-    return homogeneous[:, :3] / homogeneous[:, 3:], _angle(directions[0], directions[1])
+    points = origin + baseline * homogeneous[:, :3] / homogeneous[:, 3:]
+    return points, _angle(directions[0], directions[1])
 
 
 def reliability(

@@ -1,7 +1,8 @@
 """What a rasterizer returns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -29,3 +30,12 @@ class RenderOutput:
     """Indices of the k Gaussians of largest weight, largest first, ties nearest first; -1: none."""
     contributor_weights: Float[Tensor, "h w k"] | None = None
     """Compositing weights alpha_i T_i of these contributors; 0 where there is none."""
+
+    def to(self, device: torch.device | str) -> "RenderOutput":
+        """The same result with every tensor on a device.
+
+        Args:
+            device: Where to.
+        """
+        moved = {name: value.to(device) for name, value in vars(self).items() if value is not None}
+        return replace(self, **moved)

@@ -8,14 +8,20 @@ AROUND = ("load", "init", "save", "score")
 """Stages that every method has around its own."""
 
 
-def row_name(method: str, variant: str) -> str:
-    """method@variant, or the method alone where it has no variant.
+TRUE_POSES = "none"
+"""Level of pose noise of a case whose training views keep their poses."""
+
+
+def row_name(method: str, variant: str, pose_noise: str = TRUE_POSES) -> str:
+    """What a table calls its row: method@variant~pose-noise-LEVEL, without the parts that are not.
 
     Args:
         method: Name of the method.
-        variant: What a suite calls the method's settings; "": they have no name of their own.
+        variant: What a suite calls the method's settings; "" where it has none but these.
+        pose_noise: Level of the noise on the poses of training views.
     """
-    return f"{method}@{variant}" if variant else method
+    row = f"{method}@{variant}" if variant else method
+    return row if pose_noise == TRUE_POSES else f"{row}~pose-noise-{pose_noise}"
 
 
 def picture_name(image: str) -> str:
@@ -55,6 +61,8 @@ class Result:
     """Every setting of the method, defaults included."""
     variant: str = ""
     """What a suite calls these settings where it runs a method with several; "": it has one."""
+    pose_noise: str = TRUE_POSES
+    """Level of the noise that the poses of training views had; see datasets.pose_noise."""
     images: tuple[ImageScore, ...]
     """Scores of the test images, sorted by name."""
     metrics: dict[str, float]
@@ -86,8 +94,8 @@ class Result:
 
     @property
     def row(self) -> str:
-        """What a table calls the method with these settings: method, or method@variant."""
-        return row_name(self.method, self.variant)
+        """What a table calls the method with these settings and this noise; see `row_name`."""
+        return row_name(self.method, self.variant, self.pose_noise)
 
     @property
     def training_seconds(self) -> float:

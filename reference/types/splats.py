@@ -1,7 +1,8 @@
 """What rasterizers take and give gradients to: the activated primitives of one view."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -38,6 +39,15 @@ class Splats:
     def __len__(self) -> int:
         """Return the number of splats."""
         return len(self.means)
+
+    def to(self, device: torch.device | str) -> "Splats":
+        """The same splats on a device.
+
+        Args:
+            device: Where to.
+        """
+        moved = {name: value.to(device) for name, value in vars(self).items() if value is not None}
+        return replace(self, **moved)
 
 
 def activated(gaussians: Gaussians) -> Splats:

@@ -30,7 +30,12 @@ def _anchors_of(scene: Scene, count: int) -> tuple[torch.Tensor, float]:
 
 
 def draw_attention(scene: Scene, path: Path) -> None:
-    """Whom three anchors attend to within the radius, and how strongly."""
+    """Whom three anchors attend to within the radius, and how strongly.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     centres, voxel = _anchors_of(scene, 400)
     scaled = centres / centres.abs().max()
     inputs = anchor_attention.fourier_code(scaled)
@@ -78,7 +83,12 @@ def _attention_row(
 
 
 def draw_support(scene: Scene, path: Path) -> None:
-    """Occupied voxels by how many neighbours they have, and alignment with the principal axis."""
+    """Occupied voxels by how many neighbours they have, and alignment with the principal axis.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     centres, voxel = _anchors_of(scene, 900)
     around = neighbours(voxelise(centres + voxel / 2, voxel))  # centres lie on multiples
     count = (around >= 0).sum(dim=1) - 1
@@ -100,7 +110,12 @@ def draw_support(scene: Scene, path: Path) -> None:
 
 
 def draw_hierarchy(scene: Scene, path: Path) -> None:
-    """Paths of one anchor, its sub-anchors' Gaussians, and their opacity over time."""
+    """Paths of one anchor, its sub-anchors' Gaussians, and their opacity over time.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     del scene  # motion is drawn on anchors of its own
     settings = mh.HierarchySettings(features=8, instance=4, period=4.0)
     generator = torch.Generator().manual_seed(3)
@@ -135,20 +150,22 @@ def draw_hierarchy(scene: Scene, path: Path) -> None:
 
 
 def draw_dense_points(scene: Scene, path: Path) -> None:
-    """A pair, its certainty, and the depth of the points that survive."""
+    """A pair, its certainty, and the depth of the points that survive.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     views = scene.views
-    seen = torch.zeros(len(views), len(scene.points), dtype=torch.bool)
-    owner = torch.repeat_interleave(
-        torch.arange(len(scene.points)), scene.points.track_starts.diff()
-    )
-    seen[scene.points.track_views, owner] = True
+    seen = dense_initialisation.observations(scene.points, len(views))
     settings = dense_initialisation.DenseSettings()
     centres = torch.stack([view.camera.centre for view in views])
     pairs = dense_initialisation.select_pairs(centres, scene.points.positions, seen, settings)
-    shared = [int((seen[a] & seen[b]).sum()) for a, b in pairs]
-    a, b = pairs[int(np.argmax(shared))]
+    shared = [dense_initialisation.seen_by_both(seen, *pair) for pair in pairs]
+    most = int(np.argmax([len(points) for points in shared]))
+    a, b = pairs[most]
     image_a, image_b = views[a].load(), views[b].load()
-    both = scene.points.positions[seen[a] & seen[b]]
+    both = scene.points.positions[shared[most]]
     plane = plane_between(
         project_points(views[a].camera, both)[0], project_points(views[b].camera, both)[0]
     )

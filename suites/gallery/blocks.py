@@ -23,7 +23,12 @@ BLOCKS = 4
 
 
 def draw_partitions(scene: Scene, path: Path) -> None:
-    """Five partitions into four blocks from above, each block with its load over the mean."""
+    """Five partitions into four blocks from above, each block with its load over the mean.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     place = ground(scene)
     at = place.positions.numpy()
     low, high = np.quantile(at[:, :2], [0.005, 0.995], axis=0)
@@ -53,6 +58,10 @@ def trained_blocks(scene: Scene, margin: float = 0.15) -> tuple[TrainedBlock, ..
 
     Every block holds its own copy of the points in its widened box, moved by a hundredth of the
     box, with random opacities and scales.
+
+    Args:
+        scene: Scene whose sparse points the blocks hold.
+        margin: Width of a rim as a share of the block's size.
     """
     place = ground(scene)
     settings = DensitySettings(max_points=0, max_depth=BLOCKS, max_blocks=BLOCKS)
@@ -78,7 +87,12 @@ def trained_blocks(scene: Scene, margin: float = 0.15) -> tuple[TrainedBlock, ..
 
 
 def draw_stitching(scene: Scene, path: Path) -> None:
-    """Zones of four blocks, and what stays at their rims for a soft and a sharp competition."""
+    """Zones of four blocks, and what stays at their rims for a soft and a sharp competition.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     blocks = trained_blocks(scene)
     soft, sharp = StitchSettings(sharpness=5.0), StitchSettings(sharpness=500.0)
     middle = torch.cat([block.means for block in blocks]).median(dim=0).values
@@ -110,7 +124,12 @@ def draw_stitching(scene: Scene, path: Path) -> None:
 
 
 def draw_sampling(scene: Scene, path: Path) -> None:
-    """Camera centres around the scene's middle by bin, and how often each is drawn."""
+    """Camera centres around the scene's middle by bin, and how often each is drawn.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     place = ground(scene)
     settings = SamplingSettings()
     centres = torch.stack([view.camera.centre for view in scene.train_views])
@@ -136,9 +155,9 @@ def draw_spectrum(model: Gaussians, path: Path, *, gate: float = spectral.GATE) 
     """Spectral energy of a trained model from above, its distribution, and what the gate drops.
 
     Args:
-        model: Of degree 1 to 3.
-        path: The PNG.
-        gate: gamma.
+        model: Gaussians with harmonics of degree 1 to 3.
+        path: PNG file to write.
+        gate: Energy (the paper's gamma) below which harmonics are dropped, >= 0.
     """
     solid = model.opacities > 0.1
     model = replace(model, means=model.means[solid], sh=model.sh[solid])

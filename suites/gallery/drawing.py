@@ -29,7 +29,14 @@ def panels(columns: int, *, width: float = 10.0, ratio: float = 0.75) -> tuple[F
 
 
 def show_image(axes: Axes, image: np.ndarray, title: str, **options: object) -> None:
-    """An image or map without ticks under its title."""
+    """An image or map without ticks under its title.
+
+    Args:
+        axes: Panel to draw on.
+        image: Image, or a map of one value a pixel.
+        title: Line above it.
+        options: Further arguments of matplotlib's imshow.
+    """
     axes.imshow(image, interpolation="nearest", **options)  # type: ignore[arg-type]
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])
@@ -37,13 +44,23 @@ def show_image(axes: Axes, image: np.ndarray, title: str, **options: object) -> 
 
 
 def show_plan(axes: Axes, title: str) -> None:
-    """Equal scales and a title for a map seen from above."""
+    """Equal scales and a title for a map seen from above.
+
+    Args:
+        axes: Panel that holds the map.
+        title: Line above it.
+    """
     axes.set_aspect("equal")
     axes.set_title(title, fontsize=9)
     axes.tick_params(labelsize=7)
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a PNG, atomically."""
+    """Write a PNG, atomically.
+
+    Args:
+        figure: Picture to write.
+        path: PNG file; its folder is made.
+    """
     with whole_file(path) as partial:
         figure.savefig(partial, format="png")

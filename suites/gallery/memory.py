@@ -37,7 +37,12 @@ def _most_downward(scene: Scene) -> int:
 
 
 def filled_memory(scene: Scene, count: int = 8) -> LayeredDepth:
-    """The true depths of some views in one memory; eps_d is 1 % of the reference's mean depth."""
+    """The true depths of some views in one memory; eps_d is 1 % of the reference's mean depth.
+
+    Args:
+        scene: Scene whose views have true depth.
+        count: Views that are put in, at most.
+    """
     first = _most_downward(scene)
     points, _ = _truth(scene.views[first])
     camera = scene.views[first].camera
@@ -49,7 +54,12 @@ def filled_memory(scene: Scene, count: int = 8) -> LayeredDepth:
 
 
 def draw_layers(scene: Scene, path: Path) -> None:
-    """Layers a pixel, the nearest layer, and the guide depth in another view."""
+    """Layers a pixel, the nearest layer, and the guide depth in another view.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     memory = filled_memory(scene)
     camera = memory.camera
     shape = (camera.height, camera.width)
@@ -70,7 +80,12 @@ def draw_layers(scene: Scene, path: Path) -> None:
 
 
 def draw_adaptation(scene: Scene, path: Path) -> None:
-    """A view's depth from a few points: aligned, guided, and the truth."""
+    """A view's depth from a few points: aligned, guided, and the truth.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     index = scene.train[0]
     view = scene.views[index]
     assert view.load_depth is not None
@@ -105,7 +120,12 @@ def _tracks_of(scene: Scene, view: int) -> Tensor:
 
 
 def draw_planes(scene: Scene, path: Path) -> None:
-    """The plane stack in a side view, and where the rays of one camera meet it."""
+    """The plane stack in a side view, and where the rays of one camera meet it.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     memory = filled_memory(scene)
     cloud, colours = memory.positions, memory.colours
     normal = multi_plane.plane_normal(cloud, scene.up)
@@ -137,7 +157,12 @@ def draw_planes(scene: Scene, path: Path) -> None:
 
 
 def draw_spiral(scene: Scene, path: Path) -> None:
-    """The descent around the scene, from above and from the side."""
+    """The descent around the scene, from above and from the side.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     cloud = scene.points.positions
     heights = cloud @ scene.up
     ground = float(heights.quantile(0.05))

@@ -121,8 +121,9 @@ COMPONENTS = (
     ),
     Component(
         title="Metrics",
-        modules=("metrics/ssim", "metrics/flip", "metrics/seam", "metrics/seam_released",
-                 "metrics/geometry", "metrics/depth", "metrics/balance", "metrics/scoring"),
+        modules=("metrics/ssim", "metrics/flip", "metrics/colour_difference", "metrics/gradient",
+                 "metrics/seam", "metrics/seam_released", "metrics/geometry", "metrics/depth",
+                 "metrics/balance", "metrics/scoring"),
         source="spec of each in its docstring; StitchGS, Sec. 5 for the seam family",
         pictures=(Picture(file="seams", draw=trained.draw_seams,
                           caption="A render, its blocks, the seam mask over it, and its error"),),
@@ -131,7 +132,13 @@ COMPONENTS = (
 
 
 def draw(scene: Scene, folder: Path, report: Callable[[str], None]) -> list[Path]:
-    """Draw every picture into a folder; `report` hears each file as it is done."""
+    """Draw every picture into a folder; `report` hears each file as it is done.
+
+    Args:
+        scene: Scene that the pictures are made of.
+        folder: Folder of the pictures.
+        report: Called with the name of each file as it is done.
+    """
     files = []
     for component in COMPONENTS:
         for picture in component.pictures:

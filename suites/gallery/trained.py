@@ -35,12 +35,22 @@ def short_model(scene: Scene) -> Gaussians:
 
 
 def draw_spectral_energy(scene: Scene, path: Path) -> None:
-    """Spectral energy of the Gaussians, and what the gate drops."""
+    """Spectral energy of the Gaussians, and what the gate drops.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     draw_spectrum(short_model(scene), path)
 
 
 def draw_seams(scene: Scene, path: Path) -> None:
-    """Seam mask over a render, the render by block, and the two strongest blocks' difference."""
+    """Seam mask over a render, the render by block, and the two strongest blocks' difference.
+
+    Args:
+        scene: Scene that the picture is made of.
+        path: PNG file to write.
+    """
     model = short_model(scene)
     means = model.means.double()
     settings = DensitySettings(max_points=0, max_depth=4, max_blocks=4)

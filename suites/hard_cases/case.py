@@ -35,7 +35,12 @@ def fixed(*values: Tensor) -> Callable[[], tuple[Tensor, ...]]:
 
 
 def drawn(seed: int, *shapes: tuple[int, ...]) -> Callable[[], tuple[Tensor, ...]]:
-    """Normal random inputs of the given shapes."""
+    """Normal random inputs of the given shapes.
+
+    Args:
+        seed: Seed of the draw.
+        shapes: Shape of each input.
+    """
 
     def make() -> tuple[Tensor, ...]:
         generator = torch.Generator().manual_seed(seed)

@@ -30,7 +30,14 @@ class GaussianScene:
 
 
 def camera_at(width: int, height: int, *, turn: float = 0.1, near: float = 0.01) -> Camera:
-    """A camera near the origin that looks along +z, turned a little about y and x."""
+    """A camera near the origin that looks along +z, turned a little about y and x.
+
+    Args:
+        width: Pixels of a row.
+        height: Rows of pixels.
+        turn: Angle about y in radians; about x it is -0.7 times as large.
+        near: Depth of the near plane in scene units, > 0.
+    """
     a, b = torch.tensor([turn, -0.7 * turn], dtype=torch.float64)
     yaw, pitch = torch.eye(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
     yaw[0, 0] = yaw[2, 2] = a.cos()
@@ -48,7 +55,15 @@ def camera_at(width: int, height: int, *, turn: float = 0.1, near: float = 0.01)
 
 
 def random_scene(count: int, seed: int, *, width: int = 33, height: int = 21, degree: int = 3):
-    """Gaussians in and around the field of view: 0.3 to 8 px wide, of every opacity."""
+    """Gaussians in and around the field of view: 0.3 to 8 px wide, of every opacity.
+
+    Args:
+        count: Number of Gaussians, >= 0.
+        seed: Seed of the draw, >= 0.
+        width: Pixels of a row.
+        height: Rows of pixels.
+        degree: Degree of the spherical harmonics, 0 to 3.
+    """
     g = torch.Generator().manual_seed(seed)
     camera = camera_at(width, height, turn=0.1 + 0.1 * (seed % 5))
     z = 0.5 + 5 * torch.rand(count, generator=g)

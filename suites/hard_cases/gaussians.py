@@ -9,14 +9,20 @@ from torch import Tensor
 
 from splatproof.methods.backends import get_backend
 from splatproof.reference.checks.agreement import compare_gradients, largest_error
-from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene, camera_at, random_scene
 
 
 def facing(count: int, *, width: int = 17, height: int = 33) -> GaussianScene:
-    """Gaussians straight before a camera at the origin that is not turned, in one line of sight."""
+    """Gaussians straight before a camera at the origin that is not turned, in one line of sight.
+
+    Args:
+        count: Number of Gaussians, >= 0; also the seed of their colours.
+        width: Pixels of a row.
+        height: Rows of pixels.
+    """
     g = torch.Generator().manual_seed(count)
     camera = camera_at(width, height, turn=0.0)
     means = torch.zeros(count, 3)
@@ -36,7 +42,14 @@ def needle(scene: GaussianScene) -> GaussianScene:
 
 
 def put(scene: GaussianScene, name: str, rows: Any, values: Any) -> GaussianScene:
-    """The scene with some rows of one parameter set."""
+    """The scene with some rows of one parameter set.
+
+    Args:
+        scene: Scene that is left as it is.
+        name: Name of the parameter.
+        rows: Indices or mask of the Gaussians.
+        values: What they get.
+    """
     changed = getattr(scene, name).clone()
     changed[rows] = torch.as_tensor(values)
     return scene.but(**{name: changed})
@@ -51,7 +64,12 @@ def behind_the_near_plane() -> GaussianScene:
 
 
 def ties(count: int, gap: float) -> GaussianScene:
-    """Faint coplanar Gaussians; every other one lies `gap` behind."""
+    """Faint coplanar Gaussians; every other one lies `gap` behind.
+
+    Args:
+        count: Number of Gaussians.
+        gap: Distance in depth between the two planes, scene units; 0: one plane.
+    """
     scene = facing(count, width=9, height=9)
     xy = (torch.rand(count, 2, generator=torch.Generator().manual_seed(1)) - 0.5) * 2
     z = torch.full((count, 1), 2.0)
@@ -108,7 +126,15 @@ def render(
     weights: Tensor,
     mode: Mode,
 ) -> tuple[Any, list[Tensor]]:
-    """Image, and gradients of a random weighting of colour, alpha and depth."""
+    """Image, and gradients of a random weighting of colour, alpha and depth.
+
+    Args:
+        rasterize: Function with the signature of the reference's rasterizer.
+        scene: Gaussians and the camera that looks at them.
+        dtype: Precision of the parameters.
+        weights: Weight of each value of the image, height x width x 3.
+        mode: How opacities are filtered, as for the rasterizer.
+    """
     leaves = scene.arguments(dtype)
     out = rasterize(scene.camera, *leaves[:4], sh=leaves[4], mode=mode)
     loss = (out.colour * weights.to(dtype)).sum() + (out.alpha * weights[..., 0].to(dtype)).sum()
@@ -121,7 +147,7 @@ def render(
 def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, Any]:
     """One implementation on one case against the float64 reference.
 
-    Pixels on a step of the definition are counted and left out of errors and gradients.
+    Pixels at a discontinuity of the definition are counted and left out of errors and gradients.
 
     Args:
         case: Key of CASES.
@@ -129,11 +155,11 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
         mode: As for the rasterizer.
     """
     scene = CASES[case]()
-    steps = step_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
+    ignored = discontinuity_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
                         mode=mode)  # fmt: skip
     generator = torch.Generator().manual_seed(3)
     weights = torch.randn(scene.camera.height, scene.camera.width, 3, generator=generator)
-    weights[steps] = 0
+    weights[ignored] = 0
     start = time.perf_counter()
     out, gradients = render(
         get_backend(implementation).rasterize, scene, torch.float32, weights, mode
@@ -144,7 +170,7 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
     for name in ("colour", "alpha", "depth"):
         value, wanted = getattr(out, name).detach(), getattr(truth, name).detach()
         scale = max(1.0, float(wanted.abs().max()) if wanted.numel() else 0)
-        error = max(error, largest_error(value, wanted, ignore=steps) / scale)
+        error = max(error, largest_error(value, wanted, ignore=ignored) / scale)
     floor = 1e-6 * max(float(t.norm()) for t in true_gradients)
     agreements = [
         compare_gradients(value, wanted, floor=floor)
@@ -155,7 +181,7 @@ def judge(case: str, implementation: str, mode: Mode = "classic") -> dict[str, A
     good = finite and error <= budget and all(agreement.good() for agreement in agreements)
     return {
         "component": "rasterizer", "case": case, "implementation": f"{implementation} float32 {mode}",
-        "expect": "finite", "budget": budget, "step_pixels": int(steps.sum()), "finite": finite,
+        "expect": "finite", "budget": budget, "discontinuity_pixels": int(ignored.sum()), "finite": finite,
         "max_abs_error": error, "grad_rel_l2": max(a.relative_l2 for a in agreements), "ms": ms,
         "ok": good, "note": "",
     }  # fmt: skip

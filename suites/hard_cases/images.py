@@ -5,7 +5,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import find_metric
 from splatproof.suites.hard_cases.case import HardCase, fixed
 
 NAMES = ("psnr", "ssim_3dgs", "ssim_valid", "flip", "l1")
@@ -15,7 +15,7 @@ def _metric(name: str) -> Callable[[Tensor, Tensor], Tensor]:
     """1 / (1 + value), so that the infinite PSNR of equal images is a finite 0."""
 
     def run(image: Tensor, truth: Tensor) -> Tensor:
-        value = METRICS[name].function(image, truth, None)
+        value = find_metric(name).function(image, truth, None)
         return torch.tensor([1 / (1 + value)], dtype=image.dtype)
 
     return run

@@ -6,7 +6,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from splatproof.reference.types.result import Result, row_name
+from splatproof.reference.types.result import Result
 from splatproof.suites.records import read_finished
 
 MB = 2**20
@@ -21,7 +21,7 @@ class OurRow:
     protocol: str
     seeds: int
     values: dict[str, float]
-    """By the names of the published metrics."""
+    """Means by the names of the published metrics."""
 
 
 def our_rows(folder: Path) -> list[OurRow]:
@@ -31,8 +31,7 @@ def our_rows(folder: Path) -> list[OurRow]:
     """
     groups: dict[tuple[str, str, str], list[Result]] = defaultdict(list)
     for result in read_finished(folder):
-        row = row_name(result.method, result.variant)
-        groups[result.scene, row, result.protocol].append(result)
+        groups[result.scene, result.row, result.protocol].append(result)
     return [
         OurRow(scene=scene, method=row, protocol=protocol, seeds=len(group), values=_means(group))
         for (scene, row, protocol), group in groups.items()

@@ -89,12 +89,21 @@ def load_published(suite: str) -> Published:
 
 
 def reasons(published: Published, scene: str) -> tuple[str, ...]:
-    """Why a result of that scene is not comparable with the paper's; empty: it is."""
+    """Why a result of that scene is not comparable with the paper's; empty: it is.
+
+    Args:
+        published: Numbers and conditions of one paper.
+        scene: Name of the suite's scene.
+    """
     return (*published.differs, *published.scenes[scene].differs)
 
 
 def rows_of(published: Published, scene: str) -> list[PublishedRow]:
     """The published rows that stand beside a scene of the suite, in the paper's order.
+
+    Args:
+        published: Numbers and conditions of one paper.
+        scene: Name of the suite's scene.
 
     Raises: UsageError for a scene that the paper's file does not have.
     """

@@ -18,6 +18,7 @@ from splatproof.methods.kernels import blocks as kernels
 from splatproof.metrics.scoring import round_to_8_bit
 from splatproof.metrics.seam import SeamView, seam_scores, seam_sums
 from splatproof.metrics.seam_partition import partition_seam_mask
+from splatproof.metrics.seam_released import seam_scores_released
 from splatproof.metrics.seam_render import render_seam_view
 from splatproof.reference.partition.boxes import Region
 from splatproof.reference.rasterizer.rasterize import Mode
@@ -26,6 +27,7 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import picture_name
 from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.held_out import write_png
+from splatproof.suites.scene_scores.released_seams import boxes_of, released_scores
 from splatproof.suites.scene_scores.surface import surface_depth
 
 COLOURS = (
@@ -67,7 +69,10 @@ class Blocked(Shape):
 def score_seams(
     scene: Scene, model: Blocked, protocol: Protocol, backend: str, folder: Path
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
-    """The four seam metrics of every test view, and over the seam pixels of all of them together.
+    """The seam metrics of every test view, and over all of them together.
+
+    The paper's four pool the seam pixels of all views, on the partition's own mask. Where the blocks
+    are boxes, those of the paper's release stand beside them (suites/scene_scores/released_seams.py).
 
     Writes seams/ (the render, seam pixels in red) and blocks/ (each pixel in the colours of the
     blocks that it is composited from, in their shares) as PNGs named after the views.
@@ -80,17 +85,22 @@ def score_seams(
         folder: Of the case.
     Returns: View name to its metrics, and the scene's. nan where no seam pixel is.
     """
-    views, sums = {}, []
+    views, sums, released = {}, [], []
+    boxes = boxes_of(model.regions)
     with new_folder(folder / "seams") as masks, new_folder(folder / "blocks") as coloured:
         for index in sorted(scene.test, key=lambda i: scene.views[i].name):
             view = scene.views[index]
             seen = seam_view(scene, index, model, protocol, backend)
             sums.append(seam_sums(seen))
-            views[view.name] = seam_scores([sums[-1]]).values
+            views[view.name] = dict(seam_scores([sums[-1]]).values)
+            if boxes:
+                released.append(released_scores(view, seen, boxes, masked=protocol.masked))
+                views[view.name] |= released[-1].values
             name = picture_name(view.name)
             write_png(masks / name, mask_picture(seen.image, seen.seam))
             write_png(coloured / name, block_picture(seen.block_weights))
-    return views, seam_scores(sums).values
+    whole = dict(seam_scores(sums).values)
+    return views, whole | seam_scores_released(released).values if boxes else whole
 
 
 def seam_view(

@@ -1,4 +1,4 @@
-"""How true the surface is that a model shows, where the scene knows the true depth of its views."""
+"""How true the depth and surface are that a model shows, where the scene knows its views' depth."""
 
 from collections.abc import Sequence
 
@@ -6,8 +6,11 @@ import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
 
+from splatproof.base.errors import DataError
 from splatproof.methods.models.base import Reconstruction
+from splatproof.metrics.depth import depth_errors
 from splatproof.metrics.geometry import geometry_scores
+from splatproof.metrics.parts import mean_over_images
 from splatproof.metrics.seam_partition import surface_points
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, View
@@ -28,31 +31,70 @@ SLACK = 0.02
 
 
 def geometry_metrics(scene: Scene, model: Reconstruction) -> dict[str, float]:
-    """Accuracy, completeness and F-score of the rendered depth, back-projected, against the truth.
+    """Errors of the rendered depth of scored views, and of the surface that all views show.
 
-    Expected depths of training and test views become one cloud, true depths of the same pixels the
-    other. `geometry_blind_completeness` is the completeness of what test views truly see and no
-    training view does.
+    The first are those of metrics/depth.py, where any scored view has true depth. The second, where
+    all views of the scene have it: expected depths of training and test views become one cloud, true
+    depths of the same pixels the other, and they have accuracy, completeness and F-score.
+    `geometry_blind_completeness` is the completeness of what test views truly see and no training
+    view does. Each view is rendered once.
 
-    Returns: Empty unless all views of the scene have true depth. nan where nothing is blind.
-    Source: ours; the scores are those of metrics/geometry.py.
+    Args:
+        scene: Its test views are the scored ones.
+        model: What is judged, by what it renders.
+    Returns: depth_... and geometry_... by name, see metrics/scene_registry.py; empty where no true
+        depth is known. nan where nothing is blind.
+    Raises: DataError naming a view in which the model's depth is negative or not finite.
+    Source: ours; the scores are those of metrics/depth.py and metrics/geometry.py.
     """
-    if any(view.load_depth is None for view in scene.views):
-        return {}
+    whole = all(view.load_depth is not None for view in scene.views)
     step = max(1, -(-len(scene.train) // TRAINING_VIEWS))
-    chosen = [*scene.train_views[::step], *scene.test_views]
-    found, true, blind = [], [], []
-    for view in chosen:
+    chosen = [(view, False) for view in scene.train_views[::step] if whole]
+    chosen += [(view, True) for view in scene.test_views if view.load_depth is not None]
+    errors, found, true, blind = [], [], [], []
+    for view, scored in chosen:
         depth = _truth(view)
         render = model.render(view.without_truth())
-        shown = (render.alpha >= OPAQUE) & (render.depth > 0)
-        found.append(_cloud(view, torch.where(shown, render.depth, torch.inf)))
-        true.append(_cloud(view, depth))
-        blind.append(torch.full((len(true[-1]),), view in scene.test_views))
-    reference, rows = _thinned(torch.cat(true))
-    unseen = torch.cat(blind)[rows]
+        if scored:
+            errors.append(_depth_errors(view, render.depth, depth))
+        if whole:
+            shown = (render.alpha >= OPAQUE) & (render.depth > 0)
+            found.append(_cloud(view, torch.where(shown, render.depth, torch.inf)))
+            true.append(_cloud(view, depth))
+            blind.append(torch.full((len(true[-1]),), scored))
+    surface = _surface(scene, *map(torch.cat, (found, true, blind))) if whole else {}
+    return _mean_errors(errors) | surface
+
+
+def _depth_errors(view: View, depth: Tensor, truth: Tensor) -> dict[str, float]:
+    """Errors of a view's depth where its mask has it scored."""
+    try:
+        return depth_errors(depth, truth, None if view.load_mask is None else view.load_mask())
+    except DataError as error:
+        raise DataError(f"{view.name}: {error}") from error
+
+
+def _mean_errors(views: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Means over the views in which any pixel counts: the truth decides which these are."""
+    return {
+        f"depth_{name.removeprefix('depth_')}": mean_over_images([view[name] for view in views])
+        for name in (views[0] if views else ())
+    }
+
+
+def _surface(scene: Scene, found: Tensor, true: Tensor, blind: Tensor) -> dict[str, float]:
+    """Scores of the cloud that the model shows against the true one.
+
+    Args:
+        scene: With true depth of all views.
+        found: Points that the model shows.
+        true: Points of the true surface.
+        blind: Which true points are of a test view.
+    """
+    reference, rows = _thinned(true)
+    unseen = blind[rows]
     unseen[unseen.clone()] = ~seen_by(reference[unseen], scene.train_views)
-    cloud, _ = _thinned(torch.cat(found))
+    cloud, _ = _thinned(found)
     every = geometry_scores(cloud, reference, THRESHOLD)
     hidden = torch.nan
     if bool(unseen.any()):

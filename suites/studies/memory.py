@@ -9,13 +9,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.image_cache import ImageCache
-from splatproof.methods.training.dense_points import match, observed
+from splatproof.methods.training.dense_points import match
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.layered_memory import layered_depth
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
@@ -34,11 +35,11 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
         scene = open_scene("courtyard" if quick else "brighton_beach", protocol)
     except MissingError:
         scene = open_scene("courtyard", protocol)
-    seen = observed(scene)
+    seen = dense.observations(scene.points, len(scene.views))
     batches = dense_batches(scene, seen, 4 if quick else 12)
-    reference = int(seen[list(scene.train)].sum(dim=1).argmax())
+    reference = int(seen[list(scene.train)].sum(axis=1).argmax())
     camera = scene.views[scene.train[reference]].camera
-    held = scene.points.positions[seen[scene.train[reference]]]
+    held = scene.points.positions[dense.points_of(seen, scene.train[reference])]
     eps = SHARE * float(project_points(camera, held)[1].median())
     for name, distance in (("layered", eps), ("accumulated", 1e-12)):
         start = time.perf_counter()
@@ -53,36 +54,48 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-def dense_batches(scene: Scene, seen: Bool[Tensor, "v n"], most: int) -> list[dense.DensePoints]:
-    """Dense points of up to `most` pairs of training views, the most co-visible first."""
+def dense_batches(scene: Scene, seen: csr_array, most: int) -> list[dense.DensePoints]:
+    """Dense points of pairs of training views, the most co-visible pairs first.
+
+    Args:
+        scene: A scene with tracks.
+        seen: Which view of the scene sees which point, views x points.
+        most: Number of pairs that are matched, at most.
+
+    Returns: The points of each pair, apart.
+    """
     settings = dense.DenseSettings()
-    train = torch.tensor(scene.train)
+    trained = seen[list(scene.train)]
     centres = torch.stack([scene.views[i].camera.centre for i in scene.train])
-    pairs = dense.select_pairs(centres, scene.points.positions, seen[train], settings)
-    shared = [int((seen[train[a]] & seen[train[b]]).sum()) for a, b in pairs]
-    order = sorted(range(len(pairs)), key=lambda i: (-shared[i], pairs[i]))[:most]
+    pairs = dense.select_pairs(centres, scene.points.positions, trained, settings)
+    shared = {pair: dense.seen_by_both(trained, *pair) for pair in pairs}
+    order = sorted(pairs, key=lambda pair: (-len(shared[pair]), pair))[:most]
     images = ImageCache(0)
-    batches = []
-    for a, b in (pairs[i] for i in order):
-        both = scene.points.positions[seen[scene.train[a]] & seen[scene.train[b]]]
-        first, second = scene.views[scene.train[a]], scene.views[scene.train[b]]
-        batches.append(match(first, second, both, images, settings))
-    return batches
+    return [
+        match(
+            scene.views[scene.train[a]], scene.views[scene.train[b]],
+            scene.points.positions[shared[a, b]], images, settings,
+        )
+        for a, b in order
+    ]  # fmt: skip
 
 
-def guide_error(
-    scene: Scene, seen: Bool[Tensor, "v n"], memory: LayeredDepth
-) -> tuple[float, float]:
+def guide_error(scene: Scene, seen: csr_array, memory: LayeredDepth) -> tuple[float, float]:
     """Median relative guide-depth error over the held-out views, and the share of truths covered.
 
-    Returns: nan where nothing is covered.
+    Args:
+        scene: A scene with tracks; the sparse points of a held-out view are its truth.
+        seen: Which view of the scene sees which point, views x points.
+        memory: The memory that guides.
+
+    Returns: The error and the share, both in [0, 1]; the error is nan where nothing is covered.
     """
     errors: list[Float[Tensor, " m"]] = []
     truths = 0
     for index in scene.test:
         view = scene.views[index]
         guide, visible = layered_depth.render(memory, view.camera)
-        at, z = project_points(view.camera, scene.points.positions[seen[index]])
+        at, z = project_points(view.camera, scene.points.positions[dense.points_of(seen, index)])
         size = at.new_tensor([view.camera.width, view.camera.height])
         inside = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > 0)
         column, row = at[inside].long().unbind(dim=1)

@@ -48,7 +48,7 @@ class Format:
 
     name: str
     gate: float | None
-    """Of the harmonics; None: the format has none."""
+    """Energy below which a Gaussian's harmonics are dropped; None: the format keeps all."""
     write: Callable[[Path, Gaussians], Mapping[str, int]]
     """Writes a file and says its bytes by part, if it can."""
     read: Callable[[Path], Gaussians]
@@ -96,7 +96,16 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
 def row(
     kind: Format, scene: Scene, fitted: ExplicitModel, base: float, protocol: Protocol, path: Path
 ) -> dict[str, Any]:
-    """Size, times and loss of one format. Times are the second of two runs: the first warms up."""
+    """Size, times and loss of one format. Times are the second of two runs: the first warms up.
+
+    Args:
+        kind: Format that the model is stored in.
+        scene: Scene whose held-out views are rendered.
+        fitted: Model as it was trained.
+        base: PSNR in dB of the trained model against the photos; the loss is counted from it.
+        protocol: Rules that the scene was opened under.
+        path: File to write the model to.
+    """
     count = fitted.primitives
     try:
         _there_and_back(kind, fitted.model, path)
@@ -129,7 +138,14 @@ def _there_and_back(
 def quality(
     scene: Scene, fitted: ExplicitModel, model: Gaussians, protocol: Protocol
 ) -> dict[str, float]:
-    """Mean PSNR over the held-out views, to the photos and to the renders of the trained model."""
+    """Mean PSNR over the held-out views, to the photos and to the renders of the trained model.
+
+    Args:
+        scene: Scene whose held-out views are rendered.
+        fitted: Model as it was trained.
+        model: Gaussians as they came back from storage.
+        protocol: Rules that the scene was opened under; its background is used.
+    """
     stored = ExplicitModel(model=model, mode=fitted.mode)
     background = torch.tensor(protocol.background)
     scores, same = [], []

@@ -13,7 +13,12 @@ Row = dict[str, Any]
 
 
 def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Write size.png into the folder; nothing where no row has a size."""
+    """Write size.png into the folder; nothing where no row has a size.
+
+    Args:
+        rows: Rows of the size study.
+        folder: Folder of the picture.
+    """
     held = [row for row in rows if "bytes_each" in row]
     if not held:
         return []

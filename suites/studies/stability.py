@@ -17,7 +17,7 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
     """A row a case and implementation.
 
     Keys: component, case, implementation, expect, finite, max_abs_error, grad_rel_l2,
-    step_pixels, budget, ms, ok, note.
+    discontinuity_pixels, budget, ms, ok, note.
 
     Args:
         quick: Leave out the cases of more than a thousand Gaussians.
@@ -31,7 +31,7 @@ def judge(case: HardCase) -> dict[str, Any]:
     """Run one case of a component in float64 and float32 and hold the two against each other."""
     row: dict[str, Any] = {
         "component": case.component, "case": case.name, "implementation": "reference float32",
-        "expect": case.expect, "budget": case.budget, "step_pixels": 0,
+        "expect": case.expect, "budget": case.budget, "discontinuity_pixels": 0,
     }  # fmt: skip
     if case.expect == "refused":
         return row | refusal(case)
@@ -73,7 +73,12 @@ def refusal(case: HardCase) -> dict[str, Any]:
 
 
 def evaluate(case: HardCase, dtype: torch.dtype) -> tuple[Tensor, list[Tensor], float]:
-    """Outputs, gradients by the inputs (none unless differentiable) and milliseconds."""
+    """Outputs, gradients by the inputs (none unless differentiable) and milliseconds.
+
+    Args:
+        case: Case that is run.
+        dtype: Precision that its inputs are given in.
+    """
     inputs = [value.to(dtype).requires_grad_(case.differentiable) for value in case.inputs()]
     start = time.perf_counter()
     value = case.run(*inputs)

@@ -34,13 +34,13 @@ STUDIES = {
     "stability": Study(
         description="every hard case through every implementation: error, gradient, budget",
         columns=("component", "case", "implementation", "max_abs_error", "grad_rel_l2",
-                 "step_pixels", "budget", "ms", "ok", "note"),
+                 "discontinuity_pixels", "budget", "ms", "ok", "note"),
         rows=stability.rows,
     ),
     "speed": Study(
         description="time, memory and error of everything that has a twin",
         columns=("component", "twin", "case", "forward_ms", "backward_ms", "max_abs_error",
-                 "rms_error", "grad_rel_l2", "step_pixels", "peak_mb", "share", "value", "unit",
+                 "rms_error", "grad_rel_l2", "discontinuity_pixels", "peak_mb", "share", "value", "unit",
                  "disturbed_percent", "ok", "note"),
         rows=speed.rows, options=frozenset({"wait", "backend"}), pictures=speed.pictures,
         page=speed_page.page, logged=True,

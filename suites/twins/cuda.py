@@ -44,7 +44,12 @@ def on_device(start: Callable[[Problem, Leaves], Forward]) -> Callable[[Problem,
 
 
 def own_call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
-    """gsplat's documented call with nothing of ours around it."""
+    """gsplat's documented call with nothing of ours around it.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        given: Everything else of the problem, by name.
+    """
     means = leaves["means"]
     camera = given["camera"]
     image, _, _ = importlib.import_module("gsplat").rasterization(
@@ -56,7 +61,12 @@ def own_call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
 
 
 def own_pipeline(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
-    """The same behind the activations of the trained parameters."""
+    """The same behind the activations of the trained parameters.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        given: Everything else of the problem, by name.
+    """
     activated = dict(leaves)
     activated["scales"] = leaves["log_scales"].exp()
     activated["opacities"] = leaves["opacity_logits"].sigmoid()

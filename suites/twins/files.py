@@ -34,12 +34,22 @@ def numbers(g: Gaussians) -> Tensor:
 
 
 def untouched(leaves: Leaves, _: Mapping[str, Any]) -> Tensor:
-    """The model as it is."""
+    """The model as it is.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        _: Everything else of the problem, by name; not needed here.
+    """
     return numbers(Gaussians(**leaves))
 
 
 def returns(settings: PackSettings, kind: container.Packing) -> Callable[..., Any]:
-    """`start` of packing, writing, reading and unpacking."""
+    """`start` of packing, writing, reading and unpacking.
+
+    Args:
+        settings: How the model is packed.
+        kind: How the file is written.
+    """
 
     def call(leaves: Leaves, _: Mapping[str, Any]) -> Tensor:
         data = container.encode(packing.pack(Gaussians(**leaves), settings), kind)

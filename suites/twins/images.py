@@ -46,7 +46,12 @@ def planes(image: Tensor) -> Tensor:
 
 
 def kornia_photometric(image: Tensor, truth: Tensor) -> Tensor:
-    """L1 and SSIM of kornia with the weights of the training loss."""
+    """L1 and SSIM of kornia with the weights of the training loss.
+
+    Args:
+        image: Image, values in [0, 1].
+        truth: Image of the same size that it is compared with, values in [0, 1].
+    """
     from kornia.losses import ssim_loss  # slow to import, needed here alone
 
     # kornia's loss is (1 - SSIM) / 2
@@ -55,14 +60,24 @@ def kornia_photometric(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def kornia_ssim(image: Tensor, truth: Tensor) -> Tensor:
-    """Mean of kornia's SSIM map."""
+    """Mean of kornia's SSIM map.
+
+    Args:
+        image: Image, values in [0, 1].
+        truth: Image of the same size that it is compared with, values in [0, 1].
+    """
     from kornia.metrics import ssim
 
     return ssim(planes(image), planes(truth), losses.WINDOW).mean()
 
 
 def skimage_ssim(image: Tensor, truth: Tensor) -> Tensor:
-    """scikit-image with the Gaussian window of the definition; it crops the borders."""
+    """scikit-image with the Gaussian window of the definition; it crops the borders.
+
+    Args:
+        image: Image, values in [0, 1].
+        truth: Image of the same size that it is compared with, values in [0, 1].
+    """
     from skimage.metrics import structural_similarity
 
     value: Any = structural_similarity(
@@ -73,12 +88,22 @@ def skimage_ssim(image: Tensor, truth: Tensor) -> Tensor:
 
 
 def opencv_ssim(image: Tensor, truth: Tensor) -> Tensor:
-    """The metric that results are scored with."""
+    """The metric that results are scored with.
+
+    Args:
+        image: Image, values in [0, 1].
+        truth: Image of the same size that it is compared with, values in [0, 1].
+    """
     return torch.tensor(metrics.ssim_3dgs(image, truth), dtype=torch.float64)
 
 
 def torch_ssim(image: Tensor, truth: Tensor) -> Tensor:
-    """Mean of the reference's SSIM map."""
+    """Mean of the reference's SSIM map.
+
+    Args:
+        image: Image, values in [0, 1].
+        truth: Image of the same size that it is compared with, values in [0, 1].
+    """
     return losses.ssim_map(image, truth).mean()
 
 

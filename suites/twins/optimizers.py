@@ -21,7 +21,12 @@ def update(size: Size) -> Problem:
 def torch_adam(
     *, foreach: bool = False, fused: bool = False
 ) -> Callable[[Problem, Leaves], Forward]:
-    """`start` of torch.optim.Adam with one of its implementations."""
+    """`start` of torch.optim.Adam with one of its implementations.
+
+    Args:
+        foreach: Take the implementation that updates all tensors in one call an operation.
+        fused: Take the implementation with one kernel for the whole update.
+    """
 
     def start(problem: Problem, leaves: Leaves) -> Forward:
         value = torch.nn.Parameter(leaves["values"])
@@ -40,7 +45,12 @@ def torch_adam(
 
 
 def native_adam(problem: Problem, leaves: Leaves) -> Forward:
-    """`start` of the native update."""
+    """`start` of the native update.
+
+    Args:
+        problem: Values and the gradient that they are updated with.
+        leaves: Copies of the values for this twin.
+    """
     value, gradient = leaves["values"], problem.given["gradient"]
     moments = [torch.zeros_like(value) for _ in range(2)]
     numbers = iter(range(1, 2**62))

@@ -21,13 +21,23 @@ def samples(size: Size) -> Problem:
 
 
 def direct(leaves: Leaves, _: Mapping[str, Any]) -> Tensor:
-    """The definition."""
+    """The definition.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        _: Everything else of the problem, by name; not needed here.
+    """
     values = leaves["values"]
     return soft_rank.soft_rank(values, TEMPERATURE) / len(values)
 
 
 def counted(leaves: Leaves, _: Mapping[str, Any]) -> Tensor:
-    """Discrete ranks by sorting: how many lie above, and a half; the gradient is zero."""
+    """Discrete ranks by sorting: how many lie above, and a half; the gradient is zero.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        _: Everything else of the problem, by name; not needed here.
+    """
     values = leaves["values"]
     ranks = torch.empty_like(values)
     order = torch.argsort(values.detach(), descending=True, stable=True)

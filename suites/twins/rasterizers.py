@@ -9,7 +9,7 @@ from torch import Tensor
 from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
 from splatproof.methods.kernels.roofline import count_pairs
-from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.twins.random_scenes import speed_scene
@@ -58,17 +58,22 @@ def raw(size: Size) -> Problem:
 def _problem(
     camera: Any, leaves: Leaves, gradient: Tensor, model: Callable[[], list[Tensor]]
 ) -> Problem:
-    def steps() -> Tensor:
-        return step_pixels(camera, *(value.double() for value in model()), mode="classic")
+    def discontinuities() -> Tensor:
+        return discontinuity_pixels(camera, *(value.double() for value in model()), mode="classic")
 
     return Problem(
-        leaves=leaves, given={"camera": camera}, cotangent=gradient, steps=steps,
+        leaves=leaves, given={"camera": camera}, cotangent=gradient, discontinuities=discontinuities,
         pairs=lambda: count_pairs(camera, *model()).contributing,
     )  # fmt: skip
 
 
 def draws(rasterize: Rasterize, keep: int = 16) -> Callable[..., Any]:
-    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use."""
+    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use.
+
+    Args:
+        rasterize: Function with the signature of the reference's rasterizer.
+        keep: Number of SH coefficients that are used, 1, 4, 9 or 16.
+    """
 
     def call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
         model = [leaves[name] for name in ACTIVATED[:4]]

@@ -35,7 +35,12 @@ def blocks(size: Size) -> Problem:
 
 
 def parts(leaves: Leaves, given: Mapping[str, Any]) -> Sequence[tuple[OrientedBox, Leaves]]:
-    """Box and parameters of each block."""
+    """Box and parameters of each block.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        given: Everything else of the problem, by name.
+    """
     eye, half = torch.eye(3, dtype=torch.float64), torch.ones(3, dtype=torch.float64)
     return [
         (OrientedBox(centre=centre, rotation=eye, half=half),
@@ -45,13 +50,24 @@ def parts(leaves: Leaves, given: Mapping[str, Any]) -> Sequence[tuple[OrientedBo
 
 
 def by_reference(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
-    """The definition: all blocks in memory."""
+    """The definition: all blocks in memory.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        given: Everything else of the problem, by name.
+    """
     trained = tuple(TrainedBlock(box=box, **values) for box, values in parts(leaves, given))
     return kept(stitching.stitch(trained, StitchSettings(), torch.Generator().manual_seed(0)))
 
 
 def by_rims(leaves: Leaves, given: Mapping[str, Any], *, threads: int | None) -> Tensor:
-    """The one that cities are stitched with."""
+    """The one that cities are stitched with.
+
+    Args:
+        leaves: Inputs by name; outputs depend on them.
+        given: Everything else of the problem, by name.
+        threads: Threads to run on; None: as many as torch has.
+    """
     models = []
     for box, values in parts(leaves, given):
         count = len(values["means"])

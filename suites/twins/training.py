@@ -38,7 +38,12 @@ def trained(size: Size) -> Problem:
 
 
 def iterates(problem: Problem, _: Leaves) -> Forward:
-    """`start` that trains until the model is large enough; then a forward pass is one iteration."""
+    """`start` that trains until the model is large enough; then a forward pass is one iteration.
+
+    Args:
+        problem: Scene, and number of Gaussians to grow to.
+        _: Leaves of the problem; there are none.
+    """
     given = problem.given
     settings = Settings(density=Density(most=given["gaussians"]))
     model, plan = prepare(given["scene"], settings, Run())

@@ -27,7 +27,7 @@ class Problem:
     """Everything else."""
     cotangent: Tensor | None = None
     """d loss / d output of the backward pass; None: there is no backward pass."""
-    steps: Callable[[], Bool[Tensor, "..."]] | None = None
+    discontinuities: Callable[[], Bool[Tensor, "..."]] | None = None
     """Marks outputs on which rounding may decide; they are not judged. None: there are none."""
     pairs: Callable[[], int] | None = None
     """Counts the pairs of Gaussian and pixel that contribute, where there are such."""
@@ -109,7 +109,12 @@ def functional(call: Callable[[Leaves, Mapping[str, Any]], Tensor]) -> Callable[
 
 
 def leaves_of(problem: Problem, twin: Twin) -> Leaves:
-    """Fresh copies of the problem's leaves as the twin wants them."""
+    """Fresh copies of the problem's leaves as the twin wants them.
+
+    Args:
+        problem: Problem whose leaves are copied.
+        twin: Implementation they are for; it says which dtype.
+    """
     needs = problem.cotangent is not None
     return {
         name: value.detach().to(twin.dtype, copy=True).requires_grad_(needs)

@@ -5,10 +5,13 @@ import json
 import pytest
 import torch
 
+from helpers.plugin_metrics import BRIGHTNESS
 from helpers.random_weights import forget, write_weights
 from splatproof import _ext
+from splatproof.base.errors import UsageError
 from splatproof.cli import main
 from splatproof.methods import backends
+from splatproof.metrics import registry
 from splatproof.reference.rasterizer.rasterize import rasterize
 
 
@@ -51,6 +54,24 @@ def test_weights_are_looked_for_where_the_variable_says(tmp_path, capsys, monkey
     assert found["lpips_vgg_m11"]["status"] == "absent"
     assert "SPLATPROOF_WEIGHTS" in found["lpips_vgg_m11"]["fix"]
     forget()
+
+
+def test_metrics_of_other_packages_are_named_and_a_broken_one_is_a_fault(
+    tmp_path, capsys, monkeypatch
+):
+    both = registry.BUILT_IN | {"brightness": BRIGHTNESS}
+    monkeypatch.setattr(registry, "all_metrics", lambda: both)
+    assert main(["doctor", "--json", "--out", str(tmp_path)]) == 0
+    assert findings(capsys)["brightness"]["found"] == "another package's own"
+
+    def broken():
+        raise UsageError("package odd: entry point dim = odd:dim: cannot be loaded")
+
+    monkeypatch.setattr(registry, "all_metrics", broken)
+    assert main(["doctor", "--json", "--out", str(tmp_path)]) == 3
+    found = findings(capsys)
+    assert "package odd" in found["splatproof.metrics"]["fix"]
+    assert "lpips_vgg_m11" in found
 
 
 def test_a_backend_that_is_essential_is_a_fault(tmp_path, capsys, monkeypatch):

@@ -14,7 +14,7 @@ from helpers.images import noise_image, spoiled
 from helpers.random_weights import forget, random_features, write_weights
 from splatproof.base.errors import DataError, MissingError
 from splatproof.metrics import lpips, weights
-from splatproof.metrics.registry import METRICS, load_weights
+from splatproof.metrics.registry import BUILT_IN, load_weights
 
 NETWORKS = {"lpips_vgg_m11": "vgg", "lpips_alex_m11": "alex", "lpips_vgg_01": "vgg"}
 NAMES = pytest.mark.parametrize("name", NETWORKS)
@@ -47,7 +47,7 @@ def stored(request, tmp_path, monkeypatch):
 def test_without_torchmetrics_it_says_what_to_install(name, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingError, match=r"pip install 'splatproof\[weights\]'") as caught:
-        METRICS[name].function(IMAGE, IMAGE, None)
+        BUILT_IN[name].function(IMAGE, IMAGE, None)
     assert "\n" not in str(caught.value)
 
 
@@ -56,7 +56,7 @@ def test_without_weights_it_says_where_they_belong(name, tmp_path, monkeypatch):
     url = weights.WEIGHTS[NETWORKS[name]]
     hub = tmp_path / "hub" / "checkpoints"
     with pytest.raises(MissingError, match=f"not in {hub}; download {url} to there, or set SPLAT"):
-        METRICS[name].function(IMAGE, IMAGE, None)
+        BUILT_IN[name].function(IMAGE, IMAGE, None)
     monkeypatch.setenv(weights.VARIABLE, str(tmp_path / "mine"))
     with pytest.raises(MissingError, match=f"not in {tmp_path / 'mine'} or {hub}; download"):
         load_weights(["psnr", name])
@@ -92,19 +92,19 @@ def test_weights_on_disk_are_used_and_hashed_for_the_record(network, stored):
     _, heads = lpips._network(network)
     first, second = (2 * x.permute(2, 0, 1)[None] - 1 for x in (IMAGE, target))
     want = lpips.distance(first, second, random_features(network), lpips.TAPS[network], heads)
-    assert METRICS[name].function(IMAGE, target, None) == pytest.approx(float(want), rel=1e-6)
-    assert METRICS[name].function(IMAGE, IMAGE, None) == 0
+    assert BUILT_IN[name].function(IMAGE, target, None) == pytest.approx(float(want), rel=1e-6)
+    assert BUILT_IN[name].function(IMAGE, IMAGE, None) == 0
     side = lpips.SMALLEST[network]
-    assert METRICS[name].function(IMAGE[:side, :side], target[:side, :side], None) > 0
+    assert BUILT_IN[name].function(IMAGE[:side, :side], target[:side, :side], None) > 0
 
 
 def test_the_release_leaves_its_inputs_in_0_1(stored):
     stored("vgg")
     target = spoiled(IMAGE, 0.1)
     mapped, left = (
-        METRICS[name].function(IMAGE, target, None) for name in ("lpips_vgg_m11", "lpips_vgg_01")
+        BUILT_IN[name].function(IMAGE, target, None) for name in ("lpips_vgg_m11", "lpips_vgg_01")
     )
-    half = (METRICS["lpips_vgg_m11"].function((x + 1) / 2, (y + 1) / 2, None)
+    half = (BUILT_IN["lpips_vgg_m11"].function((x + 1) / 2, (y + 1) / 2, None)
             for x, y in [(IMAGE, target)])  # fmt: skip
     assert next(half) == pytest.approx(left, rel=1e-5)
     assert mapped != pytest.approx(left, rel=0.01)
@@ -156,7 +156,7 @@ def test_masks_and_small_images_are_refused(name):
     mask = torch.ones(64, 70, dtype=torch.bool)
     mask[0, 0] = False
     with pytest.raises(DataError, match=f"{name}: has no masked form"):
-        METRICS[name].function(IMAGE, IMAGE, mask)
+        BUILT_IN[name].function(IMAGE, IMAGE, mask)
     side = lpips.SMALLEST[NETWORKS[name]]
     with pytest.raises(DataError, match=f"{side} x {side} px window"):
-        METRICS[name].function(IMAGE[: side - 1], IMAGE[: side - 1], None)
+        BUILT_IN[name].function(IMAGE[: side - 1], IMAGE[: side - 1], None)

@@ -11,7 +11,7 @@ from skimage.metrics import structural_similarity
 
 from splatproof.metrics.parts import OVER, PARTS, part_key, parts_of, score_part
 from splatproof.metrics.pixel import psnr
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import BUILT_IN
 from splatproof.metrics.scoring import scene_metrics, score_image
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reports.columns import score_column
@@ -51,7 +51,7 @@ def test_moving_and_still_make_up_the_image(seed):
     shares = {name: float(parts[name].double().mean()) for name in ("moving", "still")}
     assert sum(shares.values()) == pytest.approx(1)
     for metric, back in (("psnr", lambda v: 10 ** (-v / 10)), ("l1", float), ("flip", float)):
-        whole = back(METRICS[metric].function(image, truth, None))
+        whole = back(BUILT_IN[metric].function(image, truth, None))
         own = [
             shares[name] * back(score_part(metric, image, truth, None, parts[name]))
             for name in shares

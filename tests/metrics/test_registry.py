@@ -9,17 +9,19 @@ from hypothesis import strategies as st
 
 from helpers.images import noise_image, random_mask, spoiled
 from splatproof.base.errors import DataError, UsageError
-from splatproof.metrics.registry import METRICS, find_metric, load_weights
+from splatproof.metrics.registry import BUILT_IN, find_metric, load_weights
 
-WINDOWS = {"ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ms_ssim_kornia": 33}
-WITHOUT_WEIGHTS = [metric for metric in METRICS.values() if metric.load_weights is None]
+WINDOWS = {
+    "ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ssim_kornia": 11, "ms_ssim_kornia": 33,
+}  # fmt: skip
+WITHOUT_WEIGHTS = [metric for metric in BUILT_IN.values() if metric.load_weights is None]
 ALL = pytest.mark.parametrize("metric", WITHOUT_WEIGHTS, ids=lambda metric: metric.name)
 
 
 def test_each_is_under_its_own_name():
-    assert all(name == metric.name for name, metric in METRICS.items())
-    assert all(metric.source for metric in METRICS.values())
-    learned = {name for name, metric in METRICS.items() if metric.load_weights}
+    assert all(name == metric.name for name, metric in BUILT_IN.items())
+    assert all(metric.source for metric in BUILT_IN.values())
+    learned = {name for name, metric in BUILT_IN.items() if metric.load_weights}
     assert learned == {"lpips_vgg_m11", "lpips_alex_m11", "lpips_vgg_01"}
 
 
@@ -91,9 +93,9 @@ def test_tiny_images_are_scored_or_refused_with_the_window(metric, size):
 def test_the_window_itself_is_large_enough(name):
     side = WINDOWS[name]
     image = noise_image(side, side, 0)
-    assert METRICS[name].function(image, image, None) == pytest.approx(1, abs=1e-9)
+    assert BUILT_IN[name].function(image, image, None) == pytest.approx(1, abs=1e-9)
     with pytest.raises(DataError, match="smaller"):
-        METRICS[name].function(image[1:], image[1:], None)
+        BUILT_IN[name].function(image[1:], image[1:], None)
 
 
 @ALL
@@ -109,6 +111,6 @@ def test_metrics_without_weights_have_nothing_to_load():
 
 
 def test_an_unknown_name_is_refused_with_the_nearest():
-    assert find_metric("psnr") is METRICS["psnr"]
+    assert find_metric("psnr") is BUILT_IN["psnr"]
     with pytest.raises(UsageError, match="metric: unknown 'psrn', did you mean 'psnr'"):
         find_metric("psrn")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from helpers.images import noise_image, pairs, random_mask, spoiled
 from splatproof.base.errors import DataError
 from splatproof.metrics.pixel import psnr
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import BUILT_IN
 from splatproof.metrics.scoring import (
     prepare,
     region_columns,
@@ -38,7 +38,7 @@ def test_scores_are_those_of_the_prepared_images():
     score = score_image("a.png", render, truth, ROUND, mask)
     eight_bit = torch.from_numpy(np.floor(render.clamp(0, 1).numpy() * 255 + 0.5) / 255)
     assert score.metrics == {
-        name: METRICS[name].function(eight_bit, truth, mask) for name in ROUND.metrics
+        name: BUILT_IN[name].function(eight_bit, truth, mask) for name in ROUND.metrics
     }
     assert score.valid_share == float(mask.double().mean())
     assert score.name == "a.png"

@@ -148,6 +148,20 @@ def test_truth_outside_the_seam_cannot_matter(seed):
     assert seam_view_released(image, truth, image[..., 0], seam) == before
 
 
+@given(st.integers(0, 99))
+def test_masked_pixels_are_neither_on_the_seam_nor_off_it(seed):
+    image, truth = noise_image(12, 15, seed), noise_image(12, 15, seed + 1)
+    seam, mask = random_mask(12, 15, 0.5, seed), random_mask(12, 15, 0.7, seed + 2)
+    got = seam_view_released(image, truth, image[..., 0], seam, mask).values
+    on, off = (seam & mask).numpy(), (mask & ~seam).numpy()
+    slope = sobel_magnitude(image[..., 0].double().numpy())
+    if on.any() and off.any():
+        want = slope[on].mean() / slope[off].mean()
+        assert got["seam_depth_gradient_ratio_released"] == pytest.approx(want, rel=1e-12)
+    alone = seam_view_released(image, truth, image[..., 0], seam & mask).values
+    assert got["seam_psnr_released"] == pytest.approx(alone["seam_psnr_released"], nan_ok=True)
+
+
 def test_empty_full_and_flat_are_undefined_with_a_reason():
     image = noise_image(5, 6, 0)
     empty = torch.zeros(5, 6, dtype=torch.bool)

@@ -19,6 +19,7 @@ from splatproof.metrics.ssim import (
     WINDOW,
     ms_ssim_kornia,
     ssim_3dgs,
+    ssim_kornia,
     ssim_skimage,
     ssim_valid,
     windows_valid,
@@ -28,6 +29,7 @@ VARIANTS = {
     ssim_3dgs: WINDOW,
     ssim_valid: WINDOW,
     ssim_skimage: UNIFORM_WINDOW,
+    ssim_kornia: WINDOW,
     ms_ssim_kornia: SCALES_WINDOW,
 }
 ROUNDING = 1e-9
@@ -97,6 +99,27 @@ def test_valid_agrees_with_scikit_image_and_kornia(pair):
     assert ssim_valid(*pair) == pytest.approx(float(kornia), abs=ROUNDING)
 
 
+def mirrored(image):
+    """The image with 5 px beyond each border, mirrored at the border pixels' centres."""
+    return torch.from_numpy(np.pad(image.numpy(), [(5, 5), (5, 5), (0, 0)], mode="reflect"))
+
+
+@settings(max_examples=10)
+@given(pairs(smallest=11, largest=16))
+def test_kornias_agrees_with_the_slow_formula_on_mirrored_images(pair):
+    image, target = (mirrored(x) for x in pair)
+    assert ssim_kornia(*pair) == pytest.approx(
+        slow_mean(image, target, gaussian(), 0), abs=ROUNDING
+    )
+
+
+def test_kornias_is_another_number_than_those_with_other_borders():
+    target = noise_image(20, 24, 0)
+    image = spoiled(target, 0.1)
+    assert abs(ssim_kornia(image, target) - ssim_3dgs(image, target)) > 1e-4
+    assert abs(ssim_kornia(image, target) - ssim_valid(image, target)) > 1e-4
+
+
 @settings(max_examples=10)
 @given(pairs(smallest=33, largest=36))
 def test_multi_scale_agrees_with_kornia(pair):
@@ -119,6 +142,7 @@ GOLDEN = {
     ssim_3dgs: 0.9796032,
     ssim_valid: 0.9777967,
     ssim_skimage: 0.9804988,
+    ssim_kornia: 0.9770032,
     ms_ssim_kornia: 0.8611394,
 }
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from helpers.case_folders import NAMES, result
 from splatproof.base.errors import DataError
-from splatproof.metrics.registry import METRICS
+from splatproof.metrics.registry import BUILT_IN
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore, Result
@@ -299,8 +299,8 @@ def test_a_narrow_terminal_breaks_tables_between_columns_and_no_number(width: in
 
 
 def test_every_column_is_explained_once_with_unit_and_arrow():
-    rules = Protocol(name="all", source="ours", metrics=tuple(METRICS), colour_fit=("cc_affine",))
-    scored = [*METRICS, *SCENE_METRICS, "cc_affine_psnr", "psnr_of_mean_mse", "moving_psnr"]
+    rules = Protocol(name="all", source="ours", metrics=tuple(BUILT_IN), colour_fit=("cc_affine",))
+    scored = [*BUILT_IN, *SCENE_METRICS, "cc_affine_psnr", "psnr_of_mean_mse", "moving_psnr"]
     results = [
         dataclasses.replace(
             one, metrics=dict.fromkeys(scored, 1.0), protocol_rules=dataclasses.asdict(rules)
@@ -321,7 +321,8 @@ def test_every_column_is_explained_once_with_unit_and_arrow():
 
 def test_the_record_for_machines_has_the_documented_keys():
     record = text.record(result())
-    first = ["suite", "scene", "method", "variant", "seed", "protocol", "psnr", "ssim_3dgs"]
+    first = ["suite", "scene", "method", "variant", "pose_noise", "seed", "protocol", "psnr",
+             "ssim_3dgs"]  # fmt: skip
     assert list(record)[: len(first)] == first
     assert record["psnr"] == result().metrics["psnr"]
     assert record["train_seconds"] == result().stages["train"]

@@ -6,7 +6,6 @@ import json
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -41,7 +40,7 @@ class Painted:
     pixels: Tensor
     primitives: int = 1
 
-    kind: ClassVar[str] = "painted"
+    kind: str = "painted"
 
     def render(self, view: View, background: Tensor | None = None) -> RenderOutput:
         flat = torch.zeros(self.pixels.shape[:2])

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
-from splatproof.methods.models.explicit import ExplicitModel, explicit_facts
+from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.records import VERSION, records, version_of
 from splatproof.methods.storage.packed.streams import expand
@@ -77,7 +77,7 @@ def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> in
         degree=round(bands**0.5) - 1,
     )  # fmt: skip
     origin = Origin(method=facts.method, settings=facts.settings)
-    write_description(folder, ExplicitModel.kind, origin, told)
+    write_description(folder, EXPLICIT, origin, told)
     return count
 
 

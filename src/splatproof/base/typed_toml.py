@@ -56,9 +56,9 @@ def build(
         around: Any = GenericAlias(tuple, (kind,))
         return TypeAdapter(around, config=STRICT).validate_json(text)[0]
     except ValidationError as error:
-        faults = error.errors(include_url=False)
+        found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
-        first = min(faults, key=lambda found: found["type"] != "unexpected_keyword_argument")
+        first = min(found, key=lambda one: one["type"] != "unexpected_keyword_argument")
         raise fault(_told(kind, first["loc"][1:], dict(first), where)) from None
     except SplatproofError as error:  # the dataclass checks its own values
         raise fault(f"{where}: {error}") from None

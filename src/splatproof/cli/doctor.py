@@ -59,7 +59,8 @@ def findings(out: Path) -> Iterator[Finding]:
     yield from _versions()
     yield from _processor()
     yield from _backends()
-    yield from _weights()
+    yield from _metrics()
+    yield from _adapters()
     yield from _scenes()
     yield from _folders(out)
 
@@ -104,10 +105,21 @@ def _backends() -> Iterator[Finding]:
         )
 
 
-def _weights() -> Iterator[Finding]:
-    from splatproof.metrics.registry import METRICS
+def _metrics() -> Iterator[Finding]:
+    """Metrics of other packages, and the weights that any metric needs."""
+    from splatproof.metrics.registry import BUILT_IN, GROUP, all_metrics
 
-    for metric in METRICS.values():
+    metrics = BUILT_IN
+    try:
+        metrics = all_metrics()
+    except SplatproofError as error:
+        yield Finding(
+            topic="metrics", name=GROUP, status="fault", found="not usable", fix=str(error)
+        )
+    for name, metric in metrics.items():
+        if name not in BUILT_IN:
+            yield Finding(topic="metrics", name=name, status="ok", found=metric.source)
+    for metric in metrics.values():
         if metric.load_weights is None:
             continue
         try:
@@ -116,6 +128,19 @@ def _weights() -> Iterator[Finding]:
             found, fix = "missing", str(error)
         status = "absent" if fix else "ok"
         yield Finding(topic="weights", name=metric.name, status=status, found=found, fix=fix)
+
+
+def _adapters() -> Iterator[Finding]:
+    """Kinds of scene folders that can be opened, those of other packages included."""
+    from splatproof.datasets.catalogue.opening import ADAPTERS, GROUP, all_adapters
+
+    topic, adapters = "scene adapters", ADAPTERS
+    try:
+        adapters = tuple(all_adapters().values())
+    except SplatproofError as error:
+        yield Finding(topic=topic, name=GROUP, status="fault", found="not usable", fix=str(error))
+    for adapter in adapters:
+        yield Finding(topic=topic, name=adapter.name, status="ok", found=adapter.looks_for)
 
 
 def _scenes() -> Iterator[Finding]:

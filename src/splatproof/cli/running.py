@@ -178,6 +178,7 @@ def record(outcome: "Outcome") -> dict[str, object]:
         "scene": result.scene,
         "method": result.method,
         "variant": result.variant,
+        "pose_noise": result.pose_noise,
         "protocol": result.protocol,
         "seed": result.seed,
         "status": outcome.status,

@@ -31,7 +31,7 @@ def rows(
     """A row a twin and case, then a row a stage of the engine against the machine's peak.
 
     Keys: component, twin, case, forward_ms, backward_ms (medians of interleaved runs; None where
-    there is none), max_abs_error, rms_error, grad_rel_l2, grad_cosine, step_pixels (against the
+    there is none), max_abs_error, rms_error, grad_rel_l2, grad_cosine, discontinuity_pixels (against the
     float64 reference on error_case), peak_mb (of a process that does nothing else), added_mb (of
     that, beyond what it held before the first run), device_mb, contributing_pairs, usual (the twin
     that users get), approximates, disturbed_percent (share of a core that other processes used
@@ -63,7 +63,14 @@ class Timer:
     """How cases are timed."""
 
     def __init__(self, *, quick: bool, patience: Patience, backend: str, open_session: Open):
-        """Keep the settings of the study."""
+        """Keep the settings of the study.
+
+        Args:
+            quick: Measure the reduced form, and whatever others use of the machine.
+            patience: How long to wait until nobody else uses the machine.
+            backend: Further backend whose twins take part; empty: none.
+            open_session: Starts a twin in a process of its own.
+        """
         self.quick, self.patience = quick, patience
         self.backend, self.open = backend, open_session
 
@@ -87,7 +94,13 @@ class Timer:
                 }  # fmt: skip
 
     def case(self, component: Component, case: Case, twins: list[Twin]) -> Iterator[Row]:
-        """Time the twins of one case in turns; one that cannot start is a row without times."""
+        """Time the twins of one case in turns; one that cannot start is a row without times.
+
+        Args:
+            component: Component that the twins implement.
+            case: Size that they are timed at.
+            twins: Twins that take part.
+        """
         sessions: dict[str, Session] = {}
         failed: dict[str, str] = {}
         try:
@@ -145,19 +158,30 @@ class Timer:
 
 
 def takes_part(component: Component, twin: Twin, case: Case) -> bool:
-    """Whether a twin is timed in a case."""
+    """Whether a twin is timed in a case.
+
+    Args:
+        component: Component that the twin implements.
+        twin: Implementation in question.
+        case: Size that would be timed.
+    """
     if case.growth:
         return twin.name == component.usual
     return case.size == component.judged or twin.most is None or case.size[0] <= twin.most
 
 
 def median(values: list[float]) -> float | None:
-    """Of the values; None without any or without numbers."""
+    """Median of the values; None without any or without numbers."""
     return statistics.median(values) if values and not math.isnan(values[0]) else None
 
 
 def pictures(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw the study's pictures into the folder."""
+    """Draw the study's pictures into the folder.
+
+    Args:
+        rows: Rows of the speed study.
+        folder: Folder of the pictures.
+    """
     from splatproof.suites.studies.speed.plot import draw  # matplotlib is slow to import
 
     return draw(rows, folder)

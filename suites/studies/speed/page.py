@@ -22,8 +22,9 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
     """The whole page.
 
     Args:
-        machine: See MACHINE; what is empty is left out.
-        rows: Of the speed study.
+        machine: Facts of the machine that the rows were measured on, by the keys of MACHINE; what
+            is empty is left out.
+        rows: Rows of the speed study.
         pictures: Paths of its pictures, relative to the page.
     """
     parts = [
@@ -36,7 +37,7 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
         "## Machine",
         table(("", ""), [(shown, machine[key]) for key, shown in MACHINE.items()
                          if machine.get(key)]),
-        *peers(rows), *roofline(rows), *growth(rows),
+        *peers(machine, rows), *roofline(rows), *growth(rows),
         "## Error against speed",
         ("One point a twin, on the case that its error is from; the line is the frontier. An error "
         "of 0 is drawn at 1e-16."),
@@ -47,7 +48,12 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
 
 
 def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first column is text, the others are numbers."""
+    """A Markdown table; the first column is text, the others are numbers.
+
+    Args:
+        head: Title of each column.
+        lines: Cells of each line, as many as there are titles.
+    """
     rule = ["---", *("---:" for _ in head[1:])]
     return "\n".join("| " + " | ".join(line) + " |" for line in (head, rule, *lines))
 
@@ -59,7 +65,12 @@ def total_ms(row: Row) -> float | None:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Three significant digits; a dash where there is none."""
+    """Three significant digits; a dash where there is none.
+
+    Args:
+        value: The number; None, nan and infinity become a dash.
+        digits: Significant digits, >= 1.
+    """
     if value is None or not math.isfinite(value):
         return "-"
     if value == 0:
@@ -69,39 +80,62 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:,.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
 
 
-def peers(rows: Sequence[Row]) -> list[str]:
-    """Ours beside the public peers, case by case."""
+def machine_name(machine: Mapping[str, str]) -> str:
+    """What a time depends on first of all, as peers.csv names it: processor, cores, SIMD level."""
+    return f"{machine['cpu']}, {machine['cores']} cores, {machine['simd']}"
+
+
+def peers(machine: Mapping[str, str], rows: Sequence[Row]) -> list[str]:
+    """The section that lists ours and the public peers, case by case, each with its machine.
+
+    A peer's time is divided by ours, and held against its goal, only where both machines have one
+    name.
+
+    Args:
+        machine: Facts of the machine that our rows were measured on; see MACHINE.
+        rows: Rows of the speed study.
+    """
+    here = machine_name(machine)
     ours = {
         row["case"]: row for row in rows
         if row["component"] in ("pipeline", TRAINING) and row.get("usual")
     }  # fmt: skip
     with PEERS.open(newline="") as file:
         found = list(csv.DictReader(file))
-    lines, notes = [], []
-    for peer in found:
-        row = ours.get(peer["case"])
+    compared = any(peer["machine"] == here for peer in found)
+    head = ("case", "rasterizer", "machine", "ms", "peak MB")
+    lines = []
+    for case in dict.fromkeys(peer["case"] for peer in found):
+        row = ours.get(case)
         time = None if row is None else total_ms(row)
-        theirs = float(peer["forward_ms"]) + float(peer["backward_ms"] or 0)
-        ratio = None if not time else theirs / time
-        goal = (
-            f"{number(float(peer['must']))} / {number(float(peer['aim']))}" if peer["must"] else ""
-        )
-        lines.append((
-            peer["case"], peer["peer"], number(theirs), number(time),
-            "-" if ratio is None else f"{number(ratio)}x", goal, number(float(peer["memory_mb"])),
-            number(None if row is None else row.get("peak_mb")),
-        ))  # fmt: skip
-        notes.append(f"{peer['peer']}: {peer['source']}")
+        memory = None if row is None else row.get("peak_mb")
+        blank = ("", "") if compared else ()
+        lines.append((case, "splatproof", here, number(time), number(memory), *blank))
+        for peer in (peer for peer in found if peer["case"] == case):
+            theirs = float(peer["forward_ms"]) + float(peer["backward_ms"] or 0)
+            told = _judged(peer, theirs, time) if peer["machine"] == here else blank
+            lines.append((case, peer["peer"], peer["machine"], number(theirs),
+                          number(float(peer["memory_mb"])), *told))  # fmt: skip
+    notes = [f"{peer['peer']}: {peer['source']}" for peer in found]
     return [
         "## Beside the public CPU peers",
         ("From raw parameters to the image and back to all parameter gradients, degree-3 harmonics; "
         "brighton_beach is one whole training iteration (render, loss, backward, optimiser, density "
-        "statistics). Peers were measured once on an idle machine of the same kind (2 cores of an "
-        "Intel Xeon with AVX-512 at some 3.4 GHz), medians; their figures are in `suites/studies/speed/peers.csv`. Goals are ratios to "
-        "reach: must / aim."),
-        table(("case", "peer", "peer ms", "ours ms", "ratio", "goal", "peer MB", "ours MB"), lines),
+        "statistics). Peers were measured once, on an idle machine that they had to themselves; "
+        "their medians are in `suites/studies/speed/peers.csv`."),
+        ("A ratio is a peer's time over ours. Goals are ratios to reach: must / aim."
+         if compared else
+         "Ours and the peers' times were measured on different processors and do not compare; no "
+         "ratio is given."),
+        table((*head, "ratio", "goal") if compared else head, lines),
         "Versions: " + "; ".join(dict.fromkeys(notes)) + ".",
     ]  # fmt: skip
+
+
+def _judged(peer: Row, theirs: float, ours: float | None) -> tuple[str, str]:
+    """Ratio and goal of a peer that was measured on our machine."""
+    goal = f"{number(float(peer['must']))} / {number(float(peer['aim']))}" if peer["must"] else ""
+    return ("-" if not ours else f"{number(theirs / ours)}x"), goal
 
 
 def roofline(rows: Sequence[Row]) -> list[str]:
@@ -174,7 +208,7 @@ def components(rows: Sequence[Row]) -> list[str]:
             (f"{row['twin']}{'' if not row['approximates'] else ' *'}", row["case"],
              number(row["forward_ms"]), number(row["backward_ms"]), number(row["max_abs_error"]),
              number(row["rms_error"]), number(row["grad_rel_l2"]), number(_bend(row)),
-             "-" if row["step_pixels"] is None else str(row["step_pixels"]),
+             "-" if row["discontinuity_pixels"] is None else str(row["discontinuity_pixels"]),
              number(row["peak_mb"]), row["note"])
             for row in mine
         ]  # fmt: skip
@@ -184,7 +218,7 @@ def components(rows: Sequence[Row]) -> list[str]:
             f"Errors on {mine[0]['error_case']}." if mine[0]["max_abs_error"] is not None
             else "Whole iterations; there is no reference to err from.",
             table(("twin", "case", "forward ms", "backward ms", "max error", "rms error",
-                   "gradient rel. L2", "1 - cosine", "step pixels", "peak MB", "note"), lines),
+                   "gradient rel. L2", "1 - cosine", "discontinuity pixels", "peak MB", "note"), lines),
         ]  # fmt: skip
         if gives:
             parts.append("\\* approximates. " + "; ".join(dict.fromkeys(gives)) + ".")

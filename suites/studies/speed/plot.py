@@ -19,7 +19,12 @@ Point = tuple[float, float]
 
 
 def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Write pareto.png and growth.png into the folder; one without points is left out."""
+    """Write pareto.png and growth.png into the folder; one without points is left out.
+
+    Args:
+        rows: Rows of the speed study.
+        folder: Folder of the pictures.
+    """
     made = []
     for name, figure in (("pareto", pareto(rows)), ("growth", growth(rows))):
         if figure is not None:

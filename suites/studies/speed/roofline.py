@@ -45,6 +45,10 @@ def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
 
     Stages bound by memory are held against the bandwidth over as many bytes as they touch, so that
     what fits a cache is held against the cache.
+
+    Args:
+        quick: Measure briefly, and whatever others use of the machine.
+        patience: How long to wait until nobody else uses the machine.
     """
     seconds = 0.02 if quick else 0.5
     peak, percent = undisturbed(partial(measure_peak, seconds), patience, anyway=quick)
@@ -79,7 +83,7 @@ def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
 
 def _row(twin: str, case: str, percent: float, **values: Any) -> dict[str, Any]:
     empty = dict.fromkeys(("forward_ms", "backward_ms", "max_abs_error", "grad_rel_l2",
-                           "step_pixels", "peak_mb"))  # fmt: skip
+                           "discontinuity_pixels", "peak_mb"))  # fmt: skip
     return {
         "component": "roofline", "twin": twin, "case": case, **empty,
         "disturbed_percent": percent, "ok": True, "note": "", **values,
@@ -87,7 +91,13 @@ def _row(twin: str, case: str, percent: float, **values: Any) -> dict[str, Any]:
 
 
 def stage_milliseconds(scene: GaussianScene, gradient: Tensor, runs: int) -> dict[str, float]:
-    """Medians of the stages of one training step on this scene; the first run is not counted."""
+    """Medians of the stages of one training step on this scene; the first run is not counted.
+
+    Args:
+        scene: Gaussians and the camera that looks at them.
+        gradient: Gradient of a loss by the image, height x width x 3.
+        runs: Number of runs that the medians are of, >= 1.
+    """
     seen: dict[str, list[float]] = {}
     truth = torch.zeros(gradient.shape)
     values, steps = torch.zeros(len(scene.means), NUMBERS), torch.ones(len(scene.means), NUMBERS)

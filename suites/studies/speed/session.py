@@ -175,7 +175,12 @@ def _serve(says: Connection, task: Task) -> None:
 
 
 def with_backend(name: str, backend: str) -> Component:
-    """A component of the registry, with the twins of a further backend where one is asked for."""
+    """A component of the registry, with the twins of a further backend where one is asked for.
+
+    Args:
+        name: Name of the component in suites/twins/registry.py.
+        backend: Name of the further backend; empty: none.
+    """
     if not backend:
         return COMPONENTS[name]
     from splatproof.suites.twins.cuda import with_cuda

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from helpers import tiny_worlds
-from splatproof.datasets.cache_folder import locked
+from splatproof.base.locks import locked
 from splatproof.datasets.procedural import exporting
 from splatproof.datasets.procedural.plan import Plan
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
 from splatproof.reference.checks.agreement import compare_gradients, largest_error
-from splatproof.reference.checks.discontinuities import step_pixels
+from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
 from splatproof.reference.types.render import RenderOutput
@@ -23,7 +23,7 @@ PIXEL_TOLERANCE = 2e-5
 GRADIENT_TOLERANCE = 1e-4
 NAMES = ("means", "quaternions", "scales", "opacities", "sh", "signed", "absolute", "background")
 PICTURES = ("colour", "alpha", "depth", "distance", "median_depth")
-SEEN = {"pixels": 0, "steps": 0, "scenes": 0}
+SEEN = {"pixels": 0, "discontinuities": 0, "scenes": 0}
 
 
 @pytest.fixture(params=_ext.simd_levels())
@@ -52,15 +52,15 @@ def run(rasterize, scene: GaussianScene, dtype: torch.dtype, weights, **options)
     return out, [torch.zeros(1) if g is None else g for g in gradients]
 
 
-def cotangents(scene: GaussianScene, names, steps, seed: int):
-    """Random weights of each picture's pixels, zero on steps."""
+def cotangents(scene: GaussianScene, names, ignored, seed: int):
+    """Random weights of each picture's pixels, zero at discontinuities."""
     g = torch.Generator().manual_seed(seed)
     height, width = scene.camera.height, scene.camera.width
     made = {}
     for name in names:
         shape = (height, width, 3) if name == "colour" else (height, width)
         weight = torch.randn(shape, generator=g)
-        weight[steps] = 0
+        weight[ignored] = 0
         made[name] = weight
     return made
 
@@ -69,16 +69,16 @@ def assert_twins(
     scene: GaussianScene, names=PICTURES, *, seed: int = 0, count: bool = True, **options
 ):
     """Native pictures and gradients of `scene` agree with the reference's in float64."""
-    steps = step_pixels(
+    ignored = discontinuity_pixels(
         scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]),
         mode=options.get("mode", "classic"),
     )  # fmt: skip
-    weights = cotangents(scene, names, steps, seed)
+    weights = cotangents(scene, names, ignored, seed)
     wanted = {"distance": "distance" in names, "median": "median_depth" in names} | options
     truth, true_gradients = run(reference.rasterize, scene, torch.float64, weights, **wanted)
     out, gradients = run(native.rasterize, scene, torch.float32, weights, **wanted)
     for name in names:
-        error = largest_error(getattr(out, name), getattr(truth, name), ignore=steps)
+        error = largest_error(getattr(out, name), getattr(truth, name), ignore=ignored)
         assert error <= PIXEL_TOLERANCE, f"{name}: {error}"
     floor = 1e-6 * max(float(g.norm()) for g in true_gradients)
     for name, value, wanted_value in zip(NAMES, gradients, true_gradients, strict=True):
@@ -86,8 +86,8 @@ def assert_twins(
         assert agreement.good(GRADIENT_TOLERANCE), f"{name}: {agreement}"
     torch.testing.assert_close(out.radii.double(), truth.radii, rtol=1e-5, atol=1e-4)
     if count:
-        SEEN["pixels"] += steps.numel()
-        SEEN["steps"] += int(steps.sum())
+        SEEN["pixels"] += ignored.numel()
+        SEEN["discontinuities"] += int(ignored.sum())
         SEEN["scenes"] += 1
     return out, truth
 
@@ -114,13 +114,15 @@ def test_pictures_and_gradients_are_the_references(
     assert_twins(scene, names, seed=seed, mode=mode)
 
 
-def test_few_pixels_sit_on_steps():
+def test_few_pixels_are_at_discontinuities():
     for seed in range(20):  # so that the share means something when this test runs alone
         scene = random_scene(100, seed)
-        steps = step_pixels(scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4]))
-        SEEN["pixels"] += steps.numel()
-        SEEN["steps"] += int(steps.sum())
-    assert SEEN["steps"] < 1e-3 * SEEN["pixels"], SEEN
+        ignored = discontinuity_pixels(
+            scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4])
+        )
+        SEEN["pixels"] += ignored.numel()
+        SEEN["discontinuities"] += int(ignored.sum())
+    assert SEEN["discontinuities"] < 1e-3 * SEEN["pixels"], SEEN
 
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32])

@@ -17,10 +17,16 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import dense_points
-from splatproof.methods.training.dense_points import Voxels, extended, observed, with_dense_points
+from splatproof.methods.training.dense_points import Voxels, extended, with_dense_points
 from splatproof.methods.training.initialise import with_points
 from splatproof.metrics.protocol_files import load_protocol
-from splatproof.reference.supervision.dense_initialisation import DensePoints, merge_in_voxels
+from splatproof.reference.supervision.dense_initialisation import (
+    DensePoints,
+    DenseSettings,
+    merge_in_voxels,
+    observations,
+    seen_by_both,
+)
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, SparsePoints
 
@@ -36,7 +42,13 @@ def yard() -> Scene:
 
 @pytest.fixture(scope="module")
 def dense(yard: Scene) -> Scene:
-    return with_dense_points(yard, CELL, 2**28)
+    return with_dense_points(yard, CELL, 2**28, DenseSettings())
+
+
+def edge_of(scene: Scene) -> float:
+    """Edge of the voxels in scene units."""
+    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    return CELL * dense_points.footprint(scene.train_views, scene.points.positions, seen)
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +70,7 @@ def surface(yard: Scene) -> KDTree:
 
 def cells_away(scene: Scene, points: torch.Tensor, surface: KDTree) -> np.ndarray:
     """Distance of points to the true surface in cells."""
-    seen = observed(scene)[list(scene.train)]
-    edge = CELL * dense_points.footprint(scene.train_views, scene.points.positions, seen)
-    return surface.query(points.numpy())[0] / edge
+    return surface.query(points.numpy())[0] / edge_of(scene)
 
 
 def test_points_lie_on_the_true_surface(yard: Scene, dense: Scene, surface: KDTree):
@@ -75,10 +85,8 @@ def test_points_lie_on_the_true_surface(yard: Scene, dense: Scene, surface: KDTr
 def test_the_truth_check_sees_points_that_are_off(yard: Scene, dense: Scene, surface: KDTree):
     """The control: the same points, a cell higher."""
     own = len(yard.points)
-    seen = observed(yard)[list(yard.train)]
-    edge = CELL * dense_points.footprint(yard.train_views, yard.points.positions, seen)
     assert yard.up is not None
-    raised = dense.points.positions[own:] + edge * yard.up
+    raised = dense.points.positions[own:] + edge_of(yard) * yard.up
     assert np.median(cells_away(yard, raised, surface)) > 0.5
 
 
@@ -104,7 +112,7 @@ def test_held_out_photos_are_not_looked_at(yard: Scene, dense: Scene):
         replace(view, load=forbidden) if i in yard.test else view
         for i, view in enumerate(yard.views)
     )
-    again = with_dense_points(replace(yard, views=views), CELL, 0)
+    again = with_dense_points(replace(yard, views=views), CELL, 0, DenseSettings())
     assert torch.equal(again.points.positions, dense.points.positions)
 
 
@@ -112,7 +120,7 @@ def test_threads_of_the_flow_do_not_matter(yard: Scene, dense: Scene):
     before = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        alone = with_dense_points(yard, CELL, 2**28)
+        alone = with_dense_points(yard, CELL, 2**28, DenseSettings())
     finally:
         cv2.setNumThreads(before)
     assert torch.equal(alone.points.positions, dense.points.positions)
@@ -126,10 +134,10 @@ def test_masked_pixels_give_no_points(yard: Scene):
     left[:, : camera.width // 2] = True
     views = tuple(replace(view, load_mask=left.clone) for view in yard.views)
     a, b = replace(yard, views=views).train_views[:2]
-    seen = observed(yard)
-    shared = yard.points.positions[seen[yard.train[0]] & seen[yard.train[1]]]
+    seen = observations(yard.points, len(yard.views))
+    shared = yard.points.positions[seen_by_both(seen, yard.train[0], yard.train[1])]
     images = dense_points.ImageCache(0)
-    found = dense_points.match(a, b, shared, images, dense_points.DenseSettings())
+    found = dense_points.match(a, b, shared, images, DenseSettings())
     at, _ = project_points(a.camera, found.positions)
     assert len(at) > 100
     # triangulation moves a point by up to a pixel or two from the pixel it was matched at
@@ -139,26 +147,27 @@ def test_masked_pixels_give_no_points(yard: Scene):
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31), batches=st.integers(1, 4))
 def test_voxels_merge_as_the_reference_does(seed: int, batches: int):
-    """In any number of batches; the reference's grid starts at the lowest corner, put at 0 here."""
+    """In any number of batches, on the grid of the reference, which starts at the lowest corner."""
     generator = torch.Generator().manual_seed(seed)
     count = 200
-    positions = 5 * torch.rand(count, 3, generator=generator, dtype=torch.float64)
-    positions[0] = 0
+    positions = 5 * torch.rand(count, 3, generator=generator, dtype=torch.float64) - 2
+    low = positions.amin(dim=0)
     scores = 0.1 + torch.rand(count, generator=generator, dtype=torch.float64)
     cloud = DensePoints(
         positions=positions, colours=torch.rand(count, 3, generator=generator), scores=scores
     )
     want = merge_in_voxels(cloud, 1.3)
-    voxels = Voxels(1.3)
+    voxels = Voxels(1.3, low)
     for i, rows in enumerate(torch.arange(count).chunk(batches)):
         part = DensePoints(positions=positions[rows], colours=cloud.colours[rows],
                            scores=scores[rows])  # fmt: skip
         voxels.add(part, (i, i + 1))
-    members = np.unique(np.floor(positions.numpy() / 1.3), axis=0, return_counts=True)[1]
+    cells = np.floor((positions - low).numpy() / 1.3)
+    members = np.unique(cells, axis=0, return_counts=True)[1]
     enough = members >= dense_points.LEAST_MATCHES
     got = voxels.points()
     assert len(got) == enough.sum()
-    order = np.lexsort(np.floor(want.positions.numpy() / 1.3).T[::-1])
+    order = np.lexsort(np.floor((want.positions - low).numpy() / 1.3).T[::-1])
     expected = want.positions.numpy()[order][enough]
     assert_allclose(got.positions.numpy(), expected, rtol=0, atol=1e-12)
     colours = want.colours.numpy()[order][enough]
@@ -172,7 +181,7 @@ def test_tracks_name_the_views_of_each_voxel():
             colours=torch.zeros(4, 3), scores=torch.ones(4, dtype=torch.float64),
         )  # fmt: skip
 
-    voxels = Voxels(1.0)
+    voxels = Voxels(1.0, torch.zeros(3))
     voxels.add(cloud(0.5), (3, 5))
     voxels.add(cloud(-7.5), (1, 2))
     voxels.add(cloud(0.2), (5, 8))
@@ -180,6 +189,67 @@ def test_tracks_name_the_views_of_each_voxel():
     assert points.positions[:, 0].tolist() == pytest.approx([-7.5, 0.35])
     assert points.track_starts.tolist() == [0, 2, 5]
     assert points.track_views.tolist() == [1, 2, 3, 5, 8]
+
+
+def moved(scene: Scene, by: torch.Tensor) -> Scene:
+    """Cameras and points together, somewhere else."""
+    views = []
+    for view in scene.views:
+        pose = view.camera.world_to_camera.clone()
+        pose[:3, 3] -= view.camera.rotation @ by
+        views.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
+    points = replace(scene.points, positions=scene.points.positions + by)
+    return replace(scene, views=tuple(views), points=points)
+
+
+@pytest.mark.parametrize("cells", [(0.37, 0.0, 0.0), (-120.5, 7.71, 40.23)], ids=str)
+def test_a_scene_that_was_moved_gets_the_same_points_moved(
+    yard: Scene, cells: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
+):
+    """By shares of a voxel, so that a grid that stays behind would cut elsewhere.
+
+    Without the plane that brings photos together: RANSAC and fixed-point resampling make jumps of
+    the last bit of its points.
+    """
+    monkeypatch.setattr(dense_points, "plane_between", lambda *_: None)
+    by = edge_of(yard) * torch.tensor(cells, dtype=torch.float64)
+    here = with_dense_points(yard, CELL, 2**28, DenseSettings()).points
+    there = with_dense_points(moved(yard, by), CELL, 2**28, DenseSettings()).points
+    assert len(here) > len(yard.points) + 200
+    assert torch.equal(there.track_views, here.track_views)
+    off = (there.positions - by - here.positions).norm(dim=1) / edge_of(yard)
+    assert float(off.max()) < 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    by=st.tuples(*[st.integers(-(2**20), 2**20)] * 3),
+)
+def test_voxels_move_with_their_corner(seed: int, by: tuple[int, int, int]):
+    """On a grid of 2^-20, where adding is exact: the same voxels, tracks and, but for rounding, means."""
+    generator = torch.Generator().manual_seed(seed)
+    at = torch.randint(0, 5 * 2**20, (100, 3), generator=generator) / 2**20
+    shift = torch.tensor(by, dtype=torch.float64) * 7 / 2**20
+    found = []
+    for offset in (torch.zeros(3, dtype=torch.float64), shift):
+        cloud = DensePoints(
+            positions=at.double() + offset, colours=torch.zeros(100, 3),
+            scores=torch.ones(100, dtype=torch.float64),
+        )  # fmt: skip
+        voxels = Voxels(1.3, offset)
+        voxels.add(cloud, (0, 1))
+        found.append(voxels.points())
+    here, there = found
+    assert torch.equal(here.track_views, there.track_views)
+    assert_allclose((there.positions - shift).numpy(), here.positions.numpy(), rtol=0, atol=1e-13)
+
+
+def test_thresholds_of_the_settings_are_obeyed(yard: Scene, dense: Scene):
+    strict = Settings(dense_cell=CELL, dense=DenseSettings(partners=1, sigma=0.3))
+    fewer = with_points(yard, Run(), dense_cell=strict.dense_cell, dense=strict.dense)
+    added = len(dense.points) - len(yard.points)
+    assert 0 < len(fewer.points) - len(yard.points) < 0.7 * added
 
 
 def test_new_points_keep_their_distance():
@@ -198,7 +268,7 @@ def test_new_points_keep_their_distance():
 
 def test_a_scene_without_tracks_is_returned_as_it_is():
     scene = tiny_scene()
-    assert with_dense_points(scene, CELL, 2**28) is scene
+    assert with_dense_points(scene, CELL, 2**28, DenseSettings()) is scene
     assert with_points(scene, Run(), dense_cell=CELL) is scene
 
 

@@ -11,16 +11,19 @@ import torch
 from helpers.tiny_scene import camera, sparse_points
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.city.regions import OrientedRegion
+from splatproof.methods.city.regions import GroundRegion, OrientedRegion
 from splatproof.methods.kernels.rasterizer import rasterize
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scene_registry import SCENE_METRICS
+from splatproof.metrics.seam_released import NAMES as RELEASED
+from splatproof.metrics.seam_released import seam_mask_released, seam_view_released
 from splatproof.reference.partition.boxes import OrientedBox
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.held_out import score_views
 from splatproof.suites.scene_scores.city_scores import city_scores
+from splatproof.suites.scene_scores.released_seams import boxes_of
 from splatproof.suites.scene_scores.seams import block_picture, mask_picture, score_seams
 
 PROTOCOL = replace(load_protocol("default"), rounding="float")
@@ -147,6 +150,7 @@ def test_one_region_is_undefined_not_perfect(tmp_path):
     assert whole["seam_coverage"] == 0
     assert np.isnan(whole["seam_psnr"])
     assert np.isnan(views["2.png"]["bpd_l1"])
+    assert np.isnan(whole["seam_psnr_released"])
 
 
 def test_masked_pixels_are_on_no_seam(tmp_path):
@@ -156,9 +160,57 @@ def test_masked_pixels_are_on_no_seam(tmp_path):
         for view in masked.views
     )
     masked = replace(masked, views=views)
-    assert scores(wall(), tmp_path, of=masked)[1]["seam_coverage"] == 0
+    hidden = scores(wall(), tmp_path, of=masked)[1]
+    assert hidden["seam_coverage"] == 0
+    assert np.isnan(hidden["seam_l1_released"])
     open_rules = replace(PROTOCOL, masked=False)
-    assert scores(wall(), tmp_path, open_rules, of=masked)[1]["seam_coverage"] > 0
+    shown = scores(wall(), tmp_path, open_rules, of=masked)[1]
+    assert shown["seam_coverage"] > 0
+    assert shown["seam_l1_released"] < 1e-6
+
+
+def test_the_releases_metrics_stand_beside_the_papers(tmp_path):
+    model = wall(step=0.1)
+    views, whole = scores(model, tmp_path)
+    names = set(RELEASED)
+    assert names <= whole.keys() <= SCENE_METRICS.keys()
+    assert all(names <= view.keys() for view in views.values())
+    for name in names:  # means over views, not pooled
+        assert whole[name] == pytest.approx(np.mean([view[name] for view in views.values()]))
+    # by hand, of one view
+    view = scene().test_views[0]
+    gaussians = model.model
+    render = rasterize(
+        view.camera, gaussians.means, gaussians.quaternions, gaussians.scales,
+        gaussians.opacities, sh=gaussians.sh,
+    )  # fmt: skip
+    seam = seam_mask_released(render.depth, view.camera, BOXES)
+    assert 0.02 < seam.double().mean() < 0.5
+    want = seam_view_released(render.colour.clamp(0, 1), view.load(), render.depth, seam)
+    assert {name: views["2.png"][name] for name in names} == pytest.approx(want.values)
+
+
+def test_a_planted_step_is_seen_by_the_release_too(tmp_path):
+    none, strong = (scores(wall(step=step), tmp_path)[1] for step in (0.0, 0.1))
+    assert none["seam_l1_released"] < 1e-6 < strong["seam_l1_released"]
+    assert strong["seam_psnr_released"] < 40 < none["seam_psnr_released"]
+    # boxes are widened before their rims are taken, so those lie beside the border, and what is
+    # sharp at the border itself is off the release's seam
+    ratio = "seam_gradient_ratio_released"
+    assert strong[ratio] < 0.5 * none[ratio]
+
+
+def test_blocks_that_are_no_boxes_have_no_released_metrics(tmp_path):
+    frame = torch.eye(3, dtype=torch.float64)
+    cells = tuple(
+        GroundRegion(frame=frame, corners=torch.tensor([[low, -9.0], [low + 3.0, 9.0]]).double())
+        for low in (-3.0, 0.0)
+    )
+    assert boxes_of(cells) == boxes_of((BOXED[0], cells[1])) == ()
+    assert boxes_of(BOXED) == BOXES
+    views, whole = scores(replace(wall(), regions=cells), tmp_path)
+    assert not set(RELEASED) & (whole.keys() | views["2.png"].keys())
+    assert "seam_psnr" in whole
 
 
 def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):

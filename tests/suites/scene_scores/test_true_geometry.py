@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
+from splatproof.base.errors import DataError
+from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics, seen_by
@@ -36,7 +37,7 @@ class Shows:
     alpha: float = 1.0
     primitives: int = 1
 
-    kind: ClassVar[str] = "shows"
+    kind: str = "shows"
 
     def render(self, view: View, background=None) -> RenderOutput:
         del background
@@ -88,6 +89,58 @@ def test_a_point_is_seen_at_its_true_depth_and_inside_the_image():
     views = scene().train_views
     points = torch.tensor([[0.0, 0, 0], [0, 0, 0.5], [0, 0, -0.5], [9, 0, 0], [0, 0, -9]])
     assert seen_by(points.double(), views).tolist() == [True, False, False, False, False]
+
+
+def test_depth_of_scored_views_against_the_truth():
+    found = geometry_metrics(scene(), Shows(5.0))
+    assert found["depth_abs_rel"] == pytest.approx(0.25)
+    assert found["depth_sq_rel"] == pytest.approx(0.25)
+    assert found["depth_rmse"] == pytest.approx(1.0)
+    # off by exactly 1.25, which the first share leaves out
+    assert [found[f"depth_delta{k}"] for k in (1, 2, 3)] == [0, 1, 1]
+    assert found["depth_share"] == 1
+    assert found.keys() <= SCENE_METRICS.keys()
+    assert geometry_metrics(scene(), Shows(4.0))["depth_rmse"] == 0
+
+
+def test_depth_is_that_of_test_views_alone_and_only_they_need_truth():
+    views = tuple(replace(view, load_depth=None) for view in scene().views[1:])
+    some = replace(scene(test_depth=8.0), views=(scene(test_depth=8.0).views[0], *views))
+    found = geometry_metrics(some, Shows(4.0))
+    assert found["depth_abs_rel"] == pytest.approx(0.5)
+    assert not any(name.startswith("geometry") for name in found)
+    whole = geometry_metrics(scene(test_depth=8.0), Shows(4.0))
+    assert whole["depth_abs_rel"] == found["depth_abs_rel"]  # training views, at 4, do not count
+    assert "geometry_f_score" in whole
+
+
+def test_depth_counts_where_it_is_known_and_the_mask_is_true():
+    depth, mask = flat(4.0), torch.ones(18, 24, dtype=torch.bool)
+    depth[:9] = math.inf
+    mask[:, :12] = False
+    known = replace(scene().views[0], load_depth=lambda: depth, load_mask=lambda: mask)
+    empty = replace(known, load_depth=lambda: flat(math.inf))
+    of = replace(scene(), views=(known, empty, *scene().views[1:]), train=(2,), test=(0, 1))
+    found = geometry_metrics(of, Shows(5.0))
+    assert found["depth_rmse"] == pytest.approx(1.0)  # the empty view has no say
+    assert found["depth_share"] == pytest.approx((0.25 + 0) / 2)
+
+
+def test_a_depth_that_is_not_finite_names_the_view():
+    with pytest.raises(DataError, match=f"{scene().views[0].name}: depth: nan at row 0"):
+        geometry_metrics(scene(), Shows(math.nan))
+
+
+def test_every_view_is_rendered_once():
+    rendered = []
+
+    class Counts(Shows):
+        def render(self, view: View, background=None) -> RenderOutput:
+            rendered.append(view)
+            return super().render(view, background)
+
+    geometry_metrics(scene(), Counts(4.0))
+    assert len(rendered) == 3
 
 
 def test_a_scene_without_truth_has_no_such_metrics():

@@ -17,7 +17,7 @@ from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.stitch import stitch
 from splatproof.methods.models.base import ARRAYS, Origin, write_description
-from splatproof.methods.models.explicit import ExplicitModel, explicit_facts
+from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.reader import unpack_packed
 from splatproof.methods.storage.packed.rows import FolderRows
@@ -50,7 +50,7 @@ def main(folder: Path) -> dict[str, float]:
         shapes = {name: (EACH, *shape) for name, shape in SHAPES.items()}
         write_float_stream(place / ARRAYS, shapes, slices(centre, generator))
         facts = explicit_facts(mode="classic", shift=zero, units="sfm", primitives=EACH, degree=3)
-        write_description(place, ExplicitModel.kind, Origin(method="synthetic"), facts)
+        write_description(place, EXPLICIT, Origin(method="synthetic"), facts)
         blocks.append(BlockModel(region=box, model=place))
     seconds = {}
     start = time.perf_counter()

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -14,13 +15,14 @@ from splatproof.suites.studies.speed import page as speed_page
 
 DOCS = Path(__file__).parents[4] / "docs"
 MACHINE = {"cpu": "Some CPU", "cores": "2", "simd": "avx512", "gpu": ""}
+PEERS_MACHINE = {"cpu": "Intel Xeon Processor", "cores": "2", "simd": "avx512", "gpu": ""}
 
 
 def row(component: str, twin: str, case: str, **values: object) -> dict:
     return {
         "component": component, "twin": twin, "case": case, "size": [20_000, 320, 240],
         "forward_ms": 4.0, "backward_ms": 6.0, "max_abs_error": 1e-7, "rms_error": 1e-8,
-        "grad_rel_l2": 2e-7, "grad_cosine": 1.0, "step_pixels": 3, "peak_mb": 200.0,
+        "grad_rel_l2": 2e-7, "grad_cosine": 1.0, "discontinuity_pixels": 3, "peak_mb": 200.0,
         "added_mb": 50.0, "contributing_pairs": 2_000_000, "usual": True, "growth": False,
         "approximates": "", "error_case": "small", "ok": True, "note": "", **values,
     }  # fmt: skip
@@ -56,16 +58,52 @@ def test_the_committed_rows_are_undisturbed_or_refused():
         assert {peer["case"] for peer in csv.DictReader(file)} <= timed
 
 
-def test_ratios_and_shares_are_computed():
+def section(page: str) -> str:
+    """What stands beside the peers."""
+    return page.split("## Beside the public CPU peers")[1].split("\n## ")[0]
+
+
+def test_shares_are_computed():
     page = speed_page.page(MACHINE, ROWS, ["images/a.png"])
-    assert "| 20000 320x240 | OpenSplat 1.2.0 | 125 | 10.0 | 12.5x | 10.0 / 18.0 |" in page
-    assert "| 100000 320x240 | OpenSplat 1.2.0 | 312 | - | - |" in page
     assert "| blend | 4.00 | 2.00 | 50 % | loop |" in page
     assert "| 20000 320x240 | 4.00 | 6.00 | 2.00 | 5.00 | 500 | 200 | 50.0 |" in page
     assert "| rough * |" in page
     assert "rough: much" in page
     assert "GPU" not in page
     assert "![a](images/a.png)" in page
+
+
+def test_every_time_beside_peers_names_its_machine():
+    page = section(speed_page.page(MACHINE, ROWS, []))
+    lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| 20000 320x240")]
+    assert ["| 20000 320x240", "splatproof", "Some CPU, 2 cores, avx512", "10.0", "200 |"] in lines
+    assert [
+        "| 20000 320x240", "OpenSplat 1.2.0", "Intel Xeon Processor, 2 cores, avx512", "125", "182 |"
+    ] in lines  # fmt: skip
+
+
+def test_no_ratio_stands_across_machines():
+    page = section(speed_page.page(MACHINE, ROWS, []))
+    assert not re.search(r"\d+x \|", page)
+    assert "| case | rasterizer | machine | ms | peak MB |" in page
+    assert "do not compare" in page
+
+
+def test_ratios_on_one_machine_are_computed():
+    page = section(speed_page.page(PEERS_MACHINE, ROWS, []))
+    name = "Intel Xeon Processor, 2 cores, avx512"
+    assert f"| 20000 320x240 | OpenSplat 1.2.0 | {name} | 125 | 182 | 12.5x | 10.0 / 18.0 |" in page
+    assert f"| 100000 320x240 | OpenSplat 1.2.0 | {name} | 312 | 347 | - | 10.0 / 16.0 |" in page
+    assert "do not compare" not in page
+
+
+def test_the_committed_page_has_no_ratio_across_machines():
+    """Peers and rows were measured on processors of two makers."""
+    machine, _ = read_rows(DOCS / "performance.json")
+    with speed_page.PEERS.open(newline="") as file:
+        theirs = {peer["machine"] for peer in csv.DictReader(file)}
+    assert speed_page.machine_name(machine) not in theirs
+    assert not re.search(r"\d+x \|", section((DOCS / "performance.md").read_text()))
 
 
 def test_every_peer_is_measured_and_says_where():
@@ -75,6 +113,7 @@ def test_every_peer_is_measured_and_says_where():
     for peer in peers:
         assert float(peer["forward_ms"]) > 0
         assert peer["source"]
+        assert re.fullmatch(r".+, \d+ cores, \w+", peer["machine"])
         assert bool(peer["must"]) == bool(peer["aim"])
 
 

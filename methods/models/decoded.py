@@ -1,0 +1,155 @@
+"""A trained model that decodes its splats for each view: anchors, moving Gaussians, networks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.base.errors import DataError, UsageError
+from splatproof.methods.backends import get_backend
+from splatproof.methods.method import Loader
+from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.training.contract import TRAINED, Model
+from splatproof.reference.rasterizer.spherical_harmonics import C0
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import Scene, View
+from splatproof.reference.types.splats import Splats
+
+FAINTEST, SMALLEST = 1e-6, 1e-9
+"""Bounds of baked opacities (and of their distance to 1) and scales: their logarithms stay finite."""
+Build = Callable[[Mapping[str, Any], Mapping[str, Tensor]], Model]
+"""build(facts, tensors): the model of what was stored, its parameters restored by the caller."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DecodedModel:
+    """Any trained Model as a reconstruction: rendered by decoding, baked at a view."""
+
+    kind: str
+    """What models are told apart by when they are loaded; its method has a loader for it."""
+    model: Model
+    shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
+    """Float64; added to positions it gives those in the original frame."""
+    units: str = "sfm"
+    """Name of the length unit."""
+    backend: str = "cpu"
+    """Name of the rasterizer; not stored."""
+
+    @staticmethod
+    def of(kind: str, model: Model, scene: Scene, backend: str) -> "DecodedModel":
+        """What a fit returns.
+
+        Args:
+            kind: Name of the kind of model.
+            model: Trained.
+            scene: What it was trained on; its frame and units count.
+            backend: Name of the rasterizer.
+        """
+        return DecodedModel(
+            kind=kind, model=model, shift=scene.shift, units=scene.units, backend=backend
+        )
+
+    @property
+    def primitives(self) -> int:
+        """Number of rows that are stored."""
+        return self.model.primitives
+
+    @torch.no_grad()
+    def render(self, view: View, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
+        """The image of a view: decoded for its camera, time, sensor and appearance, not clamped.
+
+        Args:
+            view: What is looked at; its image is not.
+            background: Colour behind everything; None is black.
+        """
+        backend = get_backend(self.backend)
+        device = torch.device(backend.device)
+        self.model.parameters.to(device)
+        asked = view.without_truth()
+        output = backend.draw(
+            view.camera, self.model.splats(asked, TRAINED), mode=self.model.mode,
+            background=None if background is None else background.to(device),
+        )  # fmt: skip
+        return replace(output, colour=self.model.finish_image(asked, output)).to("cpu")
+
+    @torch.no_grad()
+    def bake(self, view: View | None = None) -> Gaussians:
+        """Explicit Gaussians that look like the model does from one view, at its time.
+
+        Args:
+            view: Camera, time and appearance that the model is decoded for.
+
+        Raises: UsageError without a view, or for splats of other than 3 channels.
+        """
+        if view is None:
+            raise UsageError(
+                f"a model of kind {self.kind!r} looks different from every view; name the one to "
+                "bake it at"
+            )
+        return gaussians_of(self.model.splats(view.without_truth(), TRAINED))
+
+    def store(self, folder: Path) -> Stored:
+        """What `save_model` writes: all parameters, and what a loader needs beside them.
+
+        Args:
+            folder: Not used: there are no files beside the arrays.
+        """
+        del folder
+        facts = {
+            "mode": self.model.mode, "shift": self.shift.tolist(), "units": self.units,
+            "primitives": self.primitives, "model": self.model.facts(),
+        }  # fmt: skip
+        return Stored(tensors=self.model.parameters.state(), facts=facts)
+
+
+def gaussians_of(splats: Splats) -> Gaussians:
+    """Splats as explicit Gaussians; colours become the constant band of harmonics.
+
+    Args:
+        splats: With harmonics, or colours of 3 channels.
+
+    Raises: UsageError for colours of other than 3 channels.
+    """
+    sh = splats.sh
+    if sh is None:
+        assert splats.colours is not None
+        if splats.colours.shape[1] != 3:
+            raise UsageError(f"colours have {splats.colours.shape[1]} channels, expected 3 to bake")
+        sh = ((splats.colours - 0.5) / C0)[:, None]
+    return Gaussians(
+        means=splats.means.cpu(),
+        quaternions=splats.quaternions.cpu(),
+        log_scales=splats.scales.clamp(min=SMALLEST).log().cpu(),
+        opacity_logits=torch.logit(splats.opacities, eps=FAINTEST).cpu(),
+        sh=sh.cpu(),
+    )
+
+
+def loader(kind: str, build: Build) -> Loader:
+    """How a method loads the models that it left as DecodedModel.
+
+    Args:
+        kind: Name of the kind of model.
+        build: Makes the model again from `Model.facts()` and the stored tensors, whose names are
+            those of `Parameters.state()`.
+    """
+
+    def load(folder: Path, stored: Stored, backend: str) -> DecodedModel:
+        try:
+            model = build(stored.facts["model"], stored.tensors)
+            model.parameters.restore(stored.tensors)
+            shift = torch.tensor(stored.facts["shift"], dtype=torch.float64)
+            units = str(stored.facts["units"])
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
+        for name, value in stored.tensors.items():
+            if value.is_floating_point() and not bool(value.isfinite().all()):
+                raise DataError(f"{folder / ARRAYS}: {name} is not finite")
+        return DecodedModel(kind=kind, model=model, shift=shift, units=units, backend=backend)
+
+    return load
