@@ -10,11 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8, UInt16
 from PIL import Image
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import write_bytes
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 # Aerial cameras reach 150 megapixels, above Pillow's default warning against decompression bombs.
@@ -107,3 +108,15 @@ def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None
         return
     if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:
         raise DataError(f"{path}: has transparent pixels; flatten it onto a background")
+
+
+def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]) -> None:
+    """Write RGB of 8 or 16 bits as a PNG; a kill leaves the old file or the new one.
+
+    Args:
+        path: File to write.
+        image: Pixels, h x w x 3.
+    """
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    assert done
+    write_bytes(path, data.tobytes())

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from splatproof.methods.city.model import CITY, load_city
-from splatproof.methods.method import Loader
-from splatproof.methods.models.base import (
+from splatproof.methods.contracts.method import Loader
+from splatproof.methods.contracts.reconstruction import (
     Origin,
     Reconstruction,
     origin_of,

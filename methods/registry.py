@@ -7,7 +7,7 @@ from splatproof.base.plugins import with_plugins
 from splatproof.methods.city import settings as city
 from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
-from splatproof.methods.method import Method
+from splatproof.methods.contracts.method import Method
 from splatproof.methods.threedgs.method import THREEDGS
 
 GROUP = "splatproof.methods"

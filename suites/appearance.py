@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.methods.models.base import Adapts, Reconstruction
+from splatproof.methods.contracts.reconstruction import Adapts, Reconstruction
 from splatproof.metrics.colour_fit import fit_colours
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import View

@@ -14,9 +14,9 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import write_bytes
 from splatproof.base.folders import new_folder
-from splatproof.methods.models.base import Reconstruction
+from splatproof.datasets.photos import write_png
+from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.metrics.flip import flip_map
 from splatproof.metrics.pairs import check_pair
 from splatproof.metrics.registry import find_metric
@@ -174,18 +174,6 @@ def error_picture(
     whole[:, region_columns(render.shape[1], protocol.region)] = error
     colours = cv2.applyColorMap((whole * 255).round().astype(np.uint8), cv2.COLORMAP_MAGMA)
     return np.asarray(colours[..., ::-1], dtype=np.uint8)
-
-
-def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"] | UInt16[np.ndarray, "h w 3"]) -> None:
-    """Write RGB of 8 or 16 bits as a PNG; a kill leaves the old file or the new one.
-
-    Args:
-        path: File to write.
-        image: Pixels, h x w x 3.
-    """
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
-    assert done
-    write_bytes(path, data.tobytes())
 
 
 def render_milliseconds(

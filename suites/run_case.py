@@ -15,10 +15,10 @@ from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
+from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.base import Origin, Reconstruction, save_model
 from splatproof.methods.registry import get_method
-from splatproof.methods.run import Run
 from splatproof.methods.training.loop import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics

@@ -8,7 +8,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.models.base import ARRAYS, describe
+from splatproof.methods.contracts.reconstruction import ARRAYS, describe
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.reference.partition.boxes import Region
 from splatproof.reference.types.gaussians import Gaussians

@@ -8,8 +8,8 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from splatproof.datasets.resize import scale_intrinsics
-from splatproof.methods.backends import get_backend
 from splatproof.methods.city.ground import Ground
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.training.initialise import from_points
 from splatproof.reference.supervision.losses import ssim_map
 from splatproof.reference.types.camera import Camera

@@ -2,7 +2,7 @@
 
 from splatproof.methods.city.memory_plan import GROWTH
 from splatproof.methods.city.settings import CitySettings
-from splatproof.methods.method import Cost
+from splatproof.methods.contracts.method import Cost
 from splatproof.methods.threedgs import cost as threedgs
 from splatproof.reference.types.scene import Scene
 

@@ -12,7 +12,7 @@ from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
 from splatproof.methods.city.train_block import BlockJob
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.partition.ghosts import RIM
 from splatproof.reference.partition.view_sampling import SamplingSettings

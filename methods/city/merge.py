@@ -8,7 +8,12 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.methods.city.block_model import BlockModel
-from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
+from splatproof.methods.contracts.reconstruction import (
+    ARRAYS,
+    DESCRIPTION,
+    Origin,
+    write_description,
+)
 from splatproof.methods.models.explicit import EXPLICIT, FIELDS, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.rasterizer.rasterize import Mode

@@ -12,7 +12,7 @@ from splatproof.base.errors import DataError
 from splatproof.base.files import sha256, write_bytes
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.regions import AnyRegion, load_regions, save_regions
-from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
 from splatproof.methods.models.explicit import ExplicitModel, described, gaussians_in
 from splatproof.methods.storage.packed.reader import read_packed
 

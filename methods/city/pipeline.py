@@ -27,9 +27,9 @@ from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import cut_hard, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
-from splatproof.methods.models.base import ARRAYS, Origin
+from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
-from splatproof.methods.run import Run
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed

@@ -8,17 +8,17 @@ from typing import Literal
 from jaxtyping import Bool
 from torch import Tensor
 
+from splatproof.methods.contracts.density_strategy import Frozen
+from splatproof.methods.contracts.model import Moment
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.models.gaussian_model import GaussianModel
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.contract import Moment
 from splatproof.methods.training.loop import Plan, Trainer
 from splatproof.methods.training.optimizer import Adam, Momentum
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.methods.training.session import run_key
-from splatproof.methods.training.strategy import Frozen
 from splatproof.reference.compression.affine_codes import fake_quantise, lattice
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians

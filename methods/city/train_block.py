@@ -16,10 +16,10 @@ from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.point_roles import GHOST, OWN, ROLE, held_rows, role_rules
-from splatproof.methods.models.base import Origin, save_model
+from splatproof.methods.contracts.reconstruction import Origin, save_model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import DensityControl

@@ -10,10 +10,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError, UsageError
-from splatproof.methods.backends import get_backend
-from splatproof.methods.method import Loader
-from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
-from splatproof.methods.training.contract import TRAINED, Model
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.method import Loader
+from splatproof.methods.contracts.model import TRAINED, Model
+from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput

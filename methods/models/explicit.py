@@ -12,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.backends import get_backend
-from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from splatproof.methods.training.contract import Model, Moment, NativeTensors
-from splatproof.methods.training.parameters import Parameters
+from splatproof.methods.contracts.model import Model, Moment, NativeTensors
+from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.training.regularisers import draw_shown, thinned
 from splatproof.methods.training.schedules import Rates, active_degree, log_linear, settling
 from splatproof.reference.rasterizer.rasterize import Mode

@@ -4,8 +4,8 @@ import statistics
 from collections.abc import Sequence
 
 from splatproof.base.memory import MEBIBYTE
-from splatproof.methods.method import Cost
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.method import Cost
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import Scene

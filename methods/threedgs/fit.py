@@ -1,8 +1,8 @@
 """Training of method 3dgs, and the parts of it that blocks and refinements share."""
 
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
 from splatproof.methods.training.density import DensityControl

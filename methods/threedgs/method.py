@@ -1,6 +1,6 @@
 """Method 3dgs as the registry knows it."""
 
-from splatproof.methods.method import Method
+from splatproof.methods.contracts.method import Method
 from splatproof.methods.threedgs.cost import cost
 from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import Settings

@@ -8,10 +8,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from splatproof.methods.contracts.density_strategy import Observation, Statistic
+from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.kernels import step as kernels
-from splatproof.methods.training.parameters import Edit, Parameters
 from splatproof.methods.training.schedules import require, shrink
-from splatproof.methods.training.strategy import Observation, Statistic
 from splatproof.reference.rasterizer.rotation import rotation_matrix
 from splatproof.reference.types.gaussians import Gaussians
 

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.supervision.dense_initialisation import DenseSettings

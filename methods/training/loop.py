@@ -15,13 +15,13 @@ from torch import Tensor
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.image_cache import TensorCache
-from splatproof.methods.backends import get_backend
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.density_strategy import DensityStrategy, Observation
+from splatproof.methods.contracts.model import Model, Moment, NativeTensors
+from splatproof.methods.contracts.parameters import Parameters
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
-from splatproof.methods.run import Run
-from splatproof.methods.training.contract import Model, Moment, NativeTensors
 from splatproof.methods.training.optimizer import Adam, GradientMean
-from splatproof.methods.training.parameters import Parameters
-from splatproof.methods.training.strategy import DensityStrategy, Observation
 from splatproof.methods.training.terms import Frame, ImageTerm, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled, ViewOrder
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe

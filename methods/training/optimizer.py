@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.kernels import adam as kernels
-from splatproof.methods.training.parameters import Edit, Parameters
 
 MOMENTUM = 0.9
 """Momentum of plain gradient descent, as in the release of StitchGS."""

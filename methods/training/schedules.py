@@ -1,11 +1,11 @@
 """What changes with the step: learning rates, the SH degree, and how schedules shrink."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 from splatproof.base.errors import UsageError
+from splatproof.methods.contracts.model import Schedule
 
 FULL_LENGTH = 30_000
 """Iterations of a full run; schedules are written down for this length."""
@@ -57,10 +57,6 @@ def require(holds: bool, setting: str, value: object, expected: str) -> None:
     """Raise UsageError, naming the setting, its value and what was expected, unless it holds."""
     if not holds:
         raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
-
-
-Schedule = Callable[[int, int], float]
-"""schedule(step, total): the rate at a step, 1 at the first update, of so many."""
 
 
 def log_linear(first: float, last: float, *, factor: float = 1.0) -> Schedule:

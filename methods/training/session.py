@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from splatproof.methods.run import Run
-from splatproof.methods.training.contract import Model
+from splatproof.methods.contracts.model import Model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.loop import Plan, Trainer, scene_digest, threads
 from splatproof.reference.types.scene import Scene
 

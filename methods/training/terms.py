@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.methods.contracts.model import Model, Moment
+from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.kernels.loss import photometric
-from splatproof.methods.training.contract import Model, Moment
-from splatproof.methods.training.parameters import Parameters
 from splatproof.methods.training.regularisers import opacity_pull
 from splatproof.reference.supervision import losses
 from splatproof.reference.types.render import RenderOutput

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import torch
 
-from splatproof.methods.backends import get_backend
-from splatproof.methods.models.base import Bakes
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.reconstruction import Bakes
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.registry import METHODS
-from splatproof.methods.run import Run
 from splatproof.metrics.seam_render import render_seam_view
 from splatproof.reference.partition import boxes
 from splatproof.reference.partition import density_split as partition_density

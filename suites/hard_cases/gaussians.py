@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatproof.methods.backends import get_backend
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.reference.checks.agreement import compare_gradients, largest_error
 from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference

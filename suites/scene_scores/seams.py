@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from splatproof.base.folders import new_folder
-from splatproof.methods.backends import get_backend
+from splatproof.datasets.photos import write_png
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.kernels import blocks as kernels
 from splatproof.metrics.scoring import round_to_8_bit
 from splatproof.metrics.seam import SeamView, seam_scores, seam_sums
@@ -26,7 +27,6 @@ from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import picture_name
 from splatproof.reference.types.scene import Scene, View
-from splatproof.suites.held_out import write_png
 from splatproof.suites.scene_scores.released_seams import boxes_of, released_scores
 from splatproof.suites.scene_scores.surface import surface_depth
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.models.base import Reconstruction
+from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.metrics.depth import depth_errors
 from splatproof.metrics.geometry import geometry_scores
 from splatproof.metrics.parts import mean_over_images

@@ -17,11 +17,11 @@ import torch
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, save_model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.base import ARRAYS, Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
-from splatproof.methods.run import Run
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PARTS, FileSettings, write_packed
 from splatproof.methods.storage.ply import read_ply, write_ply

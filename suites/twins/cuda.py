@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatproof.methods import cuda_gsplat
+from splatproof.methods.contracts import cuda_gsplat
 from splatproof.suites.twins.rasterizers import PIPELINE, RASTERIZER, draws, pipes
 from splatproof.suites.twins.twin import Component, Forward, Leaves, Problem, Twin, functional
 

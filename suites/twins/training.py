@@ -7,7 +7,7 @@ import torch
 from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.catalogue.registry import find_scene
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density

@@ -10,7 +10,7 @@ from helpers.random_weights import forget, write_weights
 from splatproof import _ext
 from splatproof.base.errors import UsageError
 from splatproof.cli import main
-from splatproof.methods import backends
+from splatproof.methods.contracts import backends
 from splatproof.metrics import registry
 from splatproof.reference.rasterizer.rasterize import rasterize
 

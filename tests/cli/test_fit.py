@@ -14,8 +14,8 @@ from splatproof.cli import main, report
 from splatproof.cli.running import BlockRunning
 from splatproof.methods.city.executor import ENGINES
 from splatproof.methods.city.settings import StitchGS
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.registry import METHODS
-from splatproof.methods.run import Run
 from splatproof.suites import run_case as cases
 from splatproof.suites import runner
 from splatproof.suites.records import read_record

@@ -1,6 +1,6 @@
 """Explicit Gaussians of a reconstruction, for tests that know that it has some."""
 
-from splatproof.methods.models.base import Bakes, Reconstruction
+from splatproof.methods.contracts.reconstruction import Bakes, Reconstruction
 from splatproof.reference.types.gaussians import Gaussians
 
 

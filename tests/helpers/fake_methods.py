@@ -11,10 +11,10 @@ import numpy as np
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.files import write_text
-from splatproof.methods.method import Cost, Method
+from splatproof.methods.contracts.method import Cost, Method
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import METHODS
-from splatproof.methods.run import Run
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import run_case as cases

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import Settings
 

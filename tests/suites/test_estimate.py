@@ -11,7 +11,7 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
 from splatproof.methods.city.cost import START_SECONDS
 from splatproof.methods.city.settings import CitySettings
-from splatproof.methods.method import Cost
+from splatproof.methods.contracts.method import Cost
 from splatproof.methods.registry import METHODS, get_method
 from splatproof.methods.threedgs.cost import PROCESS_MB
 from splatproof.methods.threedgs.settings import Settings

@@ -20,7 +20,7 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main
 from splatproof.cli.output import finite
 from splatproof.datasets.photos import read_photo
-from splatproof.methods.models.base import Stored
+from splatproof.methods.contracts.reconstruction import Stored
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import scene_metrics
 from splatproof.reference.types.protocol import Protocol

@@ -13,7 +13,12 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.methods.models.base import ARRAYS, DESCRIPTION, Origin, write_description
+from splatproof.methods.contracts.reconstruction import (
+    ARRAYS,
+    DESCRIPTION,
+    Origin,
+    write_description,
+)
 from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.records import VERSION, records, version_of

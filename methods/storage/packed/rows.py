@@ -13,7 +13,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import sha256
-from splatproof.methods.models.base import ARRAYS, describe
+from splatproof.methods.contracts.reconstruction import ARRAYS, describe
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.reference.types.gaussians import Gaussians
 

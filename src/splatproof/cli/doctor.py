@@ -93,7 +93,7 @@ def _processor() -> Iterator[Finding]:
 
 
 def _backends() -> Iterator[Finding]:
-    from splatproof.methods.backends import describe_backends
+    from splatproof.methods.contracts.backends import describe_backends
 
     for backend in describe_backends():
         absent = "fault" if backend.name == "cpu" else "absent"

@@ -9,7 +9,7 @@ from splatproof.cli import output
 from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
-    from splatproof.methods.models.base import Origin, Reconstruction
+    from splatproof.methods.contracts.reconstruction import Origin, Reconstruction
     from splatproof.reference.types.gaussians import Gaussians
 
 
@@ -70,7 +70,7 @@ def export(
 def _baked(model: "Reconstruction") -> "Gaussians":
     """The model as explicit Gaussians."""
     from splatproof.base.errors import UsageError
-    from splatproof.methods.models.base import Bakes
+    from splatproof.methods.contracts.reconstruction import Bakes
 
     if not isinstance(model, Bakes):
         raise UsageError(f"a model of kind {model.kind!r} cannot be turned into explicit Gaussians")

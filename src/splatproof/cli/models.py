@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from splatproof.base.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from splatproof.methods.models.base import Origin
+    from splatproof.methods.contracts.reconstruction import Origin
     from splatproof.reference.types.protocol import Protocol
 
 

@@ -12,7 +12,7 @@ from splatproof.cli.models import model_path, protocol_of, scene_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from splatproof.methods.models.base import Reconstruction
+    from splatproof.methods.contracts.reconstruction import Reconstruction
     from splatproof.reference.types.protocol import Protocol
     from splatproof.reference.types.scene import View
 
@@ -49,9 +49,10 @@ def render(
         backend: Name of the rasterizer: cpu, reference or cuda.
     """
     from splatproof.base.errors import DataError, UsageError
+    from splatproof.datasets.photos import write_png
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.reference.types.result import picture_name
-    from splatproof.suites.held_out import kept, write_png
+    from splatproof.suites.held_out import kept
 
     if cameras is not None and (scene is not None or views is not None):
         raise UsageError("--cameras says what is rendered; leave --scene and --views out")

@@ -76,7 +76,7 @@ def check_options(suite: "Suite", running: Running, blocks: BlockRunning) -> Non
     Raises: UsageError for a backend that does not exist, or options of blocks where no case has
         any; MissingError if this machine lacks what the backend needs.
     """
-    from splatproof.methods.backends import get_backend
+    from splatproof.methods.contracts.backends import get_backend
 
     get_backend(running.backend)
     if blocks != USUAL_BLOCKS and not any(has_blocks(type(c.settings)) for c in suite.cases):

@@ -13,7 +13,7 @@ from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.base.files import write_text
 from splatproof.cli import output
 from splatproof.cli.binding import bound
-from splatproof.methods.backends import get_backend
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.suites.studies.study import STUDIES, Study
 
 Row = dict[str, Any]

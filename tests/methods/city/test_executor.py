@@ -16,8 +16,8 @@ from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.train_block import BlockJob
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 

@@ -11,11 +11,11 @@ from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.methods.city.model import CONTAINER, CityModel
+from splatproof.methods.contracts.reconstruction import Origin, save_model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings

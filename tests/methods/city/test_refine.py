@@ -9,9 +9,9 @@ import torch
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.refine import QuantisedModel, RefineSettings, clean, refine
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.model import Moment
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.contract import Moment
 from splatproof.methods.training.schedules import Rates
 from splatproof.reference.stitching.preclean import CleanSettings
 

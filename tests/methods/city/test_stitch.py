@@ -14,8 +14,8 @@ from splatproof.methods.city import block_model, merge, regions
 from splatproof.methods.city import stitch as fast
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
-from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.partition.boxes import OrientedBox, Region

@@ -11,10 +11,10 @@ from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.point_roles import CONTEXT, GHOST, OWN, ROLE, Auxiliary
 from splatproof.methods.city.train_block import BlockJob, prepare, train_block
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer

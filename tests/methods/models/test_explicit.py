@@ -9,8 +9,8 @@ import torch
 
 from helpers.tiny_scene import camera, random_gaussians
 from splatproof.base.errors import DataError
+from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
-from splatproof.methods.models.base import Origin, Reconstruction, save_model
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.reference.rasterizer import rasterize as rasterizer
 from splatproof.reference.types.scene import camera_view

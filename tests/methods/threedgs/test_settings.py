@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatproof.base.errors import MissingError, UsageError
-from splatproof.methods.backends import CONTRACT, describe_backends, get_backend
+from splatproof.methods.contracts.backends import CONTRACT, describe_backends, get_backend
 from splatproof.methods.registry import METHODS, get_method
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from helpers.tiny_scene import sparse_points, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.datasets.catalogue.opening import open_scene
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import dense_points
 from splatproof.methods.training.dense_points import Voxels, extended, with_dense_points

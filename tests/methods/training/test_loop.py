@@ -12,10 +12,10 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, SplatproofError, UsageError
+from splatproof.methods.contracts.reconstruction import Origin, save_model
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.models.explicit import FIELDS
-from splatproof.methods.run import Run
 from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density

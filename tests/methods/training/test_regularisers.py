@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density

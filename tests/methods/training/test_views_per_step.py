@@ -8,13 +8,13 @@ import torch
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.parameters import Parameters
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.optimizer import Adam
-from splatproof.methods.training.parameters import Parameters
 
 SETTINGS = Settings(
     iterations=40, sh_degree=1, views_per_step=3, dropout=0.2, random_background=True,

@@ -16,7 +16,7 @@ import torch
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.stitch import stitch
-from splatproof.methods.models.base import ARRAYS, Origin, write_description
+from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, write_description
 from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed.reader import unpack_packed

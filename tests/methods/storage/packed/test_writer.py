@@ -18,8 +18,8 @@ from torch.testing import assert_close
 from helpers.baking import baked
 from helpers.sh_models import model
 from splatproof.base.errors import DataError
+from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
-from splatproof.methods.models.base import Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.packed import records as packing_records
 from splatproof.methods.storage.packed import streams as packing_streams

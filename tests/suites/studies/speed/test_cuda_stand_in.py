@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from splatproof.cli import main
-from splatproof.methods import cuda_gsplat
+from splatproof.methods.contracts import cuda_gsplat
 from splatproof.reference.rasterizer import rasterize as rasterizer
 from splatproof.reference.types.camera import Camera
 from splatproof.suites.studies.speed import judge as speed_judge

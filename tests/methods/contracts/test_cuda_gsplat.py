@@ -12,7 +12,7 @@ import torch
 
 from helpers.tiny_scene import camera, random_gaussians
 from splatproof.base.errors import UsageError
-from splatproof.methods import cuda_gsplat
+from splatproof.methods.contracts import cuda_gsplat
 from splatproof.reference.rasterizer import rasterize as rasterizer
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
 from splatproof.reference.types.camera import Camera

@@ -66,7 +66,7 @@ def _cpu() -> Backend:
 def _cuda() -> Backend:
     if importlib.util.find_spec("gsplat") is None:
         return _absent("cuda", "gsplat is not installed; run `pip install splatproof[cuda]`")
-    adapter = importlib.import_module("splatproof.methods.cuda_gsplat")
+    adapter = importlib.import_module("splatproof.methods.contracts.cuda_gsplat")
     if not torch.cuda.is_available():
         return _absent("cuda", "torch finds no CUDA device; use `cpu`")
     return Backend(

@@ -9,12 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.methods.training.parameters import Parameters
-from splatproof.methods.training.schedules import Schedule
+from splatproof.methods.contracts.parameters import Parameters
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
 from splatproof.reference.types.splats import Splats
+
+Schedule = Callable[[int, int], float]
+"""schedule(step, total): the rate of a tensor at a step, 1 at the first update, of so many."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

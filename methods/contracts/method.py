@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from splatproof.methods.models.base import Reconstruction, Stored
-from splatproof.methods.run import Run
+from splatproof.methods.contracts.reconstruction import Reconstruction, Stored
+from splatproof.methods.contracts.run import Run
 from splatproof.reference.types.scene import Scene
 
 Loader = Callable[[Path, Stored, str], Reconstruction]

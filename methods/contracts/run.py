@@ -30,7 +30,7 @@ class Run:
     seed: int = 0
     """Every random draw of the run comes from one generator with this seed."""
     backend: str = "cpu"
-    """Name of the rasterizer, see splatproof.methods.backends."""
+    """Name of the rasterizer, see splatproof.methods.contracts.backends."""
     device: str = ""
     """Torch device that model and images are kept on; empty: the backend's own."""
     threads: int | None = None

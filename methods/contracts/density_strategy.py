@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from splatproof.methods.training.parameters import Edit, Parameters
+from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.reference.types.camera import Camera
 
 Statistic = Literal["signed", "absolute"]
