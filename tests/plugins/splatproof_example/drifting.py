@@ -69,7 +69,11 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
         size, steps = extent(scene), settings.iterations
         start = from_points(scene, degree=0, opacity=0.3)
         density = DensityControl(
-            Density(start=1000, least_interval=20, reset_interval=0), iterations=steps, extent=size
+            Density(
+                start=1000, least_interval=20, reset_interval=0, most=len(start.means) * 3 // 2
+            ),
+            iterations=steps,
+            extent=size,
         )
         return Drifting(start, size=size, rate=settings.rate), Plan(
             steps=steps, views=scene.train_views, terms=(Photometric(),), density=density,
