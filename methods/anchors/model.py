@@ -12,14 +12,18 @@ from splatproof.methods.anchors.networks import network
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.reference.anchors import scaffold
-from splatproof.reference.rasterizer.projection import project, screen_radii
-from splatproof.reference.types.camera import Camera
+from splatproof.reference.partition.frustum import frustum
+from splatproof.reference.types.camera import Camera, transform_points
 from splatproof.reference.types.scene import View
 from splatproof.reference.types.splats import Splats
 
 NETWORKS = ("opacity", "shape", "colour")
 BANK = "bank"
 """Name of the network that blends features by where they are seen from, where there is one."""
+
+
+REACH = 3.0
+"""Standard deviations of the offsets' scale within which an anchor may show something."""
 
 
 class AnchorModel(Model):
@@ -57,18 +61,21 @@ class AnchorModel(Model):
     def in_view(self, camera: Camera) -> Int[Tensor, " v"]:
         """Rows of the anchors that an image may show something of.
 
-        An anchor counts as a Gaussian of opacity 1 as large as its offsets reach, as in the release.
+        Those in front of the near plane whose ball of 3 times the offsets' largest scale meets the
+        pyramid that the image opens.
 
         Args:
             camera: Of the image.
 
-        Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.2 and its release (3 standard deviations there,
-            the exact support here).
+        Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.2; its release takes the ellipse's 3 standard
+            deviations on the image, which lie within the ball.
         """
-        reach = self.parameters.rows["log_scales"][:, :3].exp()
-        projected = project(camera, self.parameters.labels["centres"], torch.diag_embed(reach))
-        radii = screen_radii(camera, projected, torch.ones_like(reach[:, 0]))
-        return torch.where(radii > 0)[0]
+        radius = REACH * self.parameters.rows["log_scales"][:, :3].amax(dim=1).exp()
+        local = transform_points(camera, self.parameters.labels["centres"])
+        sides = torch.from_numpy(frustum(camera)[1:, :3])  # all pass through the camera
+        inwards = torch.nn.functional.normalize(sides, dim=1).T.to(local)
+        inside = (local @ inwards).amin(dim=1)
+        return torch.where((local[:, 2] > camera.near) & (inside > -radius))[0]
 
     def splats(self, view: View, moment: Moment) -> Splats:
         """What the anchors in view decode to; none is decoded that cannot be seen.

@@ -61,7 +61,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[AnchorModel, Pl
         shared=networks.named(drawn_networks(settings, run.seed)),
     )  # fmt: skip
     model = AnchorModel(
-        parameters, schedules(settings.rates, [*parameters.shared], size),
+        parameters, schedules(settings.rates, [*parameters.shared]),
         with_distance=settings.distance,
     )  # fmt: skip
     return model, Plan(
@@ -92,13 +92,12 @@ def drawn_networks(settings: Settings, seed: int) -> dict[str, mlp.Mlp]:
     return made
 
 
-def schedules(rates: Rates, shared: list[str], size: float) -> dict[str, Schedule]:
+def schedules(rates: Rates, shared: list[str]) -> dict[str, Schedule]:
     """Rate of every trained tensor.
 
     Args:
         rates: Of each kind.
         shared: Names of the networks' tensors.
-        size: Extent of the scene in scene units, which offsets move in proportion to.
     """
     by_network = {
         "opacity": log_linear(rates.opacity, rates.opacity_final),
@@ -107,7 +106,7 @@ def schedules(rates: Rates, shared: list[str], size: float) -> dict[str, Schedul
         BANK: log_linear(rates.bank, rates.bank_final),
     }
     return {
-        "offsets": log_linear(rates.offsets, rates.offsets_final, factor=size),
+        "offsets": log_linear(rates.offsets, rates.offsets_final),
         "features": log_linear(rates.features, rates.features),
         "log_scales": log_linear(rates.log_scales, rates.log_scales),
     } | {name: by_network[name.partition(".")[0]] for name in shared}

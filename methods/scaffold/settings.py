@@ -10,12 +10,13 @@ from splatproof.methods.training.schedules import require
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Adam's learning rates (defaults of the Scaffold-GS release), log-linear from first to last step."""
+    """Adam's learning rates, those of the Scaffold-GS release; log-linear from first to last step."""
 
-    offsets: float = 0.01
-    """Rate of offsets at the first step, times the scene's extent."""
-    offsets_final: float = 1e-4
-    """Rate of offsets at the last step, times the scene's extent."""
+    offsets: float = 0.05
+    """Rate of offsets at the first step. Offsets have no unit; the release multiplies 0.01 by the scene's
+    extent, about 5 in its scenes, but 30 and more where the unit is a metre."""
+    offsets_final: float = 5e-4
+    """Rate of offsets at the last step."""
     features: float = 7.5e-3
     """Rate of anchor features, constant."""
     log_scales: float = 7e-3

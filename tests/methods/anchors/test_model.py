@@ -16,6 +16,7 @@ from splatproof.methods.scaffold.fit import prepare
 from splatproof.methods.scaffold.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.reference.anchors import scaffold
+from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, camera_view
 
 SMALL = Settings(iterations=50, k=3, features=8)
@@ -68,6 +69,31 @@ def test_an_anchor_counts_as_seen_by_what_its_offsets_reach():
     assert 0 not in made.in_view(view.camera)
     made.parameters.rows["log_scales"][0, :3] = 1.0
     assert 0 in made.in_view(view.camera)
+
+
+def test_what_the_rasterizer_shows_of_an_anchor_is_never_out_of_view():
+    """Anchors as Gaussians of the offsets' scales within 3 standard deviations, by the projection."""
+    generator = torch.Generator().manual_seed(0)
+    made = model()
+    count = len(made.parameters)
+    for _ in range(20):
+        centres = 6 * torch.randn(count, 3, generator=generator)
+        made.parameters.labels["centres"] = centres
+        made.parameters.rows["log_scales"] = torch.randn(count, 6, generator=generator) - 1
+        around = torch.randn(count, 50, 3, generator=generator)
+        around *= (
+            3 * torch.rand(count, 50, 1, generator=generator) / around.norm(dim=2, keepdim=True)
+        )
+        reach = made.parameters.rows["log_scales"][:, None, :3].exp()
+        points = (centres[:, None] + around * reach).flatten(0, 1)
+        pixels, depths = project_points(camera(2), points)
+        size = torch.tensor([24.0, 18.0])
+        shown = (depths > 0.01) & ((pixels > 0) & (pixels < size)).all(dim=1)
+        ahead = project_points(camera(2), centres)[1] > 0.01
+        wanted = shown.reshape(count, 50).any(dim=1) & ahead
+        found = made.in_view(camera(2))
+        assert set(torch.where(wanted)[0].tolist()) <= set(found.tolist())
+        assert len(found) < count
 
 
 def test_nothing_in_view_is_an_empty_image_and_a_step_that_moves_nothing():
