@@ -36,6 +36,6 @@ class Method:
     cost: Callable[[Any, Scene], Cost]
     """cost(settings, scene): before anything is trained; no image is read."""
     description: str
-    """One line."""
+    """What the method does, in one line."""
     loaders: Mapping[str, Loader] = field(default_factory=dict)
     """How to load the kinds of models that only this method leaves, by kind."""

@@ -58,7 +58,7 @@ class Reconstruction(Protocol):
 
     @property
     def kind(self) -> str:
-        """What models are told apart by when they are loaded."""
+        """Name by which the loader of such models is found."""
         ...
 
     @property
@@ -106,8 +106,8 @@ class Adapts(Protocol):
 
         Args:
             view: Camera, time and sensor of the image.
-            image: In [0, 1].
-            columns: The only pixels that may be looked at.
+            image: The image, in [0, 1].
+            columns: Columns of its pixels that may be looked at; no others may.
         """
         ...
 
@@ -132,10 +132,10 @@ def write_description(folder: Path, kind: str, origin: Origin, facts: Mapping[st
     """Write model.json beside arrays that lie there complete: it holds their hash.
 
     Args:
-        folder: With model.safetensors.
+        folder: The model's folder; model.safetensors lies there already.
         kind: What the model is loaded as.
-        origin: Where it comes from.
-        facts: What that kind of model says besides.
+        origin: Where the model comes from.
+        facts: What that kind of model says besides, JSON-ready.
     """
     told = {
         "format": FORMAT,

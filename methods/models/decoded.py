@@ -31,10 +31,10 @@ class DecodedModel:
     """Any trained Model as a reconstruction: rendered by decoding, baked at a view."""
 
     kind: str
-    """What models are told apart by when they are loaded; its method has a loader for it."""
+    """Name by which the loader of such models is found; its method has one."""
     model: Model
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Float64; added to positions it gives those in the original frame."""
+    """Vector in scene units, float64; added to positions it gives those in the original frame."""
     units: str = "sfm"
     """Name of the length unit."""
     backend: str = "cpu"
@@ -46,8 +46,8 @@ class DecodedModel:
 
         Args:
             kind: Name of the kind of model.
-            model: Trained.
-            scene: What it was trained on; its frame and units count.
+            model: The model after its last step.
+            scene: What it was trained on; its shift and units count.
             backend: Name of the rasterizer.
         """
         return DecodedModel(

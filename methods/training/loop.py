@@ -47,8 +47,9 @@ class Plan:
     """What a training consists of beside its model and its run."""
 
     steps: int
+    """Number of steps of the whole training."""
     views: tuple[View, ...]
-    """What is trained on."""
+    """Views that are trained on."""
     terms: tuple[ImageTerm | ParameterTerm, ...]
     """What is minimised; their names are distinct."""
     density: DensityStrategy
@@ -76,7 +77,7 @@ class Trainer:
 
         Args:
             model: What is trained; it is moved to the run's device.
-            plan: How.
+            plan: What is minimised, on which views, and how the model changes.
             run: Seed, backend, checkpoints and who is told.
         """
         self.model, self.plan, self.run = model, plan, run

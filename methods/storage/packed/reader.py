@@ -42,9 +42,9 @@ def read_packed(
     """The Gaussians of a packed file in float32, in the file's order, and what it says of them.
 
     Args:
-        path: Written by write_packed, or by reference.compression.container (version 1).
-        threads: None: all cores.
-        most_bytes: Files that claim to unpack to more are refused.
+        path: A file by write_packed, or by reference.compression.container (version 1).
+        threads: Number of threads that unpack; None: one for each core.
+        most_bytes: Largest unpacked size; files that claim to have a larger one are refused.
 
     Raises: DataError, in one line, for anything but an intact file of a known version.
     """
@@ -64,6 +64,12 @@ def read_packed(
 
 def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> int:
     """Write a packed model as a model folder, a few chunks in memory at a time.
+
+    Args:
+        path: A file by write_packed, or by reference.compression.container (version 1, which is in
+            memory as a whole).
+        folder: Where model.safetensors and model.json are written.
+        threads: Number of threads that unpack; None: one for each core.
 
     Returns: Number of primitives.
 

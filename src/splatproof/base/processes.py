@@ -27,8 +27,8 @@ class Worker:
         """Start it. Ctrl-C and SIGTERM wait until it is started; it never hears ctrl-C itself.
 
         Args:
-            work: Called there as work(connection, *arguments); importable by name.
-            arguments: Sent there by pickle.
+            work: Called in the new process as work(connection, *arguments); importable by name.
+            arguments: What else it gets, sent by pickle.
             preload: Modules that are imported once for all workers that name them, where import
                 costs more than what a worker does; empty: the worker imports what it needs.
 
@@ -61,6 +61,9 @@ class Worker:
 
     def send(self, message: object) -> None:
         """Say something to the worker.
+
+        Args:
+            message: Anything that pickle can send.
 
         Raises: EOFError if it has ended.
         """
@@ -101,7 +104,13 @@ class Worker:
 
 
 def listening(workers: Sequence[Worker]) -> list[Worker]:
-    """Wait until some of these have something to say, or have ended; which ones."""
+    """Wait until some workers have something to say, or have ended.
+
+    Args:
+        workers: Those that are waited for, at least one.
+
+    Returns: Those that have; at least one.
+    """
     ready = set(wait([end for one in workers for end in (one._says, one._process.sentinel)]))
     return [one for one in workers if ready & {one._says, one._process.sentinel}]
 
@@ -135,7 +144,11 @@ def _die_with_parent() -> None:
 
 
 def how_it_ended(code: int | None) -> str:
-    """What an exit code says, to be read after "its process": a signal's name, or the code."""
+    """What an exit code says, to be read after "its process": a signal's name, or the code.
+
+    Args:
+        code: Exit code of a process; negative: number of the signal that ended it.
+    """
     if code is not None and code < 0:
         name = signal.Signals(-code).name
         hint = "; this is what running out of memory looks like" if name == "SIGKILL" else ""
