@@ -1,18 +1,18 @@
 """Run a suite: every case once, resumable at any moment, one failing case never stops the others."""
 
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
 from splatproof.reference.types.result import Result
+from splatproof.suites.chosen_folder import check_chosen, made_of
 from splatproof.suites.records import RECORD_NAME, read_record
-from splatproof.suites.run_case import CASE_NAME, CHECKPOINT_SECONDS, OURS, Job, reason_of
+from splatproof.suites.run_case import CASE_NAME, CHECKPOINT_SECONDS, Job, reason_of
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import Case, Suite, key_of
 from splatproof.suites.workers import Launch, in_worker
@@ -177,7 +177,7 @@ def run_alone(
     here = Progress(case=job.case, index=0, count=1, stage="start")
     with locked(job.folder / ".lock", busy=_busy(job.folder)):
         job, unread = _with_data(job, SceneData(job.folder / FILES_NAME), here, on_progress)
-        if job.resume and (odd := changed(_made_of(job.folder).get("data", {}), job.data)):
+        if job.resume and (odd := changed(made_of(job.folder).get("data", {}), job.data)):
             raise UsageError(
                 f"{job.folder}: {odd} changed since this was trained; take another folder, or start "
                 "over in this one with --no-resume"
@@ -186,37 +186,6 @@ def run_alone(
         outcome = _run_or_keep(job, found, unread, here, on_progress, launch)
         on_result(outcome)
     return outcome
-
-
-def check_chosen(job: Job) -> None:
-    """Refuse a folder that holds what this job did not make; nothing is written.
-
-    Raises: UsageError naming the folder and what it holds.
-    """
-    made_of = _made_of(job.folder)
-    if not made_of:
-        foreign = [name for name in OURS if (job.folder / name).exists()]
-        if foreign:
-            raise UsageError(
-                f"{job.folder}: holds {foreign[0]!r}, which no `bench fit` left there; take a folder "
-                "that is new or empty"
-            )
-    elif job.resume and made_of.get("key") != job.key:
-        case, backend = made_of.get("case"), made_of.get("backend")
-        same = (case, backend) == (job.case.label, job.backend)
-        raise UsageError(
-            f"{job.folder}: holds {case} of backend {backend}"
-            + (" with other settings or protocol rules" if same else "")
-            + "; take another folder, or start over in this one with --no-resume"
-        )
-
-
-def _made_of(folder: Path) -> dict[str, Any]:
-    """What an earlier run says that the case in this folder is made of; {} where there is none."""
-    try:
-        return dict(json.loads((folder / CASE_NAME).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
-        return {}
 
 
 def _run_or_keep(

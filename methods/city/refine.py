@@ -22,7 +22,7 @@ from splatproof.methods.training.session import run_key
 from splatproof.reference.compression.affine_codes import fake_quantise, lattice
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians
-from splatproof.reference.types.scene import Scene, View
+from splatproof.reference.types.scene import Scene
 
 PAPER_SHARE = 7_000 / 40_000
 """Number of refinement steps for each step of block training in the paper."""
@@ -164,12 +164,3 @@ class QuantisedModel(GaussianModel):
             low, reach = lattice(rest.detach())
             rows["sh_rest"] = fake_quantise(rest, low, reach).reshape_as(rows["sh_rest"])
         return rows
-
-    def native(self, view: View, moment: Moment) -> None:
-        """None: the kernels read tensors as they are trained, not as they are stored.
-
-        Args:
-            view: Not looked at.
-            moment: Not looked at.
-        """
-        del view, moment

@@ -95,7 +95,7 @@ class GaussianModel(Model):
         return activated(assemble(rows, self.drawn_degree(moment)))
 
     def native(self, view: View, moment: Moment) -> NativeTensors | None:
-        """The trained tensors themselves, where they are on the CPU.
+        """The trained tensors themselves, where they are on the CPU and drawn as they are.
 
         Args:
             view: Not looked at.
@@ -103,7 +103,11 @@ class GaussianModel(Model):
         """
         del view
         rows = self.parameters.rows
-        if any(value.device.type != "cpu" for value in rows.values()):
+        kind = type(self)
+        as_they_are = kind.splats is GaussianModel.splats and (
+            kind.drawn_rows is GaussianModel.drawn_rows
+        )
+        if not as_they_are or any(value.device.type != "cpu" for value in rows.values()):
             return None
         own = rows["opacity_logits"].detach().requires_grad_()
         drawn = self._thin(own, moment)

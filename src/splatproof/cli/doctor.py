@@ -30,8 +30,9 @@ class Finding:
 def doctor(*, out: Path = Path("runs")) -> int:
     """Say what this machine has, what is missing and how to get it; exit code 3 on a fault.
 
-    It looks at versions, processor, rasterizers, weights of learned metrics, scenes and folders. With
-    --json each finding is a line: topic, name, status (ok, absent, fault), found, fix.
+    It looks at versions, processor, rasterizers, weights of learned metrics, scenes and folders.
+
+    With --json each finding is a line: topic, name, status (ok, absent, fault), found, fix.
 
     Args:
         out: Folder of runs: whether it can be written, and whether its tracking store answers.

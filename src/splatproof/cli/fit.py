@@ -58,8 +58,8 @@ def fit(
 
     With --json each held-out image is a line: scene, method, seed, protocol, image and every metric
     by its name; the last line is that of the case, as `bench run --json` prints it: suite, scene,
-    method, variant, protocol, seed, status (kept, finished, failed), error, folder, the mean of
-    every metric, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
+    method, variant, pose_noise, protocol, seed, status (kept, finished, failed), error, folder, the
+    mean of every metric, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
 
     Args:
         method: Name of the method.
@@ -75,8 +75,9 @@ def fit(
     from splatproof.cli.report import sync_cases
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.reports.mlflow_client import default_uri
+    from splatproof.suites.chosen_folder import check_chosen
     from splatproof.suites.run_case import Job
-    from splatproof.suites.runner import check_chosen, run_alone
+    from splatproof.suites.runner import run_alone
     from splatproof.suites.scenes import check_scene
     from splatproof.suites.suite_files import Case, Suite
 

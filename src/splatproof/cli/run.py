@@ -45,8 +45,8 @@ def run(
     that fails is recorded with its reason, and the others go on. Each case is logged to the tracking
     store (MLFLOW_TRACKING_URI, else OUT/mlflow.db).
 
-    With --json each case is a line: suite, scene, method, variant, protocol, seed, status (kept,
-    finished, failed), error, folder, every metric by its name, seconds by stage, primitives,
+    With --json each case is a line: suite, scene, method, variant, pose_noise, protocol, seed,
+    status (kept, finished, failed), error, folder, every metric by its name, seconds by stage, primitives,
     bytes_on_disk, peak_memory_mb, render_ms. With --dry-run too the line has estimated_seconds,
     estimated_memory_mb, basis and missing instead of results.
 

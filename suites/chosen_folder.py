@@ -1,0 +1,39 @@
+"""The folder that a user named for one case: what lies there is never replaced unasked."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from splatproof.base.errors import UsageError
+from splatproof.suites.run_case import CASE_NAME, OURS, Job
+
+
+def check_chosen(job: Job) -> None:
+    """Refuse a folder that holds what this job did not make; nothing is written.
+
+    Raises: UsageError naming the folder and what it holds.
+    """
+    found = made_of(job.folder)
+    if not found:
+        foreign = [name for name in OURS if (job.folder / name).exists()]
+        if foreign:
+            raise UsageError(
+                f"{job.folder}: holds {foreign[0]!r}, which no `bench fit` left there; take a folder "
+                "that is new or empty"
+            )
+    elif job.resume and found.get("key") != job.key:
+        case, backend = found.get("case"), found.get("backend")
+        same = (case, backend) == (job.case.label, job.backend)
+        raise UsageError(
+            f"{job.folder}: holds {case} of backend {backend}"
+            + (" with other settings or protocol rules" if same else "")
+            + "; take another folder, or start over in this one with --no-resume"
+        )
+
+
+def made_of(folder: Path) -> dict[str, Any]:
+    """What an earlier run says that the case in this folder is made of; {} where there is none."""
+    try:
+        return dict(json.loads((folder / CASE_NAME).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return {}

@@ -1,0 +1,74 @@
+"""Runs of seconds whose models are hashed: run as a script it prints name and hash of each."""
+
+import hashlib
+from dataclasses import replace
+from typing import Any
+
+from torch import Tensor
+
+from helpers.baking import baked
+from helpers.city_scene import small_scene
+from helpers.tiny_scene import tiny_scene
+from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.registry import get_method
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+
+DENSITY = Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=10_000)
+SHORT = Settings(iterations=60, sh_degree=1, density=DENSITY)
+THREEDGS = {
+    "plain": SHORT,
+    "degree 3": replace(SHORT, sh_degree=3, density=replace(DENSITY, gradient=1e-6, most=60)),
+    "several views": replace(SHORT, views_per_step=2, dropout=0.3, opacity_weight=0.01,
+                             random_background=True, antialiased=True),
+}  # fmt: skip
+CITY: dict[str, Any] = {
+    "iterations": 20, "sh_degree": 1, "blocks": 2,
+    "density": replace(DENSITY, gradient=1e-6, largest_size=10.0, reset_interval=0),
+}  # fmt: skip
+CITIES: dict[str, tuple[str, dict[str, Any]]] = {
+    "odbp+stitch": ("odbp+stitch", {}),
+    "citygaussian": ("citygaussian", {"coarse_iterations": 5}),
+    "stitchgs": ("stitchgs", {"quantise": False}),
+    "dpgs-partition": ("dpgs-partition", {}),
+    "odbp+stitch sgd": ("odbp+stitch",
+                        {"refine": RefineSettings(optimizer="sgd", sh_dc=1e-3)}),
+}  # fmt: skip
+
+
+def digest(arrays: dict[str, Tensor]) -> str:
+    """Hash of named arrays."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        found.update(name.encode())
+        found.update(arrays[name].contiguous().numpy().tobytes())
+    return found.hexdigest()
+
+
+def threedgs(name: str, backend: str, seed: int = 3) -> str:
+    """Hash of a run of 3dgs."""
+    run = Run(backend=backend, threads=1, seed=seed)
+    model = baked(get_method("3dgs").fit(tiny_scene(), THREEDGS[name], run))
+    return digest({field: getattr(model, field) for field in FIELDS})
+
+
+def city(name: str) -> str:
+    """Hash of a run in blocks, in this process."""
+    method, more = CITIES[name]
+    settings = get_method(method).settings(**(CITY | more))
+    run = Run(backend="cpu", threads=1, engine="inline", seed=3)
+    model = get_method(method).fit(small_scene(60), settings, run)
+    assert isinstance(model, CityModel)
+    arrays = {field: getattr(model.model, field) for field in FIELDS}
+    return digest(arrays | {"blocks": model.blocks, "distances": model.distances})
+
+
+if __name__ == "__main__":
+    for backend in ("cpu", "reference"):
+        for name in THREEDGS:
+            print(f"3dgs {name} {backend}", threedgs(name, backend), sep="\t")
+    for name in CITIES:
+        print(name, city(name), sep="\t")
