@@ -16,7 +16,7 @@ from splatproof.reference.types.scene import Scene
 def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
     """Train on scene.train_views and return the model.
 
-    The optimizer steps on every iteration, also on those that densify (in the release it does not).
+    The optimizer moves in every step, also in those that densify (in the release it does not).
 
     Args:
         scene: The scene, with sparse points and training views.
