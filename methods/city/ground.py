@@ -37,7 +37,8 @@ def ground(scene: Scene, voxel_size: float | None = None) -> Ground:
     """Turn the scene upright and choose the voxel size, if none is given.
 
     Args:
-        scene: With sparse points, their tracks, and training views, whose flight the x axis follows.
+        scene: With sparse points, their tracks, and training views, whose flight the x axis
+            follows.
         voxel_size: Side of a voxel in scene units, > 0; None: a 64th of the longer side, on the
             ground, of the middle 98 % of the points.
 

@@ -20,8 +20,8 @@ from splatproof.reference.partition.visibility import shared_points
 from splatproof.reference.types.scene import Scene, SparsePoints
 
 SEEDS_APART = 1_000_003
-"""How far the seeds of two neighbouring blocks lie apart; block 0 has the run's own, so that a scene
-in one block is what method 3dgs makes of it."""
+"""How far the seeds of two neighbouring blocks lie apart; block 0 has the run's own, so that a
+scene in one block is what method 3dgs makes of it."""
 
 
 def block_jobs(

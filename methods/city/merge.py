@@ -40,7 +40,8 @@ def write_merged(
         kept: Which primitives of each block stay (stitch, cut_hard).
         origin: Where the merged model comes from.
         mode: How it is rasterized.
-        shift: Vector in scene units, float64; added to positions it gives those in the original frame.
+        shift: Vector in scene units, float64; added to positions it gives those in the original
+            frame.
         units: Name of the length unit.
 
     Returns: Number of primitives that each block contributes.

@@ -37,21 +37,22 @@ class PartitionSettings:
     """How a scene is cut into blocks, and which views train each of them."""
 
     method: MethodName = "odbp"
-    """What the cut aims at. odbp: equal rendering load over voxels (DPGS); blockgaussian: rectangles
-    halved by point density; vastgaussian: equally many cameras; citygaussian: uniform grid in
-    contracted space."""
+    """What the cut aims at. odbp: equal rendering load over voxels (DPGS); blockgaussian:
+    rectangles halved by point density; vastgaussian: equally many cameras; citygaussian: uniform
+    grid in contracted space."""
     voxel_size: float | None = None
-    """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side on the ground."""
+    """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side on the
+    ground."""
     imbalance: float = 0.01
     """odbp: share of their mean by which the blocks' loads may differ from it (the paper: 0.05)."""
     seeds: int = 10
     """odbp: number of METIS seeds that are tried; the best cut stays."""
     margin: float = 0.05
-    """odbp, blockgaussian: share of its extent by which a block is widened; it trains the points in the
-    widened block (the paper BlockGaussian: 0.05, StitchGS' release: 0.15)."""
+    """odbp, blockgaussian: share of its extent by which a block is widened; it trains the points in
+    the widened block (the paper BlockGaussian: 0.05, StitchGS' release: 0.15)."""
     view_share: float = 0.3
-    """odbp, blockgaussian: a view trains a block that holds at least this share of the points that the
-    view sees (tau_view; the releases: 0.3)."""
+    """odbp, blockgaussian: a view trains a block that holds at least this share of the points that
+    the view sees (tau_view; the releases: 0.3)."""
     block_share: float = 0.1
     """odbp, blockgaussian: a view also trains a block if it sees at least this share of the block's
     points (tau_block; BlockGaussian's release: 0.1, StitchGS': 0.05)."""
@@ -236,7 +237,8 @@ def citygaussian_blocks(
         place: The scene.
         blocks: Number K of blocks, >= 1; the grid is as near to a square as K allows.
         backend: Name of the rasterizer that draws the coarse model.
-        threshold: Change of a view's image without a block, 1 - SSIM, above which it trains the block.
+        threshold: Change of a view's image without a block, 1 - SSIM, above which it trains the
+            block.
         coarse: The coarse model in the scene's frame; None: one Gaussian a sparse point.
 
     Source: CityGaussian, Sec. 3.2.

@@ -109,7 +109,8 @@ def ground_regions(grid: CameraGrid, frame: Float64[Tensor, "3 3"]) -> tuple[Gro
     """Regions of the camera-balanced grid; the outermost cells reach to infinity.
 
     Args:
-        grid: Walls of its columns, and of the rows in each, in scene units on the ground of `frame`.
+        grid: Walls of its columns, and of the rows in each, in scene units on the ground of
+            `frame`.
         frame: Rotation from the scene into the ground frame (ground_frame).
 
     Source: VastGaussian, Sec. 4.1.

@@ -35,19 +35,21 @@ class RefineSettings:
     iterations: int | None = None
     """Steps of the refinement; None: 7 for every 40 steps of block training, as in the paper."""
     quantise_from: float = 0.1
-    """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits that it
-    will be stored in; 1: never."""
+    """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits that
+    it will be stored in; 1: never."""
     optimizer: Literal["adam", "sgd"] = "adam"
-    """What follows the gradients. adam: ours; sgd: gradient descent with momentum 0.9, as released."""
+    """What follows the gradients. adam: ours; sgd: gradient descent with momentum 0.9, as
+    released."""
     sh_dc: float = 2.5e-3
     """Learning rate of colour that is the same from all sides (SH band 0)."""
     sh_rest: float = 1.25e-4
-    """Learning rate of view-dependent colour (all higher SH bands; the release: 2.5e-4, with SGD)."""
+    """Learning rate of view-dependent colour (all higher SH bands; the release: 2.5e-4, with
+    SGD)."""
     opacity: float = 0.025
     """Learning rate of opacity logits (the release: 0.05, with SGD)."""
     settle: float = 0.1
-    """Factor on these rates at the last step, reached log-linearly from the middle of the refinement
-    on; 1: constant."""
+    """Factor on these rates at the last step, reached log-linearly from the middle of the
+    refinement on; 1: constant."""
     clean: CleanSettings = field(default_factory=lambda: CleanSettings(volume_quantile=1.0))
     """What is thrown away first. The paper also drops the 0.1 % of largest volume; in a scene with
     sky or sea those few are the background, and the refinement, which moves nothing, cannot mend it
@@ -97,8 +99,8 @@ def refine(
         model: The merged model, already cleaned.
         scene: The whole scene, with all training views.
         settings: Steps and rates.
-        base: Settings that the blocks were trained with; loss, steps, views a step, background, mode
-            and dropout count.
+        base: Settings that the blocks were trained with; loss, steps, views a step, background,
+            mode and dropout count.
         run: Seed, backend and reports.
         folder: Where its checkpoint goes; None: none is kept.
 

@@ -34,22 +34,23 @@ class CitySettings(Settings):
     citygaussian: 30,000). 0: there is none, and blocks start from sparse points."""
     auxiliary: Auxiliary = "none"
     """What takes part in a block beside its own points. none: nothing; context: what else its views
-    see, trained but not densified (BlockGaussian); ghosts: what other blocks own around it, rendered
-    but held still (DPGS); both: ghosts around it, context beyond them. With a coarse model: none."""
+    see, trained but not densified (BlockGaussian); ghosts: what other blocks own around it,
+    rendered but held still (DPGS); both: ghosts around it, context beyond them. With a coarse
+    model: none."""
     follow: bool = False
     """Whether opacity and colour of ghosts are trained with the block that they surround; their
     positions, scales and rotations are held still in any case."""
     surrounding: Surrounding = "box"
-    """Where ghosts are taken from. box: the box around what a block owns, a fifth longer (DPGS, Eq. 7);
-    region: the block's own shape, widened as far."""
+    """Where ghosts are taken from. box: the box around what a block owns, a fifth longer (DPGS, Eq.
+    7); region: the block's own shape, widened as far."""
     sampling: Literal["uniform", "balanced"] = "uniform"
-    """How a block draws its training views. uniform: each once in every epoch; balanced: evenly over
-    where the cameras stand around the block (StitchGS)."""
+    """How a block draws its training views. uniform: each once in every epoch; balanced: evenly
+    over where the cameras stand around the block (StitchGS)."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)
     """Which bins balanced sampling sorts cameras into."""
     merge: Literal["hard", "sis"] = "hard"
-    """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond them
-    blocks compete for a rim at random (stochastic interwoven stitching, StitchGS)."""
+    """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
+    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS)."""
     outside: Literal["drop", "nearest"] = "drop"
     """What a hard merge does with Gaussians that lie in no block. drop: removes them, as the papers
     do; nearest: keeps those to which their own block is the nearest."""
@@ -61,8 +62,8 @@ class CitySettings(Settings):
     refine: RefineSettings = field(default_factory=RefineSettings)
     """How the merged model is cleaned and refined where `gcr` is on."""
     quantise: bool = False
-    """Whether the model is stored as a small file: view-dependent colour of little energy dropped and
-    the rest of it in 8 bits, positions in single and all else in half precision, compressed."""
+    """Whether the model is stored as a small file: view-dependent colour of little energy dropped
+    and the rest of it in 8 bits, positions in single and all else in half precision, compressed."""
     pack: FileSettings = field(default_factory=FileSettings)
     """What that file keeps and how it is laid out where `quantise` is on."""
 

@@ -103,8 +103,8 @@ def cut_hard(
 
     Args:
         blocks: All blocks; of two at the same distance the first one keeps a place.
-        outside: What lies in no core is dropped ("drop"), as in the papers, or kept by the block that
-            is nearest to it ("nearest").
+        outside: What lies in no core is dropped ("drop"), as in the papers, or kept by the block
+            that is nearest to it ("nearest").
 
     Returns: Which primitives of each block stay; no place is kept by two blocks.
 

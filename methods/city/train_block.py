@@ -191,7 +191,8 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
 
     Args:
         job: What to train.
-        start: Gaussians of a coarse model, all of which are the block's own; None: the job's points.
+        start: Gaussians of a coarse model, all of which are the block's own; None: the job's
+            points.
         run: Seed, background, backend and device are part of the plan's key.
     """
     settings, scene = job.settings, job.scene

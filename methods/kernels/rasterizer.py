@@ -95,7 +95,8 @@ def check_model(
         scales: Standard deviations, n x 3.
         opacities: Opacities, n.
         colours: Colours, n x c with c from 1 to 32; None where there are harmonics.
-        sh: Spherical-harmonic coefficients, n x k x 3 with k in DEGREES; None where there are colours.
+        sh: Spherical-harmonic coefficients, n x k x 3 with k in DEGREES; None where there are
+            colours.
 
     Raises: ValueError, naming the argument, what was found and what was expected.
     """

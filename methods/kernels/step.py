@@ -62,8 +62,8 @@ class ViewGradients:
 
         Args:
             camera: The pinhole camera of the view.
-            parameters: Tensors means, quaternions (any length), log_scales, opacity_logits, sh_dc and
-                sh_rest.
+            parameters: Tensors means, quaternions (any length), log_scales, opacity_logits, sh_dc
+                and sh_rest.
             truth: The photo, in [0, 1].
             degree: Highest SH degree that is drawn; the coefficients above get zero gradient.
             background: Colour behind everything; None is black.

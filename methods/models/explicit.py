@@ -33,7 +33,8 @@ class ExplicitModel:
     mode: Mode = "classic"
     """How it is rasterized, see splatproof.reference.rasterizer."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Vector in scene units, float64; added to the means it gives positions in the original frame."""
+    """Vector in scene units, float64; added to the means it gives positions in the original
+    frame."""
     units: str = "sfm"
     """Name of the length unit."""
     backend: str = "cpu"
@@ -103,7 +104,8 @@ def explicit_facts(
 
     Args:
         mode: How they are rasterized.
-        shift: Vector in scene units, float64; added to positions it gives those in the original frame.
+        shift: Vector in scene units, float64; added to positions it gives those in the original
+            frame.
         units: Name of the length unit.
         primitives: Number of Gaussians.
         degree: Degree of the spherical harmonics, 0 to 3.

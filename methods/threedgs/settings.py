@@ -11,7 +11,8 @@ from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Method 3dgs. Steps are those of a 30,000 step run; a shorter run shrinks them in proportion."""
+    """Method 3dgs. Steps are those of a 30,000 step run; a shorter run shrinks them in
+    proportion."""
 
     iterations: int = 30_000
     """Number of training steps, each on `views_per_step` views (the paper: 30,000)."""
@@ -20,7 +21,8 @@ class Settings:
     sh_degree: int = 3
     """Degree of the spherical harmonics of view-dependent colour, 0 (none) to 3 (the paper: 3)."""
     sh_interval: int = 1000
-    """Steps after which each further SH degree is trained (the release: 1000); 0: all from the start."""
+    """Steps after which each further SH degree is trained (the release: 1000); 0: all from the
+    start."""
     initial_opacity: float = 0.1
     """Opacity, 0 to 1, of the Gaussians that sparse points become (the release: 0.1)."""
     random_points: int = 0
@@ -32,15 +34,16 @@ class Settings:
     dssim: float = 0.2
     """Weight of 1 - SSIM in the loss, 0 to 1; L1 has the rest (the paper: 0.2)."""
     antialiased: bool = False
-    """Whether opacities are lowered by as much as the low-pass filter widens a Gaussian, in training
-    and in every render of the model (the release's flag `antialiasing`, since 2024)."""
+    """Whether opacities are lowered by as much as the low-pass filter widens a Gaussian, in
+    training and in every render of the model (the release's flag `antialiasing`, since 2024)."""
     random_background: bool = False
-    """Whether every view of a step is trained over a colour drawn at random, so that nothing may stay
-    transparent that a photo shows; scoring uses the protocol's background. False: training too, as
-    the release does by default."""
+    """Whether every view of a step is trained over a colour drawn at random, so that nothing may
+    stay transparent that a photo shows; scoring uses the protocol's background. False: training
+    too, as the release does by default."""
     dropout: float = 0.0
-    """Share of Gaussians, 0 to below 1, that a step hides at random, growing linearly from 0 to this at
-    the last step: against floaters where few views see a place (DropGaussian: 0.2). 0: none."""
+    """Share of Gaussians, 0 to below 1, that a step hides at random, growing linearly from 0 to
+    this at the last step: against floaters where few views see a place (DropGaussian: 0.2). 0:
+    none."""
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
     0.01). 0: none."""

@@ -23,8 +23,9 @@ RESET_OPACITY = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Density:
-    """Adaptive density control: when and where Gaussians are added and removed (defaults of the 3DGS
-    release). Steps are those of a 30,000 step run; a shorter run shrinks them in proportion."""
+    """Adaptive density control: when and where Gaussians are added and removed (defaults of the
+    3DGS release). Steps are those of a 30,000 step run; a shorter run shrinks them in
+    proportion."""
 
     start: int = 500
     """Last step without densification: Gaussians are cloned, split and removed after it."""
@@ -35,16 +36,16 @@ class Density:
     least_interval: int = 100
     """Fewest steps between densifications in a short run: statistics need several views."""
     gradient: float = 2e-4
-    """Pull from which a Gaussian is cloned or split: mean norm of the loss's gradient by its position
-    in the image, in units of half the image. Smaller values give more Gaussians."""
+    """Pull from which a Gaussian is cloned or split: mean norm of the loss's gradient by its
+    position in the image, in units of half the image. Smaller values give more Gaussians."""
     split_size: float = 0.01
-    """Largest scale up to which a Gaussian is cloned, as a share of the scene's extent (1.1 times the
-    radius of the training cameras); a larger one is split."""
+    """Largest scale up to which a Gaussian is cloned, as a share of the scene's extent (1.1 times
+    the radius of the training cameras); a larger one is split."""
     least_opacity: float = 0.005
     """Opacity, 0 to 1, below which a densification removes a Gaussian."""
     largest_size: float = 0.1
-    """Largest scale, as a share of the scene's extent, that survives a densification after the first
-    opacity reset."""
+    """Largest scale, as a share of the scene's extent, that survives a densification after the
+    first opacity reset."""
     reset_interval: int = 3000
     """Steps between opacity resets, which leave no Gaussian more opaque than 0.01; 0: never."""
     most: int | None = None

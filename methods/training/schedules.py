@@ -31,8 +31,8 @@ class Rates:
     means: float = 1.6e-4
     """Learning rate of positions at the first step, in extents of the scene."""
     means_final: float = 1.6e-6
-    """Learning rate of positions at the last step, in extents of the scene; log-linear in between. 0:
-    it stays as at the first step."""
+    """Learning rate of positions at the last step, in extents of the scene; log-linear in between.
+    0: it stays as at the first step."""
     sh_dc: float = 2.5e-3
     """Learning rate of colour that is the same from all sides (SH band 0)."""
     sh_rest: float = 1.25e-4

@@ -21,9 +21,11 @@ class PackSettings:
     """Energy, mean size of the coefficients, below which view-dependent colour of a Gaussian is
     dropped (gamma; the paper StitchGS: 0.02); 0: all keep it."""
     weighting: Weighting = "coefficients"
-    """What counts alike in that energy. coefficients: every SH coefficient; orders: every SH order."""
+    """What counts alike in that energy. coefficients: every SH coefficient; orders: every SH
+    order."""
     rounding: Rounding = "nearest"
-    """How view-dependent colour is rounded to 8 bits. nearest: ours; truncate: as in the release."""
+    """How view-dependent colour is rounded to 8 bits. nearest: ours; truncate: as in the
+    release."""
 
 
 AS_RELEASED = PackSettings(rounding="truncate")

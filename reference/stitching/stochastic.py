@@ -22,10 +22,11 @@ class StitchSettings:
     """How blocks compete. The defaults are ours; `AS_RELEASED` are the authors' code's."""
 
     neighbours: int = 5
-    """Number of Gaussians that speak for another block at a place, >= 1 (K; the paper: 2, 5 or 11)."""
+    """Number of Gaussians that speak for another block at a place, >= 1 (K; the paper: 2, 5 or
+    11)."""
     sharpness: float = 30.0
-    """How surely the better block wins, >= 0 (eta): 0 keeps half of what competes, large values make
-    the winner take all."""
+    """How surely the better block wins, >= 0 (eta): 0 keeps half of what competes, large values
+    make the winner take all."""
     normalise: bool = True
     """Whether the quality Q of a Gaussian, opacity over size in 1 / scene units, is divided by its
     median over all that competes; the release does not."""

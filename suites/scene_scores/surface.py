@@ -24,7 +24,8 @@ def surface_depth(scene: Scene, index: int) -> Float[Tensor, "h w"]:
     Args:
         scene: The scene, with sparse points where the view has no true depth.
         index: Index of the view in scene.views.
-    Returns: Depth in scene units; inf where nothing is hit, and everywhere if no point is in the image.
+    Returns: Depth in scene units; inf where nothing is hit, and everywhere if no point is in the
+        image.
     Source: ours.
     """
     view = scene.views[index]

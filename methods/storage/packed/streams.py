@@ -28,7 +28,8 @@ def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) 
     Args:
         rows: Numbers of an unsigned or any little-endian type: only their bits count.
         entropy: "zstd" compresses the stream, "none" only rearranges it.
-        planes: Whether bytes of one kind lie together; False keeps the array as it is, row after row.
+        planes: Whether bytes of one kind lie together; False keeps the array as it is, row after
+            row.
 
     Source: byte planes as in Blosc's shuffle filter; choice by sample: ours.
     """

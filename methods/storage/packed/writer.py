@@ -53,11 +53,11 @@ class FileSettings(PackSettings):
     """How much is kept of a model, and how it is laid out."""
 
     sort: bool = True
-    """Whether primitives are ordered along the Morton curve, so that neighbours in space are neighbours
-    in the file and it gets smaller; False: they keep their order."""
+    """Whether primitives are ordered along the Morton curve, so that neighbours in space are
+    neighbours in the file and it gets smaller; False: they keep their order."""
     planes: bool = True
-    """Whether bytes of one kind lie together, as differences where that makes the file smaller; False:
-    the numbers of one primitive lie together."""
+    """Whether bytes of one kind lie together, as differences where that makes the file smaller;
+    False: the numbers of one primitive lie together."""
     entropy: Entropy = "zstd"
     """How the streams of the file are compressed at last. zstd: by zstd; none: not at all."""
 
@@ -69,7 +69,8 @@ class PackedFacts:
     mode: Mode = "classic"
     """How it is rasterized."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Vector in scene units, float64; added to the means it gives positions in the original frame."""
+    """Vector in scene units, float64; added to the means it gives positions in the original
+    frame."""
     units: str = "sfm"
     """Name of the length unit."""
     method: str = "import"
@@ -87,7 +88,8 @@ class PackedReport:
     open_share: float
     """Share of the primitives whose harmonics the gate kept."""
     bytes_by_part: Mapping[str, int]
-    """Bytes of each of PARTS, and of "frame": header, lattice, lengths, seals. They sum to the file."""
+    """Bytes of each of PARTS, and of "frame": header, lattice, lengths, seals. They sum to the
+    file."""
     seconds: float
     """Wall seconds that writing took."""
 
@@ -114,7 +116,8 @@ def write_packed(
         source: Gaussians in memory, or rows of a model folder (FolderRows).
         settings: What is kept and how; None: the defaults.
         facts: What is needed to draw and export it; None: the defaults.
-        threads: Number of threads that pack; None: one for each core. The bytes do not depend on it.
+        threads: Number of threads that pack; None: one for each core. The bytes do not depend on
+            it.
 
     Raises: DataError for numbers that are not finite or do not fit half precision.
 

@@ -40,7 +40,7 @@ def build(
     where: str,
     fault: type[SplatproofError] = UsageError,
 ) -> T:
-    """A table as a dataclass, nested ones included; no value changes type but whole numbers to floats.
+    """A table as a dataclass, nested ones included; only whole numbers change type, to floats.
 
     Args:
         kind: Frozen dataclass of plain types, tuples, dicts, unions and such dataclasses.
