@@ -5,8 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatproof.base.errors import MissingError, UsageError
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.catalogue.registry import absence, find_scene, get_entry, locate
-from splatproof.suites.suite_files import PATH, Suite
+from splatproof.suites.held_out import scored_views
+from splatproof.suites.suite_files import PATH, Case, Suite
 
 
 def without_absent(suite: Suite) -> tuple[Suite, tuple[str, ...]]:
@@ -96,3 +98,16 @@ def make_scenes(suite: Suite, report: Callable[[int, int], None]) -> None:
     for scene in dict.fromkeys(case.scene for case in suite.cases):
         if not scene.startswith(PATH):
             find_scene(scene, report)
+
+
+def check_opens(case: Case) -> None:
+    """Open a case's scene as the case will: bad input is told before anything is written.
+
+    Args:
+        case: What is to be run; its scene is on this machine.
+
+    Raises: DataError, UsageError or MissingError, as opening and scoring would.
+    """
+    scene = open_scene(case.scene, case.protocol)
+    if scene.test:
+        scored_views(scene, case.protocol)

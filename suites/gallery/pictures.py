@@ -31,7 +31,7 @@ class Component:
 COMPONENTS = (
     Component(
         title="Rasterizer",
-        modules=("reference/types/camera", "reference/rasterizer/rotation", "reference/rasterizer/spherical_harmonics",
+        modules=("reference/types/camera", "reference/types/splats", "reference/rasterizer/rotation", "reference/rasterizer/spherical_harmonics",
                  "reference/rasterizer/projection", "reference/rasterizer/compositing", "reference/rasterizer/rasterize",
                  "reference/rasterizer/screen_gradient", "reference/supervision/losses"),
         source="Kerbl et al. 2023, 3D Gaussian Splatting",

@@ -31,6 +31,6 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize("study", ["stability", "speed"])
 def test_studies_pass_in_their_reduced_form(study: str, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    rows = rows_of(["run", study, "--quick", "--out", str(tmp_path)], capsys)
+    rows = rows_of(["study", study, "--quick", "--out", str(tmp_path)], capsys)
     assert rows
     assert all(row["ok"] for row in rows)

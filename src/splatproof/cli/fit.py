@@ -78,7 +78,7 @@ def fit(
     from splatproof.suites.chosen_folder import check_chosen
     from splatproof.suites.run_case import Job
     from splatproof.suites.runner import run_alone
-    from splatproof.suites.scenes import check_scene
+    from splatproof.suites.scenes import check_opens, check_scene
     from splatproof.suites.suite_files import Case, Suite
 
     uri = default_uri(out)
@@ -95,6 +95,7 @@ def fit(
     check_scene(where)
     check_chosen(job)
     prepare(suite)
+    check_opens(case)
     with output.progress() as bar:
         screen = Screen(bar, _print_scores)
         outcome = run_alone(job, on_progress=screen.progress, on_result=screen.result)

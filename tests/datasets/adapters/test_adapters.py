@@ -230,7 +230,7 @@ def test_blender(tmp_path):
     red = open_scene(tmp_path, protocol(background=(1.0, 0.0, 0.0))).views[0].load()
     assert torch.equal(red[0, 0], torch.tensor([1.0, 0.0, 0.0]))
     (tmp_path / "transforms_test.json").unlink()
-    with pytest.raises(DataError, match="transforms_test.json: missing"):
+    with pytest.raises(DataError, match="transforms_test.json: no such file"):
         open_scene(tmp_path, protocol())
 
 

@@ -64,7 +64,7 @@ def test_faults_are_named(tmp_path):
     left = open_scene(tmp_path, protocol()).left_out
     assert left == (("train/block_1/0009.png", "no frame in transforms.json"),)
     split = tmp_path / "pose/block_A"
-    without(split / "transforms_test.json", split, r"transforms_test\.json: missing")
+    without(split / "transforms_test.json", split, r"transforms_test\.json: no such file")
     path = split / "transforms_train.json"
     whole = path.read_text()
     path.write_text(whole.replace("../../train/block_1", "../../../elsewhere"))
