@@ -123,7 +123,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     trainer = Trainer(block, plan, run)
     trainer.resume()
     trainer.train()
-    model = select(block.gaussians(), block.parameters.labels[ROLE] != GHOST)
+    model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
     note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
     facts = replace(
         job.facts,

@@ -1,0 +1,145 @@
+"""A protocol's appearance is carried out: nearest, half, exposure; the scored half stays unseen."""
+
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from helpers.tiny_scene import camera, tiny_scene
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.methods.contracts.reconstruction import Stored
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import Scene, View
+from splatproof.suites import appearance
+from splatproof.suites.held_out import score_views
+
+RULES = replace(load_protocol("default"), metrics=("psnr",))
+HALF = replace(RULES, appearance="half", region="right_half")
+GAIN = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """Shows the true photos in another light: darker, unless it is told the right gain."""
+
+    scene: Scene
+    seen: list
+    kind: str = "lit"
+    primitives: int = 1
+
+    def render(self, view: View, background: Tensor | None = None) -> RenderOutput:
+        with pytest.raises(SplatproofError, match="not for training"):
+            view.load()
+        photo = next(other for other in self.scene.views if other.name == view.name).load()
+        gain = view.appearance if isinstance(view.appearance, Tensor) else GAIN
+        self.seen.append(view)
+        flat = torch.zeros(photo.shape[:2])
+        return RenderOutput(colour=photo * gain, alpha=flat, depth=flat, radii=torch.zeros(1))
+
+    def store(self, folder) -> Stored:
+        raise AssertionError("nothing is saved here")
+
+
+class Fitting(Lit):
+    """Fits its gain to what it is given."""
+
+    def fit_appearance(self, view: View, image: Tensor, columns: slice) -> Tensor:
+        assert image.shape[1] == columns.stop - columns.start
+        photo = next(other for other in self.scene.views if other.name == view.name).load()
+        return (image.sum() / photo[:, columns].sum()).reshape(1)
+
+
+def dim(scene: Scene) -> Scene:
+    """The scene with photos of values that a gain can neither clip nor hide."""
+
+    def shaded(view: View) -> View:
+        photo = (0.2 + 0.4 * view.load()).contiguous()
+        return replace(view, load=lambda: photo)
+
+    return replace(scene, views=tuple(shaded(view) for view in scene.views))
+
+
+SCENE = dim(tiny_scene())
+
+
+def psnr(model: Lit, rules, folder) -> float:
+    images, _ = score_views(SCENE, model, rules, folder)
+    return images[0].metrics["psnr"]
+
+
+def test_without_appearance_the_other_light_costs(tmp_path):
+    right = replace(RULES, region="right_half")
+    assert psnr(Lit(SCENE, []), right, tmp_path) < 20
+
+
+def test_half_lets_a_model_that_can_fit_its_light_to_the_left_half(tmp_path):
+    assert psnr(Fitting(SCENE, []), HALF, tmp_path) > 45
+    assert psnr(Lit(SCENE, []), HALF, tmp_path) < 20  # this one cannot
+    assert "none to fit" in appearance.told(Lit(SCENE, []), HALF)
+    assert appearance.told(Fitting(SCENE, []), HALF) == "half"
+
+
+def test_exposure_is_fitted_for_any_model(tmp_path):
+    rules = replace(HALF, appearance="exposure")
+    assert psnr(Lit(SCENE, []), rules, tmp_path) > 40
+
+
+@pytest.mark.parametrize("mode", ["half", "exposure"])
+def test_nothing_of_the_scored_half_is_looked_at(mode, tmp_path):
+    """Another right half of the truth leaves what is shown as it is."""
+    rules = replace(HALF, appearance=mode)
+
+    def shown(scene: Scene) -> Tensor:
+        model = Fitting(SCENE, [])
+        view = scene.test_views[0]
+        asked = appearance.shown(view, scene.train_views, model, rules)
+        return appearance.exposed(view, model.render(asked).colour, rules)
+
+    def spoilt(view: View) -> View:
+        photo = view.load().clone()
+        photo[:, (photo.shape[1] + 1) // 2 :] = 0.9
+        return replace(view, load=lambda: photo)
+
+    other = replace(SCENE, views=tuple(spoilt(view) for view in SCENE.views))
+    assert torch.equal(shown(SCENE), shown(other))
+    left = replace(HALF, appearance="oracle", region="full")
+    asked = appearance.shown(other.test_views[0], other.train_views, Fitting(SCENE, []), left)
+    assert isinstance(asked.appearance, Tensor)
+    assert float(asked.appearance) != pytest.approx(1.0, abs=1e-3)  # the oracle does look
+
+
+def view(name: str, *, x: float = 0.0, sensor: str = "", turned: bool = False) -> View:
+    pose = torch.eye(4, dtype=torch.float64)
+    if turned:
+        pose[:3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]).double())
+    pose[:3, 3] = pose[:3, :3] @ torch.tensor([-x, 0.0, 0.0]).double()
+    where = replace(camera(0), world_to_camera=pose)
+    return View(name=name, camera=where, load=lambda: torch.zeros(1, 1, 3), sensor=sensor)
+
+
+def test_the_nearest_view_is_of_the_same_sensor_and_direction_first():
+    asked = view("asked", sensor="left")
+    near_other = view("near, other sensor", x=0.1, sensor="right")
+    near_back = view("near, looks back", x=0.2, sensor="left", turned=True)
+    alike = view("alike", x=0.5, sensor="left")
+    farther = view("farther", x=0.9, sensor="left")
+    every = [near_other, near_back, farther, alike]
+    assert appearance.nearest(asked, every).name == "alike"
+    assert appearance.nearest(asked, [near_other, near_back]).name == "near, looks back"
+    assert appearance.nearest(asked, [near_other]).name == "near, other sensor"
+
+
+def test_nearest_names_a_training_view_for_the_model():
+    rules = replace(RULES, appearance="nearest")
+    asked = appearance.shown(SCENE.test_views[0], SCENE.train_views, Lit(SCENE, []), rules)
+    assert asked.appearance == "1.png"  # cameras stand in a row
+
+
+@pytest.mark.parametrize("mode", ["half", "exposure"])
+def test_a_protocol_that_would_score_what_was_looked_at_is_refused(mode, tmp_path):
+    path = tmp_path / "leaks.toml"
+    path.write_text(f'source = "ours"\nappearance = "{mode}"\n')
+    with pytest.raises(UsageError, match="left half"):
+        load_protocol(str(path))
