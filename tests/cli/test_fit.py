@@ -13,7 +13,7 @@ from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
 from splatproof.cli.running import BlockRunning
 from splatproof.methods.city.executor import ENGINES
-from splatproof.methods.city.settings import StitchGS
+from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.registry import METHODS
 from splatproof.suites import run_case as cases
@@ -155,7 +155,7 @@ def spied(monkeypatch) -> list[Run]:
 
     fake = replace(METHODS["fake"], fit=remembers)
     monkeypatch.setitem(METHODS, "fake", fake)
-    monkeypatch.setitem(METHODS, "blocky", replace(fake, name="blocky", settings=StitchGS))
+    monkeypatch.setitem(METHODS, "blocky", replace(fake, name="blocky", blocks=True))
     return seen
 
 
@@ -189,6 +189,12 @@ def test_options_of_blocks_are_refused_where_no_method_has_blocks(town, capsys):
         assert main(["run", "mine.toml", *options]) == 2
         assert "no method of suite mine does" in capsys.readouterr().err
     assert tree(town) == before
+
+
+def test_methods_in_blocks_say_so():
+    kinds = {name: issubclass(method.settings, CitySettings) for name, method in METHODS.items()}
+    assert {name: method.blocks for name, method in METHODS.items()} == kinds
+    assert set(kinds.values()) == {True, False}
 
 
 def test_the_engines_are_those_that_there_are():

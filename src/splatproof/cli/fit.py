@@ -16,7 +16,6 @@ from splatproof.cli.running import (
     Screen,
     check_options,
     exit_code,
-    has_blocks,
     options,
     prepare,
     record,
@@ -130,7 +129,7 @@ def _command(name: str) -> Callable[..., int]:
     return bound(
         fit,
         {"method": name},
-        without=() if has_blocks(method.settings) else {"blocks"},
+        without=() if method.blocks else {"blocks"},
         kinds={"settings": Annotated[method.settings, tyro.conf.arg(name="")]},
         title=f"{method.description}.",
     )
