@@ -82,7 +82,7 @@ def _pack(model: "Reconstruction", origin: "Origin", path: Path, gate: float) ->
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 
     known = {n: getattr(model, n) for n in ("mode", "shift", "units") if hasattr(model, n)}
-    facts = PackedFacts(**known, method=origin.method, settings=origin.settings)
+    facts = PackedFacts(**known, origin=origin)
     report = write_packed(path, _baked(model), settings=FileSettings(gate=gate), facts=facts)
     each = report.bytes / max(report.primitives, 1)
     record = {"packed": str(path), "gaussians": report.primitives, "bytes": report.bytes,
