@@ -84,14 +84,17 @@ def _takes_nothing(call) -> bool:
 def opened_files() -> Iterator[list[str]]:
     """Collects the paths of the files that Python opens inside the block."""
     global _opened
-    if not hasattr(opened_files, "hooked"):
-        sys.addaudithook(_hear)  # for good: Python has no way to take one back
-        opened_files.hooked = True
+    _hook()
     _opened = []
     try:
         yield _opened
     finally:
         _opened = None
+
+
+@functools.cache
+def _hook() -> None:
+    sys.addaudithook(_hear)  # once and for good: Python has no way to take one back
 
 
 def _hear(event: str, arguments: tuple) -> None:

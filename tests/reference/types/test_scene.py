@@ -131,7 +131,7 @@ def _all_photos(scene: Scene) -> object:
 
 BAD: dict[str, Callable[[Scene], object]] = {
     "a list of photos in a closure": _all_photos,
-    "the scene's folder in a partial": lambda scene: partial(open, scene.root),
+    "the scene's folder in a partial": lambda scene: partial(Path, scene.root or ""),
     "a folder of photos in a default": lambda scene: _with_default(scene.sources[0].parent),
     "a path in words": lambda scene: {"where": str(scene.root.resolve()) if scene.root else ""},
     "a held-out view's own loader": lambda scene: [scene.test_views[0].load],
