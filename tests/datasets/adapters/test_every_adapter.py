@@ -231,4 +231,6 @@ def photo_of(root: Path, fixture: Fixture) -> Path:
     """The photo of the first view."""
     name = Path(open_scene(root / fixture.inside, protocol(hold=2)).views[0].name).name
     found = [path for path in files_of(root) if path.name == name]
-    return next(path for path in found if not re.search(r"masks|sky|images_2", str(path.parent)))
+    return next(
+        path for path in found if not re.search(r"masks|sky|moving|images_2", str(path.parent))
+    )
