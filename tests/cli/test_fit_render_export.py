@@ -17,7 +17,7 @@ from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import camera_view
 from splatproof.suites import run_case as cases
-from splatproof.suites import runner
+from splatproof.suites import runner, scenes
 from splatproof.suites.records import read_record
 from splatproof.suites.workers import in_process
 
@@ -30,7 +30,8 @@ def bench_fit(out, *more: str) -> int:
     scene = out.parent / "tiny"
     scene.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cases, "open_scene", lambda spec, protocol: tiny_scene())
+        for module in (cases, scenes):
+            patch.setattr(module, "open_scene", lambda spec, protocol: tiny_scene())
         patch.setattr(runner, "run_alone", partial(runner.run_alone, launch=in_process))
         patch.setattr(report, "sync_cases", lambda out, uri: False)
         return main(["fit", "3dgs", str(scene), "--out", str(out), *OPTIONS, *SETTINGS, *more])
