@@ -44,7 +44,7 @@ class Rates:
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Row scaffold-gs. Steps are those of a 30,000 iteration run; a shorter run shrinks them."""
+    """Method scaffold-gs. Steps are those of a 30,000 iteration run; a shorter run shrinks them."""
 
     iterations: int = 30_000
     """Training steps, `views_per_step` views each."""

@@ -21,7 +21,7 @@ class AbsDensity(Density):
 
 @dataclass(frozen=True, kw_only=True)
 class AbsGS(Settings):
-    """Row absgs: 3dgs with other density control. Steps are those of a 30,000 iteration run."""
+    """Method absgs: 3dgs with other density control. Steps are those of a 30,000 iteration run."""
 
     density: AbsDensity = field(default_factory=AbsDensity)
 
