@@ -65,7 +65,7 @@ class AnchorModel(Model):
         pyramid that the image opens.
 
         Args:
-            camera: Of the image.
+            camera: Camera of the image.
 
         Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.2; its release takes the ellipse's 3 standard
             deviations on the image, which lie within the ball.

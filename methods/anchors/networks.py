@@ -11,7 +11,7 @@ def named(networks: Mapping[str, Mlp]) -> dict[str, Tensor]:
     """The tensors `network.weight0`, `network.bias0`, `network.weight1`, ...
 
     Args:
-        networks: By name.
+        networks: Networks by their names.
     """
     return {
         f"{name}.{part}{layer}": value
@@ -25,7 +25,7 @@ def network(name: str, tensors: Mapping[str, Tensor]) -> Mlp:
     """The network of that name; the same tensors, so gradients reach them.
 
     Args:
-        name: Of the network.
+        name: Name of the network.
         tensors: As `named` names them; others are passed over.
 
     Raises: KeyError if there is no such network.

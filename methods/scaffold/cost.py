@@ -12,9 +12,10 @@ PIXEL_STEP = 0.1e-6
 """CPU seconds a pixel of a training step, as for 3dgs."""
 SLOT_STEP = 0.5e-6
 """CPU seconds a Gaussian of an anchor, shown or not, of a training step: decoding and its gradients,
-rasterizing those that show, Adam."""
-GROWTH_STEPS, GROWTH_MOST = 1500, 6.0
-"""The mean number of anchors grows by the starting number every so many steps, up to this multiple."""
+rasterizing those that show, Adam. Measured on courtyard at 240 px, 1500 steps: 0.46e-6."""
+GROWTH_STEPS, GROWTH_MOST = 650, 6.0
+"""The mean number of anchors grows by the starting number every so many steps (3.3 times it measured at
+1500 steps on courtyard), up to this multiple."""
 SLOT_BYTES = 400
 """Bytes of the graph of a decoded Gaussian."""
 

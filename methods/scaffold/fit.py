@@ -81,7 +81,7 @@ def drawn_networks(settings: Settings, seed: int) -> dict[str, mlp.Mlp]:
 
     Args:
         settings: features, k, distance and feature_bank count.
-        seed: Of the draw.
+        seed: Seed of the draw.
     """
     generator = torch.Generator().manual_seed(seed)
     extra = 4 if settings.distance else 3
@@ -96,7 +96,7 @@ def schedules(rates: Rates, shared: list[str]) -> dict[str, Schedule]:
     """Rate of every trained tensor.
 
     Args:
-        rates: Of each kind.
+        rates: Rate of each kind of tensor.
         shared: Names of the networks' tensors.
     """
     by_network = {

@@ -103,7 +103,7 @@ def blend_bank(
     """The feature bank: w0 f[::4] + w1 f[::2] + w2 f, thinned features repeated to full length.
 
     Args:
-        features: Of each anchor; f is a multiple of 4.
+        features: Features of each anchor, one row an anchor; f is a multiple of 4.
         network: From direction and distance (4 numbers) to 3, softmax of which are the weights w.
         direction: Unit directions from the camera, from `view_code`.
         distance: Distances to the camera in scene units, from `view_code`.
