@@ -4,6 +4,7 @@ import colorsys
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -63,6 +64,14 @@ def test_descriptor_of_black_is_zero_and_of_light_is_not():
     assert not hvi.descriptor(torch.zeros(4, 4, 3, dtype=D)).any()
     dim, bright = hvi.descriptor(0.2 * picture(0)), hvi.descriptor(picture(0))
     assert float(bright[2]) == pytest.approx(5 * float(dim[2]))
+
+
+def test_descriptor_by_hand():
+    """Mean, spread, 10 % and 90 % quantiles of H, V and I, in this order, by numpy."""
+    image = picture(3)
+    pixels = hvi.to_hvi(image).reshape(-1, 3).numpy()
+    want = [pixels.mean(axis=0), pixels.std(axis=0), *np.quantile(pixels, [0.1, 0.9], axis=0)]
+    assert_close(hvi.descriptor(image), torch.from_numpy(np.concatenate(want)))
 
 
 def test_descriptor_ignores_where_pixels_are():
