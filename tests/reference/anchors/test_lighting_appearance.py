@@ -159,21 +159,3 @@ def test_dropout_loss_moves_the_dropped_render_only():
     assert dropped.grad is not None
     assert dropped.grad.any()
     assert float(la.dropout_loss(full, full).detach()) == pytest.approx(0, abs=1e-12)
-
-
-def test_what_a_test_view_may_know():
-    weights = torch.randn(12, 3, generator=torch.Generator().manual_seed(0), dtype=D)
-    image, train = picture(0), [picture(1), picture(2)]
-    distances = torch.tensor([3.0, 2.0], dtype=D)
-
-    def factor(mode: la.TestMode, test: torch.Tensor) -> torch.Tensor:
-        return la.factor_at_test(mode, weights, test, train, distances)
-
-    assert_close(factor("nearest", image), hvi.illumination_factor(train[1], weights))
-    assert_close(factor("oracle", image), hvi.illumination_factor(image, weights))
-    other = image.clone()
-    other[:, 6:] = 0  # the middle column of 13 and the right half
-    assert_close(factor("half", image), factor("half", other))
-    assert not torch.allclose(factor("half", image), factor("half", other.flip(1)))
-    with pytest.raises(ValueError, match="no training view"):
-        la.factor_at_test("nearest", weights, image, [], distances[:0])
