@@ -33,7 +33,7 @@ def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction
     """The model that `save_model` wrote into a folder, or a packed one.
 
     Args:
-        folder: With model.json and model.safetensors; or a file of methods.storage.packed.
+        folder: Folder with model.json and model.safetensors, or a file of methods.storage.packed.
         backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version.
@@ -57,6 +57,5 @@ def load_origin(folder: Path) -> Origin:
     Raises: DataError if it cannot be read.
     """
     if folder.is_file():
-        packed = read_packed(folder)[1]
-        return Origin(method=packed.method, settings=packed.settings)
+        return read_packed(folder)[1].origin
     return origin_of(folder)

@@ -21,10 +21,10 @@ def shown(view: View, training: Sequence[View], model: Reconstruction, protocol:
     that the model fits to the image's left half or to all of it, where the model can (`Adapts`).
 
     Args:
-        view: One that is scored.
-        training: What the model was trained on.
-        model: What is scored.
-        protocol: Its `appearance` says what may be used.
+        view: The view that is scored.
+        training: Views that the model was trained on.
+        model: The model that is scored.
+        protocol: The rules; `appearance` says what may be used.
     """
     asked = view.without_truth()
     if protocol.appearance == "nearest":
@@ -44,7 +44,7 @@ def exposed(
     Args:
         view: The scored view; its left half is looked at.
         render: What the model shows of it.
-        protocol: Others than "exposure" leave the render alone.
+        protocol: The rules; all but appearance = "exposure" leave the render alone.
     """
     if protocol.appearance != "exposure":
         return render
@@ -62,7 +62,7 @@ def usable_columns(width: int, protocol: Protocol) -> slice:
 
     Args:
         width: Width of the image, in pixels.
-        protocol: Its `appearance`.
+        protocol: The rules, of which `appearance` counts.
     """
     return slice(0, width if protocol.appearance == "oracle" else width // 2)
 

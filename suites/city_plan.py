@@ -36,6 +36,7 @@ class City:
     """What is to be built, and on what."""
 
     views: int = 10_000
+    """Number of training views."""
     gaussians: int = 100_000_000
     """Number of Gaussians in the finished model."""
     pixels: int = 1_600 * 1_200
@@ -56,7 +57,7 @@ class City:
     """Bytes of training images that a worker keeps in memory."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no city."""
+        """Refuse numbers that no city can have."""
         for name in ("views", "gaussians", "pixels", "iterations", "cores"):
             if getattr(self, name) < 1:
                 raise UsageError(f"--{name}: {getattr(self, name)}, expected 1 or more")
@@ -72,7 +73,9 @@ class Plan:
     """One number of blocks on one number of machines."""
 
     blocks: int
+    """Number of blocks."""
     machines: int
+    """Number of machines."""
     workers: int
     """Blocks that a machine trains at once; 0: not even one fits."""
     block_memory_mb: float
@@ -216,8 +219,11 @@ class Simulated:
     """Block stages of DRAWS simulated runs, in wall seconds."""
 
     mean: float
+    """Mean over the runs."""
     fastest: float
+    """Seconds of the fastest run."""
     slowest: float
+    """Seconds of the slowest run."""
     busy: float
     """Share of the workers' time in which they train, on average."""
 

@@ -40,7 +40,7 @@ def estimate_suite(suite: Suite, folder: Path, backend: str) -> list[Estimate]:
     estimate is multiplied by the median of measured over stated seconds.
 
     Args:
-        suite: Its scenes must be on this machine.
+        suite: The suite; its scenes must be on this machine.
         folder: Folder of the runs, with the suites' folders.
         backend: Name of the rasterizer.
     """

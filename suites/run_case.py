@@ -106,10 +106,13 @@ class Spent:
     """What a case has cost so far."""
 
     stages: dict[str, float] = field(default_factory=dict)
+    """Wall seconds by stage."""
     facts: dict[str, str] = field(default_factory=dict)
     """What the method says of how it was trained."""
     cpu_seconds: float = 0.0
+    """CPU seconds of all processes together."""
     peak_memory_mb: float = 0.0
+    """Peak resident memory in 2^20 bytes."""
 
 
 def run_case(job: Job, tell: Tell) -> None:
@@ -274,6 +277,7 @@ def origin_of_case(case: Case) -> Origin:
     return Origin(
         method=case.method, variant=case.variant, settings=asdict(case.settings),
         scene=case.scene, protocol=asdict(case.protocol), seed=case.seed,
+        pose_noise=case.pose_noise,
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ class Outcome:
 
     case: Case
     folder: Path
+    """The case's own folder."""
     status: Status
     result: Result
 
@@ -43,8 +44,8 @@ class Progress:
     count: int
     """Number of cases of this run."""
     stage: str
-    """"files" while the scene's are hashed, then "start" with a note why an old result does not
-    count, then load, init, train, save, score."""
+    """"files" while those of the scene are hashed, then "start" with a note why an old result does
+    not count, then load, init, train, save, score."""
     step: int = 0
     """Training steps that are done, or files that are hashed; 0 in other stages."""
     total: int = 0

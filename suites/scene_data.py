@@ -20,7 +20,7 @@ WORDS = {
 }
 """Facts that depend on a scene's files alone, neither on code nor on protocol, most telling first."""
 TESTS = "tests_"
-"""Begins the same facts of test views that have a folder of their own."""
+"""Start of the names of the same facts where test views have a folder of their own."""
 
 
 class SceneData:
@@ -42,9 +42,9 @@ class SceneData:
         """The facts of a scene that name its data.
 
         Args:
-            scene: As `open_scene` takes it.
-            protocol: Which photos it uses.
-            report: Told (files looked at, files in all).
+            scene: Registered name or folder of the scene, as `open_scene` takes it.
+            protocol: The rules that say which photos are used.
+            report: Called as report(files looked at, files in all).
         Raises: What `open_scene` raises.
         """
         if (scene, protocol) not in self._found:

@@ -77,7 +77,7 @@ def without_side_effects(suite: Suite) -> Suite:
     Sparse points are the scene's own: triangulating them takes minutes and fills the cache.
 
     Args:
-        suite: Its scenes are on this machine.
+        suite: The suite; its scenes are on this machine.
     Returns: The same cases under protocols that open faster.
     """
     return replace(
@@ -92,7 +92,7 @@ def make_scenes(suite: Suite, report: Callable[[int, int], None]) -> None:
     """Make the procedural scenes of the suite that are not made yet, so that no case is charged.
 
     Args:
-        suite: Its scenes are known (see `without_absent`).
+        suite: The suite; its scenes are known (see `without_absent`).
         report: Hears how far it is: report(views done, views in all).
     """
     for scene in dict.fromkeys(case.scene for case in suite.cases):

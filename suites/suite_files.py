@@ -37,6 +37,7 @@ class CaseTable:
     protocols: tuple[str, ...]
     """Registered names, or protocol files as "/...", "./..." or "../..." relative to the suite file."""
     seeds: tuple[int, ...] = (0,)
+    """Numbers from 0 on which every random draw of a case depends."""
     pose_noise: tuple[str, ...] = (TRUE_POSES,)
     """Levels of noise on the poses of training views, drawn with the case's seed; see
     `splatproof.datasets.pose_noise`. Each level has table rows of its own."""
@@ -52,6 +53,7 @@ class SuiteFile:
     """What a suite file holds, word by word."""
 
     description: str
+    """What the suite is for."""
     cases: tuple[CaseTable, ...]
     optional_scenes: tuple[str, ...] = ()
     """Scenes that are left out, with a said reason, where they are not on this machine."""
@@ -62,8 +64,9 @@ class Case:
     """One thing to run. Everything that its numbers depend on is here, apart from the data."""
 
     scene: str
-    """As `open_scene` takes it: a registered name or an absolute folder."""
+    """Registered name or absolute folder of the scene, as `open_scene` takes it."""
     method: str
+    """Name of the method."""
     settings: Any
     """Instance of the method's settings dataclass."""
     variant: str = ""

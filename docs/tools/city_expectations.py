@@ -1,4 +1,4 @@
-"""What was expected of the city rows, and what their numbers say of it."""
+"""What was expected of the city methods, and what their numbers say of it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

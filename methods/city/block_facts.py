@@ -8,19 +8,20 @@ class BlockFacts:
     """What one block was, and what it cost."""
 
     block: int
+    """Number of the block, from 0."""
     views: int
-    """Training views."""
+    """Number of its training views."""
     points: int
-    """Sparse points that it owns."""
+    """Number of sparse points that it owns."""
     load: int
-    """Summed track length of the points it owns."""
+    """Sum of the track lengths of these points: how often views see them."""
     seconds: float = 0.0
     """Wall seconds of its training."""
     peak_mb: float = 0.0
     """Peak resident memory of the process that trained it, in 2^20 bytes."""
     primitives: int = 0
-    """Gaussians when its training ended, ghosts left out."""
+    """Number of Gaussians when its training ended, ghosts left out."""
     kept: int = 0
-    """Of those, what the merged model has."""
+    """Number of these Gaussians that the merge kept."""
     note: str = ""
     """What was out of the ordinary; empty if nothing was."""

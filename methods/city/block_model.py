@@ -42,6 +42,9 @@ class BlockModel:
     def slices(self, names: tuple[str, ...] = FIELDS) -> Iterator[dict[str, Tensor]]:
         """The named parameters of up to CHUNK primitives at a time, in order.
 
+        Args:
+            names: Which of FIELDS are read.
+
         Raises: DataError if the folder's arrays are missing, damaged or fewer than it says.
         """
         count, chunk = len(self), CHUNK

@@ -22,7 +22,11 @@ COARSE_OPACITY = 0.5
 
 
 def point_model(place: Ground) -> Gaussians:
-    """One Gaussian a sparse point: what is there before any coarse model was trained."""
+    """One Gaussian a sparse point: what is there before any coarse model was trained.
+
+    Args:
+        place: The scene, with sparse points and training views.
+    """
     return from_points(place.scene, degree=0, opacity=COARSE_OPACITY)
 
 
@@ -34,9 +38,12 @@ def coarse_change(
     0 for views that are not trained on, so that they cost nothing.
 
     Args:
-        place: The scene.
-        backend: Rasterizer.
-        model: The coarse model; None: one Gaussian a sparse point.
+        place: The scene, and which of its views are trained on.
+        backend: Name of the rasterizer.
+        model: The coarse model, in the scene's frame; None: one Gaussian a sparse point.
+
+    Returns: change(view, without): the view's index in the scene, and a mask of the Gaussians that
+        are left out.
 
     Source: CityGaussian, Sec. 3.2, Eq. 4.
     """
@@ -64,7 +71,12 @@ def coarse_change(
 
 
 def narrowed(camera: Camera, width: int) -> Camera:
-    """The camera with an image at most `width` wide."""
+    """The camera with an image at most `width` wide.
+
+    Args:
+        camera: With an image of any size; one that is narrow enough is returned as it is.
+        width: Pixels, at least 1; the height shrinks in proportion.
+    """
     if camera.width <= width:
         return camera
     size = (width, max(1, round(camera.height * width / camera.width)))

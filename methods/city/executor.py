@@ -42,8 +42,9 @@ def run_blocks(
         jobs: One a block.
         engine: One of ENGINES.
         workers: Blocks that are trained at the same time.
-        threads: Of all workers together; None: the cores of this machine.
-        report: Hears where each job is.
+        threads: Number that all workers share; None: one for each core of this machine (inline:
+            what torch has).
+        report: Hears where each job is, as report(index, step, total, values).
 
     Raises: UsageError for an unknown engine or fewer workers than one; SplatproofError naming the
         block that failed and why.
@@ -69,7 +70,14 @@ def run_blocks(
 def run_inline(
     jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
-    """One block after the other in this process; their peak memory is then not their own."""
+    """Train one block after the other in this process; their peak memory is then not their own.
+
+    Args:
+        jobs: One a block.
+        workers: Not looked at: there is one.
+        threads: Torch's threads; None leaves torch what it has.
+        report: Hears where each job is, as report(index, step, total, values).
+    """
     del workers
     found = []
     with torch_threads(threads):
@@ -82,9 +90,18 @@ def run_inline(
 def run_in_processes(
     jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
-    """Each block in a fresh process, `workers` at a time, with its share of the threads.
+    """Train each block in a fresh process with its share of the threads.
 
     The processes end when this one does, however that dies.
+
+    Args:
+        jobs: One a block; what they hold must survive the way to another process.
+        workers: Number of processes at a time, at least 1.
+        threads: Number that they share, each having at least one; None: one for each core.
+        report: Hears where each job is, as report(index, step, total, values).
+
+    Raises: UsageError for a scene that exists in this process only; SplatproofError for a process
+        that died, or what a block raised, either naming the block.
     """
     each = max(1, (threads or os.cpu_count() or 1) // workers)
     waiting, running = list(enumerate(jobs))[::-1], dict[Worker, int]()

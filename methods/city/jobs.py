@@ -20,7 +20,8 @@ from splatproof.reference.partition.visibility import shared_points
 from splatproof.reference.types.scene import Scene, SparsePoints
 
 SEEDS_APART = 1_000_003
-"""Between the seeds of two blocks; block 0 has the run's own, so that one block is the plain row."""
+"""How far the seeds of two neighbouring blocks lie apart; block 0 has the run's own, so that a
+scene in one block is what method 3dgs makes of it."""
 
 
 def block_jobs(
@@ -43,14 +44,14 @@ def block_jobs(
     Args:
         scene: The whole scene.
         found: Its partition.
-        settings: Of each block's training.
+        settings: What the training of each block follows.
         run: Seed, backend, background and checkpoints.
         cache: Folder of all blocks' folders; runs that share it share equal blocks.
         auxiliary: What takes part beside the block's own points.
-        follow: Let ghosts' opacity and colour follow.
+        follow: Whether opacity and colour of ghosts are trained too.
         surrounding: Where ghosts are taken from.
-        sampling: Balanced sampling of views; None: uniform.
-        coarse: File of a coarse model that all blocks start from.
+        sampling: Bins of balanced sampling of views; None: uniform sampling.
+        coarse: File of a coarse model that all blocks start from; None: they start from points.
     """
     place = ground(scene)
     return tuple(

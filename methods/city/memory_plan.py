@@ -19,14 +19,15 @@ class MemoryPlan:
     """Estimated peak memory in 2^20 bytes."""
 
     blocks: tuple[float, ...]
-    """Of each block's process."""
+    """Estimate for the process of each block."""
     workers: int
+    """Number of blocks that are trained at once."""
     available: float
     """What the machine has left."""
 
     @property
     def total(self) -> float:
-        """Of the fullest blocks, as many as are trained at once."""
+        """Sum over the fullest blocks, as many as are trained at once."""
         return sum(sorted(self.blocks, reverse=True)[: self.workers])
 
     @property
@@ -48,7 +49,11 @@ class MemoryPlan:
 
 
 def block_memory_mb(job: BlockJob) -> float:
-    """Estimated peak memory of one block, from the points it starts with."""
+    """Estimated peak memory of one block in 2^20 bytes, from the points it starts with.
+
+    Args:
+        job: The block; no image is read.
+    """
     cameras = [view.camera for view in job.scene.views]
     pixels = [camera.width * camera.height for camera in cameras]
     own = int((job.roles == OWN).sum())
@@ -63,6 +68,10 @@ def block_memory_mb(job: BlockJob) -> float:
 
 def plan_memory(jobs: Sequence[BlockJob], workers: int) -> MemoryPlan:
     """Estimate all blocks and refuse what cannot fit.
+
+    Args:
+        jobs: One a block, at least one.
+        workers: Most blocks that are trained at once, at least 1.
 
     Raises: MissingError, with the number of blocks that would fit.
     """

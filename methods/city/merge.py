@@ -34,12 +34,14 @@ def write_merged(
     Primitives lie block after block, in their own order: the numbers returned say whose is whose.
 
     Args:
-        folder: Of the merged model; a folder that was interrupted is refused by load_reconstruction.
-        blocks: All of the same SH degree, in float32.
+        folder: Where the merged model is written; one whose writing was interrupted is refused by
+            load_reconstruction.
+        blocks: All blocks, of the same SH degree, in float32.
         kept: Which primitives of each block stay (stitch, cut_hard).
         origin: Where the merged model comes from.
         mode: How it is rasterized.
-        shift: Float64; back to the original frame.
+        shift: Vector in scene units, float64; added to positions it gives those in the original
+            frame.
         units: Name of the length unit.
 
     Returns: Number of primitives that each block contributes.

@@ -45,7 +45,7 @@ class CityModel(ExplicitModel):
 
     @property
     def kind(self) -> str:
-        """What models are told apart by when they are loaded."""
+        """Name by which the loader of these models is found."""
         return CITY
 
     def store(self, folder: Path) -> Stored:
@@ -78,8 +78,8 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
     """The model of a folder whose model.json and arrays were read already.
 
     Args:
-        folder: Where it lies; its other files are read here.
-        stored: Its arrays and facts.
+        folder: Folder of the model; its other files are read here.
+        stored: Arrays and facts that the folder holds.
         backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, for what is missing or damaged.

@@ -34,26 +34,31 @@ MethodName = Literal["odbp", "blockgaussian", "vastgaussian", "citygaussian"]
 
 @dataclass(frozen=True, kw_only=True)
 class PartitionSettings:
-    """How a scene is cut and who sees a block."""
+    """How a scene is cut into blocks, and which views train each of them."""
 
     method: MethodName = "odbp"
-    """odbp: equal rendering load over voxels; blockgaussian: rectangles halved by point density;
-    vastgaussian: equally many cameras; citygaussian: uniform grid in contracted space."""
+    """What the cut aims at. odbp: equal rendering load over voxels (DPGS); blockgaussian:
+    rectangles halved by point density; vastgaussian: equally many cameras; citygaussian: uniform
+    grid in contracted space."""
     voxel_size: float | None = None
-    """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side."""
+    """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side on the
+    ground."""
     imbalance: float = 0.01
-    """odbp: loads are to lie within (1 +- this) of their mean; 0.05 in the paper."""
+    """odbp: share of their mean by which the blocks' loads may differ from it (the paper: 0.05)."""
     seeds: int = 10
-    """odbp: METIS seeds that are tried."""
+    """odbp: number of METIS seeds that are tried; the best cut stays."""
     margin: float = 0.05
-    """odbp, blockgaussian: a block is widened by this share of its extent before it looks for its
-    points and views; what lies in the widened block is trained by it."""
+    """odbp, blockgaussian: share of its extent by which a block is widened; it trains the points in
+    the widened block (the paper BlockGaussian: 0.05, StitchGS' release: 0.15)."""
     view_share: float = 0.3
-    """odbp, blockgaussian: tau_view, share of a view's points in the block from which it is taken."""
+    """odbp, blockgaussian: a view trains a block that holds at least this share of the points that
+    the view sees (tau_view; the releases: 0.3)."""
     block_share: float = 0.1
-    """odbp, blockgaussian: tau_block, share of the block's points in the view likewise."""
+    """odbp, blockgaussian: a view also trains a block if it sees at least this share of the block's
+    points (tau_block; BlockGaussian's release: 0.1, StitchGS': 0.05)."""
     change: float = 0.08
-    """citygaussian: 1 - SSIM without the block from which a view is taken (published: 0.05 to 0.12)."""
+    """citygaussian: a view also trains a block without which its image changes by more than this,
+    measured by 1 - SSIM (published: 0.05 to 0.12)."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no partition can follow."""
@@ -72,6 +77,7 @@ class Partition:
     """One partition of a scene's points and training views."""
 
     method: str
+    """Name of the partition."""
     labels: Int64[Tensor, " n"]
     """Block of each sparse point; blocks may be empty."""
     views: tuple[Bool[Tensor, " v"], ...]
@@ -95,11 +101,11 @@ def partition(
     """Cut a scene into K blocks. One block is the whole scene: all views, all points.
 
     Args:
-        scene: With training views and sparse points.
-        blocks: K >= 1.
-        settings: Which partition.
-        backend: Rasterizer for CityGaussian's rule.
-        coarse: CityGaussian's coarse model; None: one Gaussian a sparse point.
+        scene: With training views, and sparse points with their tracks.
+        blocks: Number K of blocks, >= 1.
+        settings: Which partition, and its thresholds.
+        backend: Name of the rasterizer for CityGaussian's rule; the others draw nothing.
+        coarse: CityGaussian's coarse model in the scene's frame; None: one Gaussian a sparse point.
 
     Raises: UsageError for K < 1; DataError for more blocks than there are distinct points (odbp) or
         training cameras (vastgaussian), or a scene without views or points.
@@ -124,7 +130,11 @@ def partition(
 
 
 def near_square(blocks: int) -> tuple[int, int]:
-    """Columns x rows = blocks with columns >= rows, as near to a square as there is."""
+    """Columns x rows = blocks with columns >= rows, as near to a square as there is.
+
+    Args:
+        blocks: Number of cells, >= 1.
+    """
     rows = next(n for n in range(int(blocks**0.5), 0, -1) if blocks % n == 0)
     return blocks // rows, rows
 
@@ -134,6 +144,14 @@ def odbp_blocks(place: Ground, blocks: int, name: str, *, settings: PartitionSet
 
     DPGS does not say how views are assigned. Its auxiliary box is no help: the bounds of a ragged
     block with one stray point can span the scene, and ghosts are not what a block is trained for.
+
+    Args:
+        place: The scene; its voxel size is the partition's.
+        blocks: Number K of blocks, >= 1.
+        name: What the partition is called.
+        settings: Imbalance, seeds, margin and the two shares count.
+
+    Source: DPGS, Sec. 3.3; views: BlockGaussian's release.
     """
     found = odbp.partition(
         place.positions, place.loads,
@@ -153,6 +171,13 @@ def blockgaussian_blocks(place: Ground, blocks: int, settings: PartitionSettings
 
     Blocks with few points or views are kept, though the release drops them: what they cover would
     be in no block.
+
+    Args:
+        place: The scene.
+        blocks: Number K of blocks, >= 1.
+        settings: Margin and the two shares count.
+
+    Source: BlockGaussian, Sec. 3.2, and its release.
     """
     depth = blocks  # K leaves need at most K - 1 halvings in a row
     halving = DensitySettings(max_points=0, max_depth=depth, max_blocks=blocks)
@@ -169,7 +194,16 @@ def blockgaussian_blocks(place: Ground, blocks: int, settings: PartitionSettings
 
 
 def vastgaussian_blocks(place: Ground, blocks: int) -> Partition:
-    """VastGaussian's cells over the training cameras, with its visibility-based selection."""
+    """VastGaussian's cells over the training cameras, with its visibility-based selection.
+
+    Args:
+        place: The scene.
+        blocks: Number K of blocks, >= 1; the grid is as near to a square as K allows.
+
+    Raises: DataError for more blocks than training cameras.
+
+    Source: VastGaussian, Sec. 4.1.
+    """
     cameras = tuple(view.camera for view in place.scene.train_views)
     centres = torch.stack([camera.centre for camera in cameras]) @ place.frame.T
     grid = partition_cameras.camera_grid(centres[:, :2], *near_square(blocks))
@@ -198,6 +232,16 @@ def citygaussian_blocks(
 
     Cells are not grown to hold 25,000 Gaussians before the change is measured: in a scene with
     fewer than some hundred thousand that would be most of it. Every block starts from all points.
+
+    Args:
+        place: The scene.
+        blocks: Number K of blocks, >= 1; the grid is as near to a square as K allows.
+        backend: Name of the rasterizer that draws the coarse model.
+        threshold: Change of a view's image without a block, 1 - SSIM, above which it trains the
+            block.
+        coarse: The coarse model in the scene's frame; None: one Gaussian a sparse point.
+
+    Source: CityGaussian, Sec. 3.2.
     """
     foreground = partition_grid.central_box(place.positions)
     cells = (*near_square(blocks), 1)

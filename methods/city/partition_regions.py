@@ -38,8 +38,8 @@ def voxel_regions(
     several sizes meet, a cell of the grid belongs to the block with the most load in it.
 
     Args:
-        partition: In the ground frame.
-        frame: Rotation from the scene into it (ground_frame).
+        partition: Blocks of voxels in the ground frame.
+        frame: Rotation from the scene into the ground frame (ground_frame).
         open_: The outermost cells reach to infinity; False ends the blocks with the grid.
         most_cells: Cells are halved with the voxels as long as the grid holds no more than this.
 
@@ -89,9 +89,9 @@ def oriented_regions(
     """Regions of rectangles that tile a root, between two heights.
 
     Args:
-        rectangles: On the ground of `frame` (partition_density.split).
+        rectangles: On the ground of `frame` (density_split.split).
         frame: Rotation from the scene into the ground frame.
-        heights: Lower and upper bound (partition_density.height_bounds).
+        heights: Lower and upper bound in scene units (density_split.height_bounds).
         open_: What lies beyond the root or the heights belongs to the nearest block; False ends the
             blocks there, as the paper does.
 
@@ -108,7 +108,12 @@ def oriented_regions(
 def ground_regions(grid: CameraGrid, frame: Float64[Tensor, "3 3"]) -> tuple[GroundRegion, ...]:
     """Regions of the camera-balanced grid; the outermost cells reach to infinity.
 
-    Source: VastGaussian, Sec. 4.2.
+    Args:
+        grid: Walls of its columns, and of the rows in each, in scene units on the ground of
+            `frame`.
+        frame: Rotation from the scene into the ground frame (ground_frame).
+
+    Source: VastGaussian, Sec. 4.1.
     """
     columns, rows = grid.shape
     regions = []
@@ -122,7 +127,12 @@ def ground_regions(grid: CameraGrid, frame: Float64[Tensor, "3 3"]) -> tuple[Gro
 def contracted_regions(
     foreground: Box, cells: tuple[int, int, int], frame: Float64[Tensor, "3 3"]
 ) -> tuple[ContractedRegion, ...]:
-    """Regions of the grid in contracted space, numbered as partition_grid.cell_of does.
+    """Regions of the grid in contracted space, numbered as contracted_grid.cell_of does.
+
+    Args:
+        foreground: What the contraction leaves as it is, in the ground frame (central_box).
+        cells: Number of cells along x, y and z, each >= 1.
+        frame: Rotation from the scene into the ground frame (ground_frame).
 
     Source: CityGaussian, Sec. 3.2.
     """

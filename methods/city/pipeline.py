@@ -46,10 +46,16 @@ class Merged:
 
     model: Gaussians
     blocks: Int64[Tensor, " n"]
+    """Block that trained each Gaussian."""
     distances: Float[Tensor, " n"]
+    """Normalised distance of each Gaussian to that block: at most 1 in its core."""
 
     def take(self, rows: Tensor) -> "Merged":
-        """Some of them: a mask or indices."""
+        """Some of the Gaussians, with their blocks and distances.
+
+        Args:
+            rows: Mask or indices.
+        """
         return Merged(
             model=select(self.model, rows),
             blocks=self.blocks[rows],
@@ -62,9 +68,9 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
 
     Args:
         scene: With sparse points, their tracks, and training views.
-        settings: Of the row; each stage has its own part of them.
+        settings: What is chosen about the method; each stage looks at its own part.
         run: Where checkpoints go; a run found there goes on at the stage that was broken off.
-        method: Name of the row.
+        method: Name of the method.
 
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
         to another run; MissingError if the blocks cannot fit into memory.
@@ -133,7 +139,12 @@ class Progress:
     """One count of steps over coarse model, blocks and refinement, for the run's report."""
 
     def __init__(self, run: Run, settings: CitySettings) -> None:
-        """Start at nothing."""
+        """Start at nothing.
+
+        Args:
+            run: Whose report is called.
+            settings: Say how many steps there will be.
+        """
         self.report = run.report
         self.blocks = [0] * settings.blocks
         self.gaussians = [0.0] * settings.blocks
@@ -144,12 +155,25 @@ class Progress:
         self.after = self.before + each * settings.blocks
 
     def coarse(self, step: int, total: int, values: dict[str, float]) -> None:
-        """A step of the coarse model."""
+        """Report a step of the coarse model.
+
+        Args:
+            step: Steps of the coarse model that are done.
+            total: Not looked at: the run's own total is reported.
+            values: What the report says: loss, terms, number of Gaussians.
+        """
         del total
         self.report(step, self.total, values)
 
     def block(self, index: int, step: int, total: int, values: dict[str, float]) -> None:
-        """A step of a block: Gaussians of all blocks so far together."""
+        """Report a step of a block; Gaussians are those of all blocks so far together.
+
+        Args:
+            index: Number of the block.
+            step: Steps of the block that are done.
+            total: Not looked at: the run's own total is reported.
+            values: What the report says of the block; with "gaussians".
+        """
         del total
         self.blocks[index] = step
         self.gaussians[index] = values["gaussians"]
@@ -157,7 +181,13 @@ class Progress:
         self.report(self.before + sum(self.blocks), self.total, together)
 
     def refine(self, step: int, total: int, values: dict[str, float]) -> None:
-        """A step of the refinement."""
+        """Report a step of the refinement.
+
+        Args:
+            step: Steps of the refinement that are done.
+            total: Not looked at: the run's own total is reported.
+            values: What the report says: loss, terms, number of Gaussians.
+        """
         del total
         self.report(self.after + step, self.total, values)
 
@@ -250,7 +280,14 @@ def _stitch(
 def kept_rows(
     blocks: Sequence[BlockModel], settings: CitySettings, seed: int, threads: int | None
 ) -> tuple[Bool[Tensor, " _"], ...]:
-    """Which Gaussians of each block the merge keeps; one block loses nothing."""
+    """Which Gaussians of each block the merge keeps; one block loses nothing.
+
+    Args:
+        blocks: All blocks, in the order in which a hard merge resolves ties.
+        settings: Merge, outside and stitch count.
+        seed: Seed of the draws of a merge by "sis".
+        threads: For its neighbour search; None: all cores. The result does not depend on it.
+    """
     if len(blocks) == 1:
         return (torch.ones(len(blocks[0]), dtype=torch.bool),)
     if settings.merge == "hard":

@@ -40,14 +40,15 @@ def roles_of(
     """Role of each sparse point in one block; LEFT_OUT for those it does not start from.
 
     Args:
-        points: All of the scene.
-        own: What the block trains and densifies.
-        views: What it trains on.
-        labels: Who owns each point.
-        block: Which block.
+        points: All points of the scene.
+        own: Points that the block trains and densifies.
+        views: Views that it trains on, among all of the scene.
+        labels: Block that owns each point.
+        block: Number of the block.
         upright: Positions in the ground frame, whose axes the auxiliary box follows.
-        auxiliary: What else takes part.
-        near: Where ghosts are taken from; None: the auxiliary box around what the block owns.
+        auxiliary: What takes part beside the block's own points.
+        near: Points that may become ghosts; None: those in the auxiliary box around what the block
+            owns.
 
     Source: BlockGaussian, Sec. 3.2 (auxiliary points) and its release; DPGS, Sec. 3.3, Eq. 7
         (ghosts).
@@ -65,7 +66,12 @@ def roles_of(
 
 
 def seen_points(points: SparsePoints, views: Bool[Tensor, " v"]) -> Bool[Tensor, " n"]:
-    """Points that at least one of the views sees."""
+    """Points that at least one of the views sees.
+
+    Args:
+        points: All points of the scene, with their tracks.
+        views: Which of all views of the scene look.
+    """
     owner = torch.repeat_interleave(torch.arange(len(points)), track_lengths(points))
     seen = torch.zeros(len(points), dtype=torch.bool)
     seen[owner[views[points.track_views.long()]]] = True
@@ -89,8 +95,8 @@ def held_rows(parameters: Parameters, *, follow: bool) -> dict[str, Int64[Tensor
     """Rows of ghosts, by the tensors that keep their values there.
 
     Args:
-        parameters: Those of a block.
-        follow: Whether their opacity and colour follow (dual mode); their geometry never does.
+        parameters: The tensors of a block, with label ROLE.
+        follow: Whether opacity and colour of ghosts are trained (dual mode); geometry never is.
     """
     ghosts = (parameters.labels[ROLE] == GHOST).nonzero()[:, 0]
     still = ("means", "log_scales", "quaternions")

@@ -13,16 +13,23 @@ from splatproof.methods.training.loop import threads as torch_threads
 RETRIES = 3
 """How often a block whose worker died is given to another one."""
 POLL_SECONDS = 0.5
-"""Between two looks at what the workers report."""
+"""Time between two looks at what the workers report."""
 
 
 def run_on_ray(
     jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
-    """Each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
+    """Train each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
 
     A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
     must lie where all machines read and write it. A task asks for its share of the threads as CPUs.
+
+    Args:
+        jobs: One a block; what they hold must survive the way to another machine.
+        workers: Most tasks at a time, at least 1.
+        threads: Number that they share, each having at least one; None: one for each core of this
+            machine.
+        report: Hears where each job is, as report(index, step, total, values).
 
     Raises: MissingError without the package ray; SplatproofError naming a block that lost its worker
         more than RETRIES times, or what a block itself raised.
@@ -65,7 +72,14 @@ class Reports:
         self.waiting: list[tuple[int, int, int, dict[str, float]]] = []
 
     def put(self, index: int, step: int, total: int, values: dict[str, float]) -> None:
-        """A worker's report."""
+        """Keep a worker's report.
+
+        Args:
+            index: Number of the job among those that are run.
+            step: Training steps that are done.
+            total: Training steps of the job.
+            values: What the report says: loss, terms, number of Gaussians.
+        """
         self.waiting.append((index, step, total, values))
 
     def drain(self) -> list[tuple[int, int, int, dict[str, float]]]:
@@ -75,7 +89,14 @@ class Reports:
 
 
 def train_remotely(job: BlockJob, index: int, threads: int, reports: Any) -> BlockFacts:
-    """What a worker does."""
+    """Train one block where Ray has put the task.
+
+    Args:
+        job: What to train.
+        index: Number by which its reports are told apart.
+        threads: Torch's threads for it.
+        reports: Handle of the actor that keeps the reports (Reports).
+    """
     with torch_threads(threads), alone(job):
         return train_block(job, lambda *at: reports.put.remote(index, *at))
 

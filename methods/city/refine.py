@@ -25,7 +25,7 @@ from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
 PAPER_SHARE = 7_000 / 40_000
-"""Refinement steps a step of block training in the paper."""
+"""Number of refinement steps for each step of block training in the paper."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,19 +33,23 @@ class RefineSettings:
     """How a merged model is cleaned and its appearance fitted over all views."""
 
     iterations: int | None = None
-    """Steps; None: 7 for 40 steps of block training, as in the paper."""
+    """Steps of the refinement; None: 7 for every 40 steps of block training, as in the paper."""
     quantise_from: float = 0.1
-    """Share of the steps after which the residual harmonics are seen through 8 bits; 1: never."""
+    """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits that
+    it will be stored in; 1: never."""
     optimizer: Literal["adam", "sgd"] = "adam"
-    """sgd: with momentum 0.9 and the rates below, as released."""
+    """What follows the gradients. adam: ours; sgd: gradient descent with momentum 0.9, as
+    released."""
     sh_dc: float = 2.5e-3
-    """Rate of the constant SH band."""
+    """Learning rate of colour that is the same from all sides (SH band 0)."""
     sh_rest: float = 1.25e-4
-    """Rate of the residual harmonics (release: 2.5e-4, with SGD)."""
+    """Learning rate of view-dependent colour (all higher SH bands; the release: 2.5e-4, with
+    SGD)."""
     opacity: float = 0.025
-    """Rate of opacity logits (release: 0.05, with SGD)."""
+    """Learning rate of opacity logits (the release: 0.05, with SGD)."""
     settle: float = 0.1
-    """Factor on the rates at the last step, reached from the middle on."""
+    """Factor on these rates at the last step, reached log-linearly from the middle of the
+    refinement on; 1: constant."""
     clean: CleanSettings = field(default_factory=lambda: CleanSettings(volume_quantile=1.0))
     """What is thrown away first. The paper also drops the 0.1 % of largest volume; in a scene with
     sky or sea those few are the background, and the refinement, which moves nothing, cannot mend it
@@ -61,12 +65,20 @@ class RefineSettings:
             require(value >= 0, f"refine.{name}", value, ">= 0")
 
     def steps(self, block_iterations: int) -> int:
-        """Steps of the refinement after blocks of so many."""
+        """Number of steps of the refinement.
+
+        Args:
+            block_iterations: Steps that each block was trained for.
+        """
         return self.iterations or max(1, round(PAPER_SHARE * block_iterations))
 
 
 def clean(model: Gaussians, settings: CleanSettings) -> Bool[Tensor, " n"]:
     """Which Gaussians stay: visible, of finite size, not among the largest.
+
+    Args:
+        model: The merged model.
+        settings: Thresholds.
 
     Source: StitchGS, Sec. 3.2.4.
     """
@@ -84,12 +96,13 @@ def refine(
     """Fit opacity and colour of a merged model to all training views; geometry stays as it is.
 
     Args:
-        model: Already cleaned.
-        scene: With all training views.
+        model: The merged model, already cleaned.
+        scene: The whole scene, with all training views.
         settings: Steps and rates.
-        base: Of the blocks: loss, background and SH degree.
+        base: Settings that the blocks were trained with; loss, steps, views a step, background,
+            mode and dropout count.
         run: Seed, backend and reports.
-        folder: Of its checkpoint; None: none is kept.
+        folder: Where its checkpoint goes; None: none is kept.
 
     Returns: The refined model and the seconds it took, those before an interruption included.
 
@@ -133,10 +146,10 @@ class QuantisedModel(GaussianModel):
         """Start from a merged model.
 
         Args:
-            start: The model.
-            rates: Those of geometry are 0.
+            start: The merged model, already cleaned.
+            rates: Learning rates; those of geometry are 0.
             quantise_from: Share of the steps after which harmonics are seen through 8 bits.
-            base: Of the blocks: mode and dropout.
+            base: Settings that the blocks were trained with; mode and dropout count.
         """
         super().__init__(start, rates, extent=0.0, mode=base.mode, dropout=base.dropout)
         self.quantise_from = quantise_from

@@ -55,7 +55,7 @@ class GroundRegion:
 
     For cells of the camera-balanced grid.
 
-    Source: ours, after StitchGS, Sec. 3.2.3 (d_i) and VastGaussian, Sec. 4.2 (cells).
+    Source: ours, after StitchGS, Sec. 3.2.3 (d_i) and VastGaussian, Sec. 4.1 (cells).
     """
 
     frame: Float64[Tensor, "3 3"]
@@ -63,7 +63,8 @@ class GroundRegion:
     corners: Float64[Tensor, "2 2"]
     """Lowest and highest x, y in that frame."""
     bounds: Float64[Tensor, "2 2"] | None = None
-    """The same of all blocks together: places beyond count as the nearest within. None: they do not."""
+    """Lowest and highest x, y of all blocks together: a place beyond counts as the nearest within.
+    None: it does not."""
 
     def __post_init__(self) -> None:
         """Refuse a rectangle without area."""
@@ -120,7 +121,12 @@ AnyRegion = OrientedRegion | GroundRegion | ContractedRegion | VoxelRegion
 def nearest_region(
     regions: Sequence[Region], positions: Float64[Tensor, "n 3"]
 ) -> Int64[Tensor, " n"]:
-    """Block with the smallest d(p), the first of equals: who owns each place, in or out of a core."""
+    """Block with the smallest d(p), the first of equals: who owns each place, in or out of a core.
+
+    Args:
+        regions: Where each block lies, in the order of the blocks.
+        positions: Places in the scene's frame.
+    """
     best = torch.full((len(positions),), torch.inf, dtype=torch.float64)
     owner = torch.zeros(len(positions), dtype=torch.int64)
     for index, region in enumerate(regions):
@@ -131,7 +137,12 @@ def nearest_region(
 
 
 def save_regions(path: Path, regions: Sequence[AnyRegion]) -> None:
-    """Write regions, in order, into one file that is there whole or not at all."""
+    """Write regions, in order, into one file that is there whole or not at all.
+
+    Args:
+        path: The file; one that is there is replaced.
+        regions: Where each block lies, in the order of the blocks.
+    """
     tensors: dict[str, Tensor] = {}
     kinds: list[dict[str, object]] = []
     for i, region in enumerate(regions):

@@ -1,4 +1,4 @@
-"""Settings of the city rows: one set of fields, and each row's own defaults."""
+"""Settings of the city methods: one set of fields, and each method's own defaults."""
 
 from dataclasses import dataclass, field, fields
 from typing import Literal
@@ -16,45 +16,56 @@ GRID = PartitionSettings(method="citygaussian")
 CAMERAS = PartitionSettings(method="vastgaussian")
 DENSITY = PartitionSettings(method="blockgaussian")
 DENSITY_WIDE = PartitionSettings(method="blockgaussian", margin=0.15, block_share=0.05)
-"""StitchGS' release: expand_ratio 0.15, tau_block 0.05."""
+"""Margin and share of StitchGS' release: expand_ratio 0.15, tau_block 0.05."""
 LOAD = PartitionSettings(method="odbp", margin=0.0)
 LOAD_WIDE = PartitionSettings(method="odbp", margin=0.15)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CitySettings(Settings):
-    """Blocks that are trained apart and merged. `iterations` are those of each block."""
+    """A scene in blocks that are trained apart and merged. `iterations` are those of each block."""
 
     blocks: int = 4
-    """K, the number of blocks."""
+    """Number of blocks (K) that the scene is cut into; 1: the whole scene is one block."""
     partition: PartitionSettings = field(default_factory=PartitionSettings)
-    """How the scene is cut."""
+    """How the scene is cut into blocks, and which views train each of them."""
     coarse_iterations: int = 0
-    """Steps of a coarse model of the whole scene that all blocks start from; 0: none."""
+    """Training steps of a coarse model of the whole scene from which every block starts (method
+    citygaussian: 30,000). 0: there is none, and blocks start from sparse points."""
     auxiliary: Auxiliary = "none"
-    """What takes part in a block beside its own points."""
+    """What takes part in a block beside its own points. none: nothing; context: what else its views
+    see, trained but not densified (BlockGaussian); ghosts: what other blocks own around it,
+    rendered but held still (DPGS); both: ghosts around it, context beyond them. With a coarse
+    model: none."""
     follow: bool = False
-    """Let ghosts' opacity and colour follow; their geometry is held in any case."""
+    """Whether opacity and colour of ghosts are trained with the block that they surround; their
+    positions, scales and rotations are held still in any case."""
     surrounding: Surrounding = "box"
-    """Where ghosts are taken from: the box around a block, or its own shape widened."""
+    """Where ghosts are taken from. box: the box around what a block owns, a fifth longer (DPGS, Eq.
+    7); region: the block's own shape, widened as far."""
     sampling: Literal["uniform", "balanced"] = "uniform"
-    """How a block draws its views."""
+    """How a block draws its training views. uniform: each once in every epoch; balanced: evenly
+    over where the cameras stand around the block (StitchGS)."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)
-    """Of balanced sampling."""
+    """Which bins balanced sampling sorts cameras into."""
     merge: Literal["hard", "sis"] = "hard"
-    """hard: every place is its own block's; sis: blocks compete for their rims at random."""
+    """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
+    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS)."""
     outside: Literal["drop", "nearest"] = "drop"
-    """hard: what becomes of what lies in no block."""
+    """What a hard merge does with Gaussians that lie in no block. drop: removes them, as the papers
+    do; nearest: keeps those to which their own block is the nearest."""
     stitch: StitchSettings = field(default_factory=StitchSettings)
-    """Of the competition."""
+    """How blocks compete for a rim where `merge` is sis."""
     gcr: bool = False
-    """Whether the merged model is cleaned and its appearance refined over all views."""
+    """Whether the merged model is cleaned and its opacities and colours are then fitted over all
+    training views (global consistency refinement, StitchGS)."""
     refine: RefineSettings = field(default_factory=RefineSettings)
-    """Of that refinement."""
+    """How the merged model is cleaned and refined where `gcr` is on."""
     quantise: bool = False
-    """Whether the model is stored gated, in mixed precision and compressed."""
+    """Whether the model is stored as a small file: view-dependent colour of little energy dropped
+    and the rest of it in 8 bits, positions in single and all else in half precision, compressed."""
     pack: FileSettings = field(default_factory=FileSettings)
-    """Of that file."""
+    """What that file keeps and how it is laid out where `quantise` is on."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -76,14 +87,14 @@ class CitySettings(Settings):
 
     @property
     def training(self) -> Settings:
-        """Those of each block's training."""
+        """The part of these settings that the training of each block follows."""
         names = [part.name for part in fields(Settings)]
         return Settings(**{name: getattr(self, name) for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
 class CityGaussian(CitySettings):
-    """Row citygaussian: coarse model first, uniform grid in contracted space, hard merge."""
+    """Method citygaussian: coarse model first, uniform grid in contracted space, hard merge."""
 
     partition: PartitionSettings = GRID
     coarse_iterations: int = 30_000
@@ -91,14 +102,14 @@ class CityGaussian(CitySettings):
 
 @dataclass(frozen=True, kw_only=True)
 class VastGaussian(CitySettings):
-    """Row vastgaussian: camera-balanced grid, visibility-based views, hard merge."""
+    """Method vastgaussian: camera-balanced grid, visibility-based views, hard merge."""
 
     partition: PartitionSettings = CAMERAS
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockGaussian(CitySettings):
-    """Row blockgaussian: density split, 5 % margin, context trained but not densified, hard merge."""
+    """Method blockgaussian: density split, 5 % margin, context not densified, hard merge."""
 
     partition: PartitionSettings = DENSITY
     auxiliary: Auxiliary = "context"
@@ -106,7 +117,7 @@ class BlockGaussian(CitySettings):
 
 @dataclass(frozen=True, kw_only=True)
 class DpgsPartition(CitySettings):
-    """Row dpgs-partition: equal rendering load, frozen ghosts around each block, hard merge."""
+    """Method dpgs-partition: equal rendering load, frozen ghosts around each block, hard merge."""
 
     partition: PartitionSettings = LOAD
     auxiliary: Auxiliary = "ghosts"
@@ -114,7 +125,7 @@ class DpgsPartition(CitySettings):
 
 @dataclass(frozen=True, kw_only=True)
 class StitchGS(CitySettings):
-    """Row stitchgs: density split with margin, balanced sampling, SIS, GCR, compression."""
+    """Method stitchgs: density split with margin, balanced sampling, SIS, GCR, compression."""
 
     partition: PartitionSettings = DENSITY_WIDE
     auxiliary: Auxiliary = "context"
@@ -126,7 +137,7 @@ class StitchGS(CitySettings):
 
 @dataclass(frozen=True, kw_only=True)
 class OdbpStitch(CitySettings):
-    """Row odbp+stitch: equal rendering load and ghosts; a trained margin, SIS, GCR, compression.
+    """Method odbp+stitch: equal rendering load and ghosts; a trained margin, SIS, GCR, compression.
 
     Ghosts are held still, so they cannot compete for a rim: the rim is trained (margin), ghosts lie
     beyond it in the auxiliary box, and what views see beyond that is trained but not densified.

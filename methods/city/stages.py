@@ -16,6 +16,11 @@ class Stages:
     def __init__(self, folder: Path, key: str, on_stage: Callable[[str, float], None]) -> None:
         """Read what is there.
 
+        Args:
+            folder: Where the record of finished stages lies (city.json).
+            key: Everything that the run depends on, as text.
+            on_stage: Called as on_stage(name, wall seconds) for each stage, finished before or now.
+
         Raises: UsageError if the folder belongs to another run.
         """
         self.path, self.key, self.on_stage = folder / "city.json", key, on_stage
@@ -30,9 +35,14 @@ class Stages:
             self.done = stored["stages"]
 
     def run(self, name: str, work: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
-        """Do a stage unless it is done; what `work` returns is JSON and kept.
+        """Do a stage unless it is done.
 
-        `work` may name "seconds" itself, where a part of it was done before; else they are measured.
+        Args:
+            name: Name of the stage, unique in the run.
+            work: Does it and returns what is to be known of it, JSON-ready. It may name "seconds"
+                itself, where a part of it was done before; else they are measured.
+
+        Returns: What is known of the stage, with its wall seconds.
         """
         if name not in self.done:
             started = time.perf_counter()
@@ -46,5 +56,5 @@ class Stages:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Of each stage that is done."""
+        """Wall seconds of each stage that is done."""
         return {name: facts["seconds"] for name, facts in self.done.items()}

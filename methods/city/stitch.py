@@ -38,10 +38,10 @@ Outside = Literal["drop", "nearest"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rim:
-    """What competes of one block."""
+    """The primitives of one block that compete."""
 
     rows: Int64[Tensor, " m"]
-    """Indices in the block."""
+    """Their indices in the block."""
     means: Float64[Tensor, "m 3"]
     distance: Float64[Tensor, " m"]
     quality: Float64[Tensor, " m"]
@@ -64,8 +64,9 @@ def stitch(
     Args:
         blocks: All blocks; their order does not matter.
         settings: How they compete.
-        generator: Of the draws.
-        threads: For the neighbour search; None: all cores. Results do not depend on it.
+        generator: Source of the draws.
+        threads: Number of threads of the neighbour search; None: one for each core. Results do not
+            depend on it.
 
     Returns: Which primitives of each block stay.
 
@@ -101,8 +102,9 @@ def cut_hard(
     """Hard merge: block i keeps what lies in its core; where cores touch, the first nearest block.
 
     Args:
-        blocks: In the order in which ties go.
-        outside: What lies in no core is dropped, as the papers do, or kept by the "nearest" block.
+        blocks: All blocks; of two at the same distance the first one keeps a place.
+        outside: What lies in no core is dropped ("drop"), as in the papers, or kept by the block
+            that is nearest to it ("nearest").
 
     Returns: Which primitives of each block stay; no place is kept by two blocks.
 

@@ -50,17 +50,17 @@ class BlockJob:
     """What becomes of each starting Gaussian: OWN, CONTEXT or GHOST."""
     settings: Settings
     facts: BlockFacts
-    """Who it is; cost and primitives are filled in by training."""
+    """Which block it is; training fills in cost and primitives."""
     folder: Path
-    """Its own: checkpoint and result."""
+    """Folder of this block alone: checkpoint and result."""
     centre: Float[Tensor, "3"]
-    """Of the block, in the scene's frame."""
+    """Centre of the block's region; in the scene's frame but for a ContractedRegion."""
     frame: Float[Tensor, "3 3"]
-    """Rotation into the ground frame."""
+    """Rotation from the scene into the ground frame."""
     sampling: SamplingSettings | None = None
-    """Balanced sampling of views; None: uniform."""
+    """Bins of balanced sampling of views; None: uniform sampling."""
     follow: bool = False
-    """Let the ghosts' opacity and colour follow (dual mode); their geometry never does."""
+    """Whether opacity and colour of ghosts are trained (dual mode); their geometry never is."""
     start: Path | None = None
     """File of a coarse model to start from; None: the scene's points."""
     seed: int = 0
@@ -100,8 +100,8 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     empty model, and a note that says so.
 
     Args:
-        job: What to train.
-        report: Hears report(step, total, values).
+        job: What to train, and where.
+        report: Called as report(step, total, values) every few steps.
 
     Returns: The job's facts with seconds, peak memory and primitives.
 
@@ -123,7 +123,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     trainer = Trainer(block, plan, run)
     trainer.resume()
     trainer.train()
-    model = select(block.gaussians(), block.parameters.labels[ROLE] != GHOST)
+    model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
     note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
     facts = replace(
         job.facts,
@@ -165,12 +165,21 @@ def read_gaussians(path: Path) -> Gaussians:
 
 
 def select(model: Gaussians, rows: Tensor) -> Gaussians:
-    """Some Gaussians of a model: a mask or indices."""
+    """Some Gaussians of a model.
+
+    Args:
+        model: Any Gaussians.
+        rows: Mask or indices.
+    """
     return Gaussians(**{name: getattr(model, name)[rows] for name in FIELDS})
 
 
 def no_gaussians(degree: int) -> Gaussians:
-    """A model of nothing."""
+    """A model without Gaussians.
+
+    Args:
+        degree: Degree of its spherical harmonics, 0 to 3.
+    """
     return Gaussians(
         means=torch.zeros(0, 3), quaternions=torch.zeros(0, 4), log_scales=torch.zeros(0, 3),
         opacity_logits=torch.zeros(0), sh=torch.zeros(0, (degree + 1) ** 2, 3),
@@ -182,8 +191,9 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
 
     Args:
         job: What to train.
-        start: Gaussians of a coarse model; None: the job's points.
-        run: Seed, background and backend are part of the plan's key.
+        start: Gaussians of a coarse model, all of which are the block's own; None: the job's
+            points.
+        run: Seed, background, backend and device are part of the plan's key.
     """
     settings, scene = job.settings, job.scene
     if start is None:

@@ -67,8 +67,11 @@ class VoxelRegion:
     ) -> Float64[Tensor, " n"]:
         """d(p), clipped to [low, high]: much cheaper than d(p) where little lies in between.
 
-        With low = 1 nothing is searched inside V, and beyond `high` nothing outside the box around
-        V widened to it.
+        Args:
+            points: Positions in the scene's frame.
+            low: Least value that is told apart, >= 0; from 1 on nothing is searched inside V.
+            high: Largest value that is told apart; nothing is searched outside the box around V
+                widened to it. Infinity: no bound.
         """
         cells = self.cells.numpy()
         sums = np.zeros(np.array(cells.shape) + 1, dtype=np.int32)

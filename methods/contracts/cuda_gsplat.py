@@ -40,6 +40,21 @@ def rasterize(
 ) -> RenderOutput:
     """Twin of reference.rasterizer.rasterize on a GPU; results come back to the inputs' device.
 
+    Args:
+        camera: The pinhole camera; Gaussians at z <= camera.near are not drawn.
+        means: World positions in scene units.
+        quaternions: Rotations (w, x, y, z), normalised here; zero is the identity.
+        scales: Standard deviations in scene units, >= 0.
+        opacities: Opacity of each Gaussian, in [0, 1].
+        colours: Colour of each Gaussian, any number of channels; give this or `sh`.
+        sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
+        background: Colour behind everything; None is black.
+        mode: How opacities are compensated: "classic" not at all, "antialiased" by gsplat.
+        distance: Refused where True.
+        median: Refused where True.
+        contributors: Refused where not 0.
+        probe: Where gradients by the 2D means are left, for density control; None: nowhere.
+
     Raises: UsageError for `distance`, `median` and `contributors`, which gsplat does not give;
         ValueError if not exactly one of `colours` and `sh` is given.
 

@@ -39,7 +39,7 @@ class Observation:
         """Sum of a number a splat over the splats of each row; virtual splats are left out.
 
         Args:
-            values: One a splat.
+            values: One number a splat.
         """
         if self.rows is None:
             return values
@@ -69,7 +69,7 @@ class DensityStrategy(Protocol):
         """Whether the views of a step are to be observed.
 
         Args:
-            step: From 1.
+            step: Number of the step, from 1.
         """
         ...
 
@@ -77,7 +77,7 @@ class DensityStrategy(Protocol):
         """Take note of one view.
 
         Args:
-            seen: Valid during this call only.
+            seen: What the view says; valid during this call only.
         """
         ...
 
@@ -87,8 +87,8 @@ class DensityStrategy(Protocol):
         """Changes at the end of a step, each made before the next is asked for.
 
         Args:
-            step: From 1, after its update.
-            parameters: As they are now.
+            step: Number of the step, from 1; its update is done.
+            parameters: The model's tensors as they are now.
             generator: Source of every draw.
         """
         ...
@@ -119,14 +119,20 @@ class Frozen:
     def edits(
         self, step: int, parameters: Parameters, generator: torch.Generator
     ) -> Iterator[Edit]:
-        """None."""
+        """No edits, ever.
+
+        Args:
+            step: Not looked at.
+            parameters: Not looked at.
+            generator: Not drawn from.
+        """
         del step, parameters, generator
         return iter(())
 
     def state(self) -> dict[str, Tensor]:
-        """Nothing."""
+        """Nothing is to be kept."""
         return {}
 
     def restore(self, state: dict[str, Tensor]) -> None:
-        """Nothing."""
+        """Nothing was kept."""
         del state

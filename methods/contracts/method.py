@@ -36,6 +36,8 @@ class Method:
     cost: Callable[[Any, Scene], Cost]
     """cost(settings, scene): before anything is trained; no image is read."""
     description: str
-    """One line."""
+    """What the method does, in one line."""
     loaders: Mapping[str, Loader] = field(default_factory=dict)
     """How to load the kinds of models that only this method leaves, by kind."""
+    blocks: bool = False
+    """Whether it trains a scene in blocks, so that Run.engine and Run.workers apply."""

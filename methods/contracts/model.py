@@ -24,7 +24,7 @@ class Moment:
     """When a view is decoded: a step of training, or afterwards."""
 
     step: int
-    """From 1 while training."""
+    """Number of the step, from 1 while training."""
     total: int
     """Steps of the whole run."""
     generator: torch.Generator | None = None

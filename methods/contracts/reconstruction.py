@@ -16,6 +16,7 @@ from splatproof.base.files import sha256, write_text
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.result import TRUE_POSES
 from splatproof.reference.types.scene import View
 
 FORMAT = "splatproof model"
@@ -40,6 +41,9 @@ class Origin:
     """Every rule of the protocol it was trained under, JSON-ready; empty: unknown."""
     seed: int | None = None
     """Seed of the run; None: unknown."""
+    pose_noise: str = TRUE_POSES
+    """Level of the noise on the poses that it was trained under, see
+    `splatproof.datasets.pose_noise`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +62,7 @@ class Reconstruction(Protocol):
 
     @property
     def kind(self) -> str:
-        """What models are told apart by when they are loaded."""
+        """Name by which the loader of such models is found."""
         ...
 
     @property
@@ -106,8 +110,8 @@ class Adapts(Protocol):
 
         Args:
             view: Camera, time and sensor of the image.
-            image: In [0, 1].
-            columns: The only pixels that may be looked at.
+            image: The image, in [0, 1].
+            columns: Columns of its pixels that may be looked at; no others may.
         """
         ...
 
@@ -132,10 +136,10 @@ def write_description(folder: Path, kind: str, origin: Origin, facts: Mapping[st
     """Write model.json beside arrays that lie there complete: it holds their hash.
 
     Args:
-        folder: With model.safetensors.
+        folder: The model's folder; model.safetensors lies there already.
         kind: What the model is loaded as.
-        origin: Where it comes from.
-        facts: What that kind of model says besides.
+        origin: Where the model comes from.
+        facts: What that kind of model says besides, JSON-ready.
     """
     told = {
         "format": FORMAT,

@@ -6,19 +6,39 @@ from pathlib import Path
 
 
 def say_nothing(step: int, total: int, values: dict[str, float]) -> None:
-    """The report that nobody reads."""
+    """The report that nobody reads.
+
+    Args:
+        step: Training steps that are done.
+        total: Training steps of the whole run.
+        values: Loss and each of its terms by name, and the number of "gaussians".
+    """
 
 
 def time_nothing(stage: str, seconds: float) -> None:
-    """The stage clock that nobody reads."""
+    """The stage clock that nobody reads.
+
+    Args:
+        stage: Name of a stage that is done.
+        seconds: Wall seconds that it took.
+    """
 
 
 def keep_fact(name: str, value: str) -> None:
-    """The facts that nobody records."""
+    """The facts that nobody records.
+
+    Args:
+        name: What the fact is about.
+        value: What the record is to say of it.
+    """
 
 
 def keep_to_oneself(line: str) -> None:
-    """The words that nobody hears."""
+    """The words that nobody hears.
+
+    Args:
+        line: One line for people.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +56,7 @@ class Run:
     threads: int | None = None
     """Threads of torch and of the kernels while fitting; None leaves them alone."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """sRGB behind everything: the protocol's."""
+    """sRGB colour behind everything, each channel in [0, 1]: the protocol's."""
     report: Callable[[int, int, dict[str, float]], None] = say_nothing
     """Called as report(step, total, values) every few steps while training."""
     on_stage: Callable[[str, float], None] = time_nothing

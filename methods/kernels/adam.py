@@ -32,15 +32,15 @@ def step(
 
     Args:
         values: Parameters, changed in place.
-        gradients: Of the same shapes.
+        gradients: Gradient g of the loss by each parameter, of its shape.
         first: First moments m, changed in place; zero before the first update.
-        second: Second moments v, likewise.
+        second: Second moments v, changed in place; zero before the first update.
         rates: Learning rate r of each tensor.
         number: 1 for the first update; m' and v' are the moments without their bias towards zero.
         rows: Rows to update in every tensor, all of which then have n rows; the others keep value
             and moments. None: all.
-        betas: Decay of the moments.
-        epsilon: Added to the root.
+        betas: Decay b1 and b2 of the moments, each in [0, 1).
+        epsilon: Number e that is added to the root, > 0.
 
     Raises: ValueError if a tensor is not float32, contiguous and on the CPU, or shapes differ.
 

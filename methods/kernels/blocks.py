@@ -25,8 +25,11 @@ class BlockRenders:
     """What `rasterize` gives for each block's Gaussians alone, to the bit."""
 
     colours: Float[Tensor, "b h w 3"]
+    """Colours of each block over the background; not clamped."""
     alphas: Float[Tensor, "b h w"]
+    """1 - final transmittance of each block, in [0, 1)."""
     depths: Float[Tensor, "b h w"]
+    """Expected z-depth of each block in scene units; 0 where it draws nothing."""
 
 
 def render_blocks(
@@ -41,12 +44,12 @@ def render_blocks(
     """Render each block alone; projection and sort are shared.
 
     Args:
-        camera: Of the view.
+        camera: The pinhole camera of the view.
         gaussians: The whole model, float32 on the CPU.
         blocks: Block of each Gaussian, 0 to count - 1.
         count: Number of blocks, at least 1; one without Gaussians shows the background.
-        background: Behind each block; None is black.
-        mode: As in rasterize.
+        background: Colour behind each block; None is black.
+        mode: How they are rasterized, as in rasterize.
 
     Raises: ValueError if a block is out of range or the Gaussians are not what the kernels read.
 
@@ -87,11 +90,11 @@ def block_weights(
     """Share of each block in the composited pixel: the sum of its Gaussians' weights; all add up to alpha.
 
     Args:
-        camera: Of the view.
+        camera: The pinhole camera of the view.
         gaussians: The whole model, float32 on the CPU.
         blocks: Block of each Gaussian, 0 to count - 1.
         count: Number of blocks, at least 1; 32 are drawn in one pass.
-        mode: As in rasterize.
+        mode: How they are rasterized, as in rasterize.
 
     Raises: ValueError as rasterize.
 

@@ -22,7 +22,14 @@ def photometric(
 ) -> Float[Tensor, ""]:
     """Training loss (1 - l) mean|image - truth| + l (1 - mean SSIM), over valid pixels.
 
-    Arguments and result are those of splatproof.reference.supervision.losses.photometric.
+    Args:
+        image: Render; not clamped. It alone gets a gradient.
+        truth: Photo in [0, 1].
+        dssim: Weight l in [0, 1].
+        mask: True where the photo is valid; None: all. Invalid pixels are black in both images, as
+            what lies outside them, so they pull on nothing, not even through the SSIM window.
+
+    Returns: The loss; 0 where no pixel is valid.
 
     Raises: ValueError unless image and truth are float32 on the CPU, of one shape that is not empty,
         and the mask is boolean of theirs.

@@ -42,7 +42,22 @@ def rasterize(
 ) -> RenderOutput:
     """Render Gaussians: C = sum_i c_i a_i prod_{j<i} (1 - a_j) + T bg, sorted by camera-space z.
 
-    Arguments and result are those of splatproof.reference.rasterizer.rasterize.
+    Args:
+        camera: The pinhole camera; Gaussians at z <= camera.near are not drawn.
+        means: World positions in scene units.
+        quaternions: Rotations (w, x, y, z), normalised here; zero is the identity.
+        scales: Standard deviations in scene units, >= 0.
+        opacities: Opacity of each Gaussian, in [0, 1].
+        colours: Colour of each Gaussian, 1 to 32 channels; give this or `sh`.
+        sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
+        background: Colour behind everything; None is black.
+        mode: "antialiased" scales opacity by sqrt(det(Sigma2 - 0.3 I) / det(Sigma2)).
+        distance: Whether the expected distance to the camera centre is returned too.
+        median: Whether the median depth is returned too.
+        contributors: How many of the strongest Gaussians of each pixel are returned, >= 0.
+        probe: Where gradients by the 2D means are left, for density control; None: nowhere.
+
+    Returns: The image, in float32.
 
     Raises: ValueError unless exactly one of `colours` and `sh` is given, everything is float32 on the
         CPU and the shapes fit together, with at most 32 channels.
@@ -72,7 +87,16 @@ def check_model(
     colours: Tensor | None,
     sh: Tensor | None,
 ) -> None:
-    """Refuse Gaussians that the kernels cannot read.
+    """Refuse Gaussians that the kernels cannot read: they take float32 on the CPU.
+
+    Args:
+        means: Positions, n x 3.
+        quaternions: Rotations, n x 4.
+        scales: Standard deviations, n x 3.
+        opacities: Opacities, n.
+        colours: Colours, n x c with c from 1 to 32; None where there are harmonics.
+        sh: Spherical-harmonic coefficients, n x k x 3 with k in DEGREES; None where there are
+            colours.
 
     Raises: ValueError, naming the argument, what was found and what was expected.
     """
@@ -108,6 +132,10 @@ def check_model(
 
 def check_background(background: Tensor | None, channels: int) -> None:
     """Refuse a background that the kernels cannot read.
+
+    Args:
+        background: One number a channel, float32 on the CPU; None, which is black, is fine.
+        channels: Number of colour channels of the image.
 
     Raises: ValueError, naming what was found and what was expected.
     """

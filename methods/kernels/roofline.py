@@ -59,7 +59,14 @@ def count_pairs(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
 ) -> Pairs:
-    """Count, in double precision, what mode "classic" draws. Arguments as for the rasterizer.
+    """Count, in double precision, what mode "classic" draws.
+
+    Args:
+        camera: The pinhole camera; Gaussians at z <= camera.near are not drawn.
+        means: World positions in scene units.
+        quaternions: Rotations (w, x, y, z), normalised here; zero is the identity.
+        scales: Standard deviations in scene units, >= 0.
+        opacities: Opacity of each Gaussian, in [0, 1].
 
     Source: ours.
     """

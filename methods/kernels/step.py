@@ -27,14 +27,15 @@ class Step:
     """What one view says about the parameters."""
 
     loss: float
+    """Photometric loss of the view."""
     gradients: dict[str, Tensor]
-    """Of the loss, by parameter; without `sh_rest` where degree 0 is drawn."""
+    """Gradient of the loss by each parameter; without `sh_rest` where degree 0 is drawn."""
     screen: Float[Tensor, "n 2"]
     """Sum over pixels of d loss / d (2D mean)."""
     absolute: Float[Tensor, "n 2"] | None
     """Sum over pixels of |d loss / d (2D mean)|; None where it was not asked for."""
     radii: Float[Tensor, " n"]
-    """0 where not seen, as in RenderOutput."""
+    """Longer half-extent of each Gaussian in pixels; 0 where it is not seen."""
 
 
 class ViewGradients:
@@ -60,14 +61,15 @@ class ViewGradients:
         """Loss of rendering one view, L = (1 - l) L1 + l (1 - SSIM), and dL / d parameters.
 
         Args:
-            camera: Of the view.
-            parameters: means, quaternions (any length), log_scales, opacity_logits, sh_dc and sh_rest.
+            camera: The pinhole camera of the view.
+            parameters: Tensors means, quaternions (any length), log_scales, opacity_logits, sh_dc
+                and sh_rest.
             truth: The photo, in [0, 1].
             degree: Highest SH degree that is drawn; the coefficients above get zero gradient.
-            background: Behind everything; None is black.
+            background: Colour behind everything; None is black.
             mask: Pixels that count; None: all.
-            dssim: Weight l of 1 - SSIM.
-            mode: As in rasterize.
+            dssim: Weight l of 1 - SSIM, in [0, 1].
+            mode: How the Gaussians are rasterized, as in rasterize.
             absolute: Whether the absolute gradients by the 2D means are wanted too.
 
         Returns: The step, valid until the next call. Where the loss is not finite, its tensors are not
@@ -122,6 +124,11 @@ class ViewGradients:
 def check(parameters: Mapping[str, Tensor], degree: int, mode: Mode) -> None:
     """Refuse parameters that the kernels cannot read.
 
+    Args:
+        parameters: Tensors of SHAPES and sh_rest, contiguous float32 on the CPU; no others.
+        degree: SH degree that is drawn, 0 to what sh_rest holds.
+        mode: "classic" or "antialiased".
+
     Raises: ValueError, naming the tensor, what was found and what was expected.
     """
     missing = sorted({*SHAPES, "sh_rest"} ^ parameters.keys())
@@ -157,11 +164,11 @@ def observe(
     """Add one view: gradient_sum += |(w / 2, h / 2) * screen| and seen += 1 where radii > 0, in place.
 
     Args:
-        screen: Loss by 2D position, per pixel.
-        radii: 0 where not seen.
-        camera: Of that view; its size w, h turns pixels into units of half the image.
-        gradient_sum: Changed in place.
-        seen: Changed in place.
+        screen: Gradient of the loss by the 2D means, per pixel.
+        radii: Half-extent of each Gaussian in pixels; 0 where it was not seen.
+        camera: Camera of that view; its size w, h turns pixels into units of half the image.
+        gradient_sum: Sum of norms over the views so far, changed in place.
+        seen: Number of views so far that saw each Gaussian, changed in place.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.2.
     """

@@ -14,6 +14,7 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Loader
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
+from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
@@ -31,10 +32,10 @@ class DecodedModel:
     """Any trained Model as a reconstruction: rendered by decoding, baked at a view."""
 
     kind: str
-    """What models are told apart by when they are loaded; its method has a loader for it."""
+    """Name by which the loader of such models is found; its method has one."""
     model: Model
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Float64; added to positions it gives those in the original frame."""
+    """Vector in scene units, float64; added to positions it gives those in the original frame."""
     units: str = "sfm"
     """Name of the length unit."""
     backend: str = "cpu"
@@ -46,13 +47,18 @@ class DecodedModel:
 
         Args:
             kind: Name of the kind of model.
-            model: Trained.
-            scene: What it was trained on; its frame and units count.
+            model: The model after its last step.
+            scene: What it was trained on; its shift and units count.
             backend: Name of the rasterizer.
         """
         return DecodedModel(
             kind=kind, model=model, shift=scene.shift, units=scene.units, backend=backend
         )
+
+    @property
+    def mode(self) -> Mode:
+        """How it is rasterized, see splatproof.reference.rasterizer."""
+        return self.model.mode
 
     @property
     def primitives(self) -> int:
@@ -72,7 +78,7 @@ class DecodedModel:
         self.model.parameters.to(device)
         asked = view.without_truth()
         output = backend.draw(
-            view.camera, self.model.splats(asked, TRAINED), mode=self.model.mode,
+            view.camera, self.model.splats(asked, TRAINED), mode=self.mode,
             background=None if background is None else background.to(device),
         )  # fmt: skip
         return replace(output, colour=self.model.finish_image(asked, output)).to("cpu")
@@ -101,7 +107,7 @@ class DecodedModel:
         """
         del folder
         facts = {
-            "mode": self.model.mode, "shift": self.shift.tolist(), "units": self.units,
+            "mode": self.mode, "shift": self.shift.tolist(), "units": self.units,
             "primitives": self.primitives, "model": self.model.facts(),
         }  # fmt: skip
         return Stored(tensors=self.model.parameters.state(), facts=facts)

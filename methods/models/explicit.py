@@ -33,7 +33,8 @@ class ExplicitModel:
     mode: Mode = "classic"
     """How it is rasterized, see splatproof.reference.rasterizer."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Float64; added to the means it gives positions in the original frame."""
+    """Vector in scene units, float64; added to the means it gives positions in the original
+    frame."""
     units: str = "sfm"
     """Name of the length unit."""
     backend: str = "cpu"
@@ -41,7 +42,7 @@ class ExplicitModel:
 
     @property
     def kind(self) -> str:
-        """What models are told apart by when they are loaded."""
+        """Name by which the loader of these models is found."""
         return EXPLICIT
 
     @property
@@ -103,7 +104,8 @@ def explicit_facts(
 
     Args:
         mode: How they are rasterized.
-        shift: Float64; back to the original frame.
+        shift: Vector in scene units, float64; added to positions it gives those in the original
+            frame.
         units: Name of the length unit.
         primitives: Number of Gaussians.
         degree: Degree of the spherical harmonics, 0 to 3.
@@ -118,8 +120,8 @@ def load_explicit(folder: Path, stored: Stored, backend: str) -> ExplicitModel:
     """The explicit model of a folder whose files were read.
 
     Args:
-        folder: Where it lies, for errors.
-        stored: Its arrays and facts.
+        folder: Folder of the model, for errors.
+        stored: Arrays and facts that the folder holds.
         backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, for what is missing or damaged.
@@ -135,8 +137,8 @@ def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
     """The Gaussians among named arrays, checked.
 
     Args:
-        arrays: With those of FIELDS.
-        source: File they come from, for errors.
+        arrays: Arrays by name; those of FIELDS must be there.
+        source: File that they come from, for errors.
 
     Raises: DataError, naming `source`.
     """
@@ -150,6 +152,9 @@ def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
 
 def described(facts: Mapping[str, Any]) -> dict[str, Any]:
     """What model.json says that any explicit model has beside its arrays.
+
+    Args:
+        facts: What model.json says; mode, shift and units count.
 
     Raises: KeyError, TypeError or ValueError for what is missing or wrong.
     """

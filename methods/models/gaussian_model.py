@@ -38,7 +38,8 @@ class GaussianModel(Model):
             mode: How they are rasterized.
             sh_every: Steps until one more band of harmonics is drawn; 0: all from the start.
             dropout: Share of Gaussians hidden at the last step, growing linearly from 0.
-            labels: Of rows, see Parameters.
+            labels: What each row is labelled with, by the name of the label (see Parameters); None:
+                nothing.
         """
         rows = {
             "means": start.means, "sh_dc": start.sh[:, :1], "sh_rest": start.sh[:, 1:],
@@ -63,13 +64,21 @@ class GaussianModel(Model):
         return assemble(values, self.degree)
 
     def drawn_degree(self, moment: Moment) -> int:
-        """Degree of the harmonics that are drawn at a moment."""
+        """Degree of the harmonics that are drawn at a moment.
+
+        Args:
+            moment: Step of training, or TRAINED.
+        """
         if not moment.trains:
             return self.degree
         return active_degree(moment.step, self.sh_every, self.degree)
 
     def drawn_rows(self, moment: Moment) -> dict[str, Tensor]:
-        """The trained tensors as they are drawn; a model that stores them otherwise overrides it."""
+        """The trained tensors as they are drawn; a model that stores them otherwise overrides it.
+
+        Args:
+            moment: Step of training, or TRAINED.
+        """
         del moment
         return dict(self.parameters.rows)
 
@@ -128,7 +137,7 @@ def assemble(values: Mapping[str, Tensor], degree: int) -> Gaussians:
     """Gaussians of the trained tensors, with the SH bands up to a degree.
 
     Args:
-        values: means, quaternions, log_scales, opacity_logits, sh_dc and sh_rest.
+        values: Tensors means, quaternions, log_scales, opacity_logits, sh_dc and sh_rest.
         degree: Highest degree that is kept, 0 to 3.
     """
     rest = values["sh_rest"][:, : (degree + 1) ** 2 - 1]

@@ -19,7 +19,7 @@ def write_float_stream(
 
     Args:
         path: Written whole or not at all.
-        shapes: Of each array.
+        shapes: Shape of each array, by name; the file holds them in this order.
         slices: The next rows of each array, by name; any number of them at once.
 
     Raises: DataError if the stream holds more or less than the shapes say.

@@ -26,6 +26,9 @@ def properties(bands: int) -> list[str]:
     """Names of the properties of one Gaussian, in the release's order.
 
     f_rest is channel-major: all higher bands of red, then of green, then of blue.
+
+    Args:
+        bands: SH coefficients of a channel, (degree + 1)^2.
     """
     return [
         "x", "y", "z", "nx", "ny", "nz",
@@ -47,9 +50,10 @@ def write_ply(
     Without, every property is `float`, which all viewers of the release's files open.
 
     Args:
-        path: Written whole or not at all.
-        gaussians: In float32.
-        shift: Float64; added to the means to return to the original frame.
+        path: The file, written whole or not at all.
+        gaussians: The model, in float32.
+        shift: Vector in scene units, float64; added to the means it gives positions in the original
+            frame. None: zero.
 
     Source: the 3DGS release's save_ply.
     """

@@ -25,9 +25,9 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: Version = 3) -> None
     0.24 mm in metres, and anything in other units.
 
     Args:
-        path: Written whole or not at all.
-        gaussians: In float32, in a frame whose origin is near them.
-        version: Of the format.
+        path: The file, written whole or not at all.
+        gaussians: The model, in float32, in a frame whose origin is near it.
+        version: Version of the format: 3 opens in every viewer, 4 is compressed with zstd.
 
     Raises: MissingError without the package; DataError for positions beyond 2^23.
 

@@ -53,8 +53,9 @@ def starting_points(settings: Settings, scene: Scene) -> int:
     """Number of points that training starts from.
 
     Args:
-        settings: random_points counts where the scene has none; matched points are not known yet.
-        scene: With its sparse points.
+        settings: Settings of which random_points counts where the scene has no points; how many are
+            matched is not known yet.
+        scene: The scene, with its sparse points.
     """
     return len(scene.points) or settings.random_points
 
@@ -75,8 +76,8 @@ def step_seconds(settings: Settings, cameras: Sequence[Camera], gaussians: float
     """CPU seconds of one step.
 
     Args:
-        settings: views_per_step counts.
-        cameras: Training cameras.
+        settings: Settings of which views_per_step counts.
+        cameras: Training cameras, at least one.
         gaussians: Number of Gaussians.
     """
     pixels = statistics.fmean(camera.width * camera.height for camera in cameras)

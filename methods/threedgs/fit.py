@@ -16,10 +16,10 @@ from splatproof.reference.types.scene import Scene
 def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
     """Train on scene.train_views and return the model.
 
-    The optimizer steps on every iteration, also on those that densify (in the release it does not).
+    The optimizer moves in every step, also in those that densify (in the release it does not).
 
     Args:
-        scene: With sparse points and training views.
+        scene: The scene, with sparse points and training views.
         settings: What is chosen about the method.
         run: Where checkpoints go; one that is there already is continued.
 
@@ -39,8 +39,8 @@ def started(scene: Scene, settings: Settings, run: Run) -> Scene:
     """The scene with the points that training starts from, as the settings say.
 
     Args:
-        scene: With its own points, if it has any.
-        settings: random_points, dense_cell and dense count.
+        scene: The scene, with its own points if it has any.
+        settings: Settings of which random_points, dense_cell and dense count.
         run: Seed of the draw and bound on images in memory.
     """
     return initialise.with_points(
@@ -53,9 +53,9 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
     """The model at its start, and the plan of its training.
 
     Args:
-        scene: With the points to start from.
+        scene: The scene, with the points to start from.
         settings: What is chosen about the method.
-        run: Seed, background and backend are part of the plan's key.
+        run: The run; seed, background, backend and device are part of the plan's key.
 
     Raises: DataError if there is no point or no training view.
     """
@@ -82,7 +82,7 @@ def terms(settings: Settings) -> tuple[ImageTerm | ParameterTerm, ...]:
     """What method 3dgs minimises.
 
     Args:
-        settings: dssim and opacity_weight count.
+        settings: Settings of which dssim and opacity_weight count.
     """
     image = Photometric(dssim=settings.dssim)
     return (image, mean_opacity(settings.opacity_weight)) if settings.opacity_weight else (image,)

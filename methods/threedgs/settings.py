@@ -1,4 +1,4 @@
-"""What can be chosen about row 3dgs."""
+"""What can be chosen about method 3dgs."""
 
 import math
 from dataclasses import dataclass, field
@@ -11,43 +11,48 @@ from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Row 3dgs. Steps are those of a 30,000 iteration run; a shorter run shrinks them in proportion."""
+    """Method 3dgs. Steps are those of a 30,000 step run; a shorter run shrinks them in
+    proportion."""
 
     iterations: int = 30_000
-    """Training steps, `views_per_step` views each."""
+    """Number of training steps, each on `views_per_step` views (the paper: 30,000)."""
     views_per_step: int = 1
-    """Views whose mean gradient one step follows (the release: 1)."""
+    """Number of views whose mean gradient one step follows (the release: 1)."""
     sh_degree: int = 3
-    """Degree of the spherical harmonics, 0 to 3."""
+    """Degree of the spherical harmonics of view-dependent colour, 0 (none) to 3 (the paper: 3)."""
     sh_interval: int = 1000
-    """Steps until one more SH band is trained."""
+    """Steps after which each further SH degree is trained (the release: 1000); 0: all from the
+    start."""
     initial_opacity: float = 0.1
-    """Opacity of the Gaussians that the sparse points become."""
+    """Opacity, 0 to 1, of the Gaussians that sparse points become (the release: 0.1)."""
     random_points: int = 0
-    """Points that a scene without any starts from, drawn in sight of its cameras (100,000 in
-    gsplat); 0: such a scene is refused. Scenes with points keep theirs."""
+    """Number of points that a scene without any starts from, drawn in sight of its cameras (gsplat:
+    100,000); 0: such a scene is refused. Scenes with points keep theirs."""
     dense_cell: float = 0.0
-    """Before training, match the training photos by optical flow and add a point where none is, about
-    one every so many pixels (DPGS's initialisation). 0: none."""
+    """About how many pixels added points lie apart: before training, photos are matched by optical
+    flow, and points added where there are none (DPGS's initialisation). 0: none are added."""
     dssim: float = 0.2
-    """Weight of 1 - SSIM; L1 has the rest."""
+    """Weight of 1 - SSIM in the loss, 0 to 1; L1 has the rest (the paper: 0.2)."""
     antialiased: bool = False
-    """Scale opacities by what the low-pass filter spreads a Gaussian over, in training and in every
-    render of the model (the release's flag since 2024)."""
+    """Whether opacities are lowered by as much as the low-pass filter widens a Gaussian, in
+    training and in every render of the model (the release's flag `antialiasing`, since 2024)."""
     random_background: bool = False
-    """Train every step over a background of its own, drawn at random, so that nothing may stay
-    transparent that a photo shows; the protocol's background is for scoring. False: train over the
-    protocol's, as the release does by default."""
+    """Whether every view of a step is trained over a colour drawn at random, so that nothing may
+    stay transparent that a photo shows; scoring uses the protocol's background. False: training
+    too, as the release does by default."""
     dropout: float = 0.0
-    """Share of Gaussians that a step hides at random, growing linearly from 0 to this; against
-    floaters where few views see a place (DropGaussian: 0.2). 0: none."""
+    """Share of Gaussians, 0 to below 1, that a step hides at random, growing linearly from 0 to
+    this at the last step: against floaters where few views see a place (DropGaussian: 0.2). 0:
+    none."""
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
     0.01). 0: none."""
     dense: DenseSettings = field(default_factory=DenseSettings)
     """Which photos are matched, and which matches become points, where `dense_cell` is not 0."""
     rates: Rates = field(default_factory=Rates)
+    """Learning rates of the Gaussians' parameters."""
     density: Density = field(default_factory=Density)
+    """When and where Gaussians are added and removed."""
 
     @property
     def mode(self) -> Mode:

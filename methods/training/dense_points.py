@@ -26,7 +26,7 @@ from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 LEAST_MATCHES = 4
-"""A voxel with fewer holds nothing but stray matches."""
+"""Number of matches that a voxel needs; with fewer it holds nothing but stray ones."""
 APART = 0.7
 """Cells between a new point and the nearest sparse one, at least: the sparse ones are better."""
 

@@ -23,30 +23,34 @@ RESET_OPACITY = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Density:
-    """Adaptive density control. Steps are those of a 30,000 iteration run; shorter runs shrink them."""
+    """Adaptive density control: when and where Gaussians are added and removed (defaults of the
+    3DGS release). Steps are those of a 30,000 step run; a shorter run shrinks them in
+    proportion."""
 
     start: int = 500
-    """No densification up to this step."""
+    """Last step without densification: Gaussians are cloned, split and removed after it."""
     stop: int = 15_000
-    """No densification and no reset from this step on."""
+    """Step from which on nothing is densified and no opacity is reset."""
     interval: int = 100
-    """Steps between densifications. Shrinks to no less than `least_interval`."""
+    """Steps between densifications; a short run shrinks it to no less than `least_interval`."""
     least_interval: int = 100
     """Fewest steps between densifications in a short run: statistics need several views."""
     gradient: float = 2e-4
-    """Mean norm of the loss's gradient by the 2D position, in units of half the image, from which
-    a Gaussian is cloned or split."""
+    """Pull from which a Gaussian is cloned or split: mean norm of the loss's gradient by its
+    position in the image, in units of half the image. Smaller values give more Gaussians."""
     split_size: float = 0.01
-    """Largest scale, in extents, up to which a Gaussian is cloned; a larger one is split."""
+    """Largest scale up to which a Gaussian is cloned, as a share of the scene's extent (1.1 times
+    the radius of the training cameras); a larger one is split."""
     least_opacity: float = 0.005
-    """More transparent Gaussians are removed."""
+    """Opacity, 0 to 1, below which a densification removes a Gaussian."""
     largest_size: float = 0.1
-    """Largest scale, in extents, that survives a densification after the first reset."""
+    """Largest scale, as a share of the scene's extent, that survives a densification after the
+    first opacity reset."""
     reset_interval: int = 3000
-    """Steps between opacity resets; 0: never."""
+    """Steps between opacity resets, which leave no Gaussian more opaque than 0.01; 0: never."""
     most: int | None = None
-    """Cap on the number of Gaussians: those with the largest gradients are densified first.
-    None: no cap."""
+    """Most Gaussians that densification may lead to: those with the largest gradients are densified
+    first. None: no bound."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -89,12 +93,12 @@ def densify(
     scale s / 1.6, in the parent's place. Never removes the last Gaussian.
 
     Args:
-        gaussians: The model.
+        gaussians: The model; its colours are not looked at.
         gradient: Mean norm of the 2D gradient, in units of half the image; 0 where never seen.
-        settings: Thresholds.
+        settings: Thresholds; its steps are not looked at.
         extent: Size of the scene in scene units.
         prune_large: Whether Gaussians larger than `largest_size` are removed too.
-        generator: For the children's positions.
+        generator: Source of the children's positions.
         fixed: Rows that are neither cloned, split nor removed; None: none.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.2; rules of its release, without
@@ -192,14 +196,18 @@ class DensityControl:
         self.gradient_sum = self.seen = torch.zeros(0)
 
     def watches(self, step: int) -> bool:
-        """Whether the statistics of a step are needed."""
+        """Whether the statistics of a step are needed.
+
+        Args:
+            step: Number of the step, from 1.
+        """
         return step < self.settings.stop
 
     def observe(self, seen: Observation) -> None:
         """Add one view: the norm of the 2D gradient where a Gaussian was seen.
 
         Args:
-            seen: The view.
+            seen: What the view says.
         """
         if len(self.gradient_sum) != seen.count:
             self._clear(seen.count, seen.radii.device)
@@ -219,8 +227,8 @@ class DensityControl:
         """Densify, then reset opacities, each where its step has come.
 
         Args:
-            step: From 1.
-            parameters: With means, quaternions, log_scales and opacity_logits.
+            step: Number of the step, from 1; its update is done.
+            parameters: The model's tensors, with means, quaternions, log_scales and opacity_logits.
             generator: Source of the children's positions.
         """
         if self.densifies(step):
@@ -242,8 +250,8 @@ class DensityControl:
         """Clone, split and prune by the statistics so far, and forget them.
 
         Args:
-            step: From 1.
-            parameters: As for `edits`.
+            step: Number of the step, from 1.
+            parameters: The model's tensors, as for `edits`.
             generator: Source of the children's positions.
         """
         every = self.settings.reset_interval
@@ -268,7 +276,7 @@ class DensityControl:
         """Make everything nearly transparent that the rules do not hold.
 
         Args:
-            parameters: With opacity_logits.
+            parameters: The model's tensors, with opacity_logits.
         """
         before = parameters.rows["opacity_logits"].detach()
         logits = reset_opacity(before)

@@ -72,7 +72,7 @@ def with_points(
     """The scene with the points that training starts from.
 
     Args:
-        scene: With its own points, if it has any.
+        scene: The scene, with its own points if it has any.
         run: Seed of the draw and bound on images in memory.
         random_points: Points to draw where the scene has none; 0: none.
         dense_cell: Pixels a point that is matched between photos before training; 0: none are.
@@ -94,9 +94,9 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
     the one view that it was drawn in.
 
     Args:
-        scene: Its points are looked at first.
-        count: Points to draw; 0 leaves the scene alone.
-        seed: Of the draw.
+        scene: The scene; random points are for one that has none.
+        count: Number of points to draw; 0 leaves the scene alone.
+        seed: Seed of the draw.
 
     Source: ours; gsplat and the release's Blender scenes draw from a cube, which holds what
         cameras look at only where they stand around it.
@@ -130,9 +130,9 @@ def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
     """One isotropic Gaussian for each sparse point: its colour as SH DC, identity rotation.
 
     Args:
-        scene: With sparse points.
+        scene: The scene, with sparse points and training views.
         degree: Degree of the spherical harmonics, 0 to 3; higher bands start at 0.
-        opacity: In (0, 1).
+        opacity: Opacity of each Gaussian, in (0, 1).
 
     Raises: DataError if there is no point or no training view.
 

@@ -47,8 +47,9 @@ class Plan:
     """What a training consists of beside its model and its run."""
 
     steps: int
+    """Number of steps of the whole training."""
     views: tuple[View, ...]
-    """What is trained on."""
+    """Views that are trained on."""
     terms: tuple[ImageTerm | ParameterTerm, ...]
     """What is minimised; their names are distinct."""
     density: DensityStrategy
@@ -76,9 +77,14 @@ class Trainer:
 
         Args:
             model: What is trained; it is moved to the run's device.
-            plan: How.
+            plan: What is minimised, on which views, and how the model changes.
             run: Seed, backend, checkpoints and who is told.
+
+        Raises: ValueError if two terms have one name.
         """
+        names = [term.name for term in plan.terms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two terms have one name: {', '.join(names)}")
         self.model, self.plan, self.run = model, plan, run
         self.backend = get_backend(run.backend)
         self.device = torch.device(run.device or self.backend.device)

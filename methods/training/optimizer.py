@@ -50,7 +50,11 @@ class Adam:
 
     @torch.no_grad()
     def edit(self, edit: Edit) -> None:
-        """Take the moments of the rows along; those of fresh rows and forgotten tensors are zero."""
+        """Take the moments of the rows along; those of fresh rows and forgotten tensors are zero.
+
+        Args:
+            edit: How the rows of the parameters changed.
+        """
         for moments in (self.first, self.second):
             for name in self.parameters.rows:
                 if edit.parents is not None:
@@ -104,11 +108,11 @@ def adam_by_torch(
 
     Args:
         values: Parameters, changed in place.
-        gradients: Loss by each of them.
-        first: First moments, changed in place.
-        second: Second moments, changed in place.
+        gradients: Gradient of the loss by each of them.
+        first: First moments, changed in place; zero before the first update.
+        second: Second moments, changed in place; zero before the first update.
         rates: Learning rate of each tensor.
-        number: 1 for the first update.
+        number: Number of the update, 1 for the first.
     """
     (beta1, beta2), bias = kernels.BETAS, [1 - beta**number for beta in kernels.BETAS]
     for value, gradient, m, v, rate in zip(values, gradients, first, second, rates, strict=True):
@@ -126,7 +130,11 @@ class GradientMean:
         self._passes = 0
 
     def take(self, parameters: Mapping[str, Tensor]) -> None:
-        """Move the .grad of the parameters into the sum; a parameter without one adds zero."""
+        """Move the .grad of the parameters into the sum; a parameter without one adds zero.
+
+        Args:
+            parameters: Trained tensors by name, after a backward pass.
+        """
         self._passes += 1
         for name, value in parameters.items():
             if value.grad is not None:
@@ -135,6 +143,10 @@ class GradientMean:
                 value.grad = None
 
     def leave(self, parameters: Mapping[str, Tensor]) -> None:
-        """Leave the mean over the passes as the parameters' .grad."""
+        """Leave the mean over the passes as the parameters' .grad.
+
+        Args:
+            parameters: Trained tensors by name.
+        """
         for name, total in self._sums.items():
             parameters[name].grad = total.div_(self._passes)

@@ -13,7 +13,13 @@ FAINTEST = 1e-12
 
 
 def draw_shown(count: int, share: float, generator: torch.Generator) -> Bool[Tensor, " n"]:
-    """Which Gaussians take part in a step: each is hidden with probability `share`."""
+    """Which Gaussians take part in a step: each is hidden with probability `share`.
+
+    Args:
+        count: Number of Gaussians.
+        share: Probability of being hidden, in [0, 1).
+        generator: Source of the draw.
+    """
     return torch.rand(count, generator=generator) >= share
 
 
@@ -26,9 +32,9 @@ def thinned(
     o where o <= (1 - share) 0.999. Differentiable; 0 for what is hidden or at the cap.
 
     Args:
-        logits: Of all Gaussians.
-        shown: Which take part.
-        share: Of those hidden, in [0, 1).
+        logits: Opacity logits of all Gaussians.
+        shown: Which Gaussians take part.
+        share: Probability with which each was hidden, in [0, 1).
 
     Source: Park et al. 2025, "DropGaussian", Eq. 6; the cap is ours.
     """
@@ -38,6 +44,10 @@ def thinned(
 
 def opacity_pull(logits: Float[Tensor, " n"], weight: float) -> Float[Tensor, " n"]:
     """Gradient of weight * mean(opacity) by the logits.
+
+    Args:
+        logits: Opacity logits of all Gaussians, at least one.
+        weight: Factor on the mean, >= 0.
 
     Source: Kheradmand et al. 2024, "3D Gaussian Splatting as Markov Chain Monte Carlo", Eq. 12 (there
         with weight 0.01).

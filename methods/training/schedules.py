@@ -8,16 +8,16 @@ from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.model import Schedule
 
 FULL_LENGTH = 30_000
-"""Iterations of a full run; schedules are written down for this length."""
+"""Steps of a full run; schedules are written down for this length."""
 
 
 def shrink(iterations: int) -> float:
     """Factor in (0, 1] on every step count of a schedule: a shorter run is a whole one, sooner.
 
-    Longer runs than 30,000 iterations keep the counts as they are.
+    Longer runs than 30,000 steps keep the counts as they are.
 
     Args:
-        iterations: Length of the run.
+        iterations: Number of steps of the run, >= 1.
 
     Source: ours.
     """
@@ -26,22 +26,23 @@ def shrink(iterations: int) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Rates:
-    """Adam's learning rates (defaults of the 3DGS release)."""
+    """Learning rates (defaults of the 3DGS release); 0 holds a quantity still."""
 
     means: float = 1.6e-4
-    """Rate of positions at the first step, times the scene's extent."""
+    """Learning rate of positions at the first step, in extents of the scene."""
     means_final: float = 1.6e-6
-    """Rate of positions at the last step, times the extent; log-linear in between."""
+    """Learning rate of positions at the last step, in extents of the scene; log-linear in between.
+    0: it stays as at the first step."""
     sh_dc: float = 2.5e-3
-    """Rate of the constant SH band."""
+    """Learning rate of colour that is the same from all sides (SH band 0)."""
     sh_rest: float = 1.25e-4
-    """Rate of all higher SH bands."""
+    """Learning rate of view-dependent colour (all higher SH bands)."""
     opacity_logits: float = 0.05
-    """Rate of opacity logits (0.05 in the release of 2023, 0.025 since 2024)."""
+    """Learning rate of opacity logits (the release: 0.05 in 2023, 0.025 since 2024)."""
     log_scales: float = 5e-3
-    """Rate of log scales."""
+    """Learning rate of log scales."""
     quaternions: float = 1e-3
-    """Rate of unnormalised quaternions."""
+    """Learning rate of rotations, as quaternions that are not normalised."""
     settle: float = 1.0
     """Factor on all rates but that of positions at the last step, reached log-linearly from the
     middle of the run on; 1: constant, as in the release. Single views pull on colours, opacities
@@ -54,7 +55,16 @@ class Rates:
 
 
 def require(holds: bool, setting: str, value: object, expected: str) -> None:
-    """Raise UsageError, naming the setting, its value and what was expected, unless it holds."""
+    """Refuse a setting unless a condition holds.
+
+    Args:
+        holds: The condition.
+        setting: Name of the setting, as settings files and the command line write it.
+        value: Its value.
+        expected: What would do, in a few words.
+
+    Raises: UsageError naming the setting, its value and what was expected.
+    """
     if not holds:
         raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
 
@@ -67,7 +77,7 @@ def log_linear(first: float, last: float, *, factor: float = 1.0) -> Schedule:
     Args:
         first: Rate at the beginning, >= 0.
         last: Rate at the last step, >= 0; beyond it stays.
-        factor: On the whole rate: the scene's extent for positions.
+        factor: Factor on the whole rate: the scene's extent for positions.
 
     Source: the 3DGS release (its delay is never active).
     """
@@ -85,7 +95,7 @@ def settling(rate: float, settle: float = 1.0) -> Schedule:
     """A rate that is constant to the middle of the run, then falls log-linearly to `rate` `settle`.
 
     Args:
-        rate: In the first half, >= 0.
+        rate: Rate in the first half, >= 0.
         settle: Factor at the last step; 1: constant throughout.
 
     Source: ours.
@@ -99,6 +109,11 @@ def _settling(rate: float, settle: float, step: int, total: int) -> float:
 
 def active_degree(step: int, every: float, highest: int) -> int:
     """Degree of the spherical harmonics in use: one more every `every` steps, from 0.
+
+    Args:
+        step: Number of the step, from 1.
+        every: Steps until one more degree is used; 0: the highest from the start.
+        highest: Highest degree, 0 to 3.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 7.1 and its release.
     """

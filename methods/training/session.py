@@ -18,10 +18,10 @@ def run_key(scene: Scene, settings: Any, run: Run, *special: str) -> str:
     """Everything that a trained model depends on beside code and machine, as text.
 
     Args:
-        scene: Its training cameras and points count; photos are known by name.
+        scene: The scene; its training cameras and points count, photos by name.
         settings: Frozen dataclass of the method.
-        run: Its seed, background, backend and device count.
-        special: What else it depends on.
+        run: The run; its seed, background, backend and device count.
+        special: What else the model depends on, as text.
     """
     return json.dumps(
         [scene.name, scene_digest(scene), asdict(settings), run.seed, run.background, run.backend,

@@ -39,9 +39,11 @@ class Term:
     """A weighted part of the loss that a rendered view has; curves show it by its name."""
 
     name: str
-    """Lower case, unique among the terms of a method."""
+    """Name of the term: lower case, unique among the terms of a method."""
     loss: Callable[[Frame], Float[Tensor, ""]]
+    """loss(frame): the term of one view before it is weighted, differentiable."""
     weight: float = 1.0
+    """Factor on the term."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +59,11 @@ class Photometric:
     weight: float = 1.0
 
     def loss(self, frame: Frame) -> Float[Tensor, ""]:
-        """The term of one view."""
+        """The term of one view.
+
+        Args:
+            frame: The view, rendered.
+        """
         loss = photometric if frame.image.device.type == "cpu" else losses.photometric
         return loss(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
 

@@ -36,7 +36,11 @@ class Shuffled:
     """Random order without replacement, epoch after epoch."""
 
     def __init__(self, count: int) -> None:
-        """Order `count` views."""
+        """Start before the first epoch.
+
+        Args:
+            count: Number of views.
+        """
         self.count = count
         self.left: list[int] = []
 
@@ -51,7 +55,12 @@ class Shuffled:
         return self.left
 
     def restore(self, state: list[int], drawn: int) -> None:
-        """Take over what was left."""
+        """Take over what was left of an epoch.
+
+        Args:
+            state: What `state` returned then.
+            drawn: Not looked at.
+        """
         del drawn
         self.left = list(state)
 
@@ -73,7 +82,12 @@ class Drawn:
         return []
 
     def restore(self, state: list[int], drawn: int) -> None:
-        """Skip the views that were drawn before."""
+        """Skip the views that were drawn before.
+
+        Args:
+            state: Not looked at.
+            drawn: Number of views that were drawn before.
+        """
         del state
         for _ in range(drawn):
             next(self.draws)

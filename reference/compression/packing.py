@@ -18,11 +18,14 @@ class PackSettings:
     """How much is kept of a model."""
 
     gate: float = GATE
-    """gamma: residual harmonics of primitives with less energy are dropped."""
+    """Energy, mean size of the coefficients, below which view-dependent colour of a Gaussian is
+    dropped (gamma; the paper StitchGS: 0.02); 0: all keep it."""
     weighting: Weighting = "coefficients"
-    """How orders are weighed in the energy."""
+    """What counts alike in that energy. coefficients: every SH coefficient; orders: every SH
+    order."""
     rounding: Rounding = "nearest"
-    """How codes are rounded."""
+    """How view-dependent colour is rounded to 8 bits. nearest: ours; truncate: as in the
+    release."""
 
 
 AS_RELEASED = PackSettings(rounding="truncate")

@@ -19,9 +19,11 @@ class SamplingSettings:
     """Bins over the ring of camera centres around a block."""
 
     azimuths: int = 8
+    """Number of bins around the block, >= 1 (StitchGS' release: 8)."""
     distances: int = 3
+    """Number of bins away from the block, >= 1 (StitchGS' release: 3)."""
     uniform_share: float = 0.0
-    """Share of draws that ignore the bins, in [0, 1]."""
+    """Share of draws, 0 to 1, that ignore the bins and take any view."""
 
 
 def view_bins(

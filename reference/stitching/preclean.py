@@ -13,13 +13,15 @@ class CleanSettings:
     """What is thrown away."""
 
     least_logit: float = -4.595
-    """Opacity logit that must be exceeded; -4.595 is opacity 0.01."""
+    """Opacity logit that a Gaussian must exceed to stay; -4.595 is opacity 0.01."""
     largest_scale: float = 50.0
-    """Every scale must stay below this, in scene units."""
+    """Length in scene units that each of its scales must stay below."""
     volume_quantile: float = 0.999
-    """Volumes above this quantile of what is left go."""
+    """Share, 0 to 1, of the Gaussians left that stay, the smallest by volume; 1: all (the paper:
+    0.999)."""
     volume_of_logs: bool = False
-    """Rank by the product of the LOG scales, which is no volume."""
+    """Whether volumes are ranked by the product of the log scales, which is no volume, as in the
+    release."""
 
 
 AS_RELEASED = CleanSettings(volume_of_logs=True)

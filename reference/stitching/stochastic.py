@@ -22,17 +22,22 @@ class StitchSettings:
     """How blocks compete. The defaults are ours; `AS_RELEASED` are the authors' code's."""
 
     neighbours: int = 5
-    """K in {2, 5, 11} in the paper: how many primitives speak for another block at a place."""
+    """Number of Gaussians that speak for another block at a place, >= 1 (K; the paper: 2, 5 or
+    11)."""
     sharpness: float = 30.0
-    """eta >= 0: 0 keeps half of what competes, infinity is winner-takes-all."""
+    """How surely the better block wins, >= 0 (eta): 0 keeps half of what competes, large values
+    make the winner take all."""
     normalise: bool = True
-    """Divide Q, which has unit 1/length, by its median over all that competes."""
+    """Whether the quality Q of a Gaussian, opacity over size in 1 / scene units, is divided by its
+    median over all that competes; the release does not."""
     from_logits: bool = False
-    """Take the opacity LOGIT where Q has the opacity."""
+    """Whether Q has the opacity's logit for the opacity, as in the release."""
     epsilon: float = 1e-12
-    """Added to the mean scale in Q, in scene units: no division by 0."""
+    """Length in scene units that is added to the size in Q, so that nothing is divided by 0 (the
+    release: 1e-6)."""
     keep_unopposed: bool = True
-    """Keep what no other block reaches; else it competes with a score of 0."""
+    """Whether what no other block reaches is kept; else it competes with a score of 0, as in the
+    release."""
 
 
 AS_RELEASED = StitchSettings(normalise=False, from_logits=True, epsilon=1e-6, keep_unopposed=False)

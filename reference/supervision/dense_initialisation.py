@@ -19,18 +19,19 @@ class DenseSettings:
     """Thresholds of the initialisation. The paper gives no values: these are ours, to be swept."""
 
     certainty: float = 0.3
-    """tau_c: matches that the matcher is less sure of are dropped. In [0, 1]."""
+    """Certainty, 0 to 1, below which a match is dropped (tau_c)."""
     sigma: float = 1.0
-    """Reprojection error at which a match has lost 39 % of its score, > 0, in pixels of the photos
-    that are matched."""
+    """Reprojection error in pixels of the matched photos, > 0, at which a match has lost 39 % of its
+    score."""
     score: float = 0.3
-    """tau_s: points with a lower score are dropped. In [0, 1]."""
+    """Score, 0 to 1, below which a point is dropped (tau_s)."""
     partners: int = 4
-    """Images that each image is matched with, the most co-visible ones, >= 1."""
+    """Number of photos that each photo is matched with, >= 1: those that share most points with it."""
     angles: tuple[float, float] = (2.0, 45.0)
-    """Least and largest baseline angle of a pair, degrees in [0, 180], at the median shared point."""
+    """Least and largest angle, degrees in [0, 180], under which the median shared point sees the two
+    cameras of a pair."""
     ray_angle: float = 1.5
-    """Smallest angle between the two rays of a match, degrees in [0, 180]."""
+    """Least angle between the two rays of a match, degrees in [0, 180]."""
 
     def __post_init__(self) -> None:
         """Refuse thresholds that mean nothing."""

@@ -16,7 +16,7 @@ def nearest_view(view: View, training: Sequence[View]) -> View:
 
     Args:
         view: Any view.
-        training: At least one.
+        training: Training views, at least one.
 
     Source: spec of DLG-GS's test protocol: same sensor and direction before nearest centre.
     """

@@ -20,12 +20,12 @@ from splatproof.suites.gallery.blocks import draw_spectrum
 from splatproof.suites.gallery.drawing import COLOURS, panels, save, show_image
 
 STEPS = 600
-"""Iterations of the model that is drawn: seconds on two cores."""
+"""Training steps of the model that is drawn: seconds on two cores."""
 
 
 @lru_cache(maxsize=1)
 def short_model(scene: Scene) -> Gaussians:
-    """3dgs after a few hundred iterations, seed 0."""
+    """Method 3dgs after a few hundred steps, seed 0."""
     method = METHODS["3dgs"]
     with tempfile.TemporaryDirectory() as folder:
         run = Run(folder=Path(folder), seed=0)

@@ -24,11 +24,11 @@ def city_scores(
     are not means of the images' values, of which those without a seam pixel are nan.
 
     Args:
-        scene: With test views.
-        model: Of blocks.
-        protocol: The rules.
-        images: What all methods are scored on.
-        folder: Of the case; see `score_seams` for the pictures.
+        scene: The scene, with its test views.
+        model: The model, which knows its blocks.
+        protocol: The rules that the test views are scored by.
+        images: Scores of the test views that every method has.
+        folder: Folder of the case, where `score_seams` writes pictures.
     """
     views, whole = score_seams(scene, model, protocol, model.backend, folder)
     scored = tuple(replace(one, metrics=one.metrics | views[one.name]) for one in images)

@@ -16,7 +16,7 @@ def boxes_of(regions: Sequence[Region]) -> tuple[OrientedBox, ...]:
     The release's mask lies around boxes, and cells of other shapes have no such number.
 
     Args:
-        regions: Of the partition's blocks, in the scene's frame.
+        regions: Where each block of the partition lies, in the scene's frame.
     """
     found = [
         region if isinstance(region, OrientedBox) else getattr(region, "box", None)

@@ -53,7 +53,7 @@ class Blocked(Shape):
 
     @property
     def regions(self) -> Sequence[Region]:
-        """Of the partition's blocks, in the scene's frame."""
+        """Where each block of the partition lies, in the scene's frame."""
         ...
 
     @property
@@ -62,7 +62,11 @@ class Blocked(Shape):
         ...
 
     def bake(self, view: View | None = None) -> Gaussians:
-        """The Gaussians, in the scene's frame."""
+        """The Gaussians, in the scene's frame.
+
+        Args:
+            view: Whose camera, time and appearance count; None where the model needs none.
+        """
         ...
 
 
@@ -78,11 +82,11 @@ def score_seams(
     blocks that it is composited from, in their shares) as PNGs named after the views.
 
     Args:
-        scene: With test views.
-        model: What is scored.
-        protocol: Its background, rounding and mask are applied as for every other metric.
+        scene: The scene, with its test views.
+        model: The model that is scored.
+        protocol: The rules; background, rounding and mask are applied as for every other metric.
         backend: Name of the rasterizer.
-        folder: Of the case.
+        folder: Folder of the case.
     Returns: View name to its metrics, and the scene's. nan where no seam pixel is.
     """
     views, sums, released = {}, [], []
@@ -106,7 +110,15 @@ def score_seams(
 def seam_view(
     scene: Scene, index: int, model: Blocked, protocol: Protocol, backend: str
 ) -> SeamView:
-    """One test view with the partition's seam mask; masked pixels of the view are on no seam."""
+    """One test view with the partition's seam mask; masked pixels of the view are on no seam.
+
+    Args:
+        scene: The scene; its true depth or sparse points say where the surface is.
+        index: Index of the view in scene.views.
+        model: The model that is scored.
+        protocol: The rules; background, rounding and mask count.
+        backend: Name of the rasterizer.
+    """
     view = scene.views[index]
     native = backend == "cpu"
     seen = render_seam_view(
@@ -124,7 +136,14 @@ def seam_view(
 def mask_picture(
     image: Float[Tensor, "h w 3"], seam: Bool[Tensor, "h w"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image with the seam's pixels half red."""
+    """The image with the seam's pixels half red.
+
+    Args:
+        image: Render of a view, in [0, 1].
+        seam: Which pixels lie on a seam.
+
+    Returns: The picture in 8 bits.
+    """
     red = torch.tensor([1.0, 0.0, 0.0])
     shown = torch.where(seam[..., None], 0.5 * image + 0.5 * red, image)
     return (shown * 255).round().to(torch.uint8).numpy()

@@ -22,9 +22,10 @@ def surface_depth(scene: Scene, index: int) -> Float[Tensor, "h w"]:
     No trained model takes part, so that all of them are asked about the same surface.
 
     Args:
-        scene: With sparse points.
-        index: Of the view in scene.views.
-    Returns: Scene units; inf where nothing is hit, and everywhere if no point is in the image.
+        scene: The scene, with sparse points where the view has no true depth.
+        index: Index of the view in scene.views.
+    Returns: Depth in scene units; inf where nothing is hit, and everywhere if no point is in the
+        image.
     Source: ours.
     """
     view = scene.views[index]

@@ -18,16 +18,16 @@ from splatproof.reference.types.scene import Scene, View
 THRESHOLD = 0.5
 """Scene units (metres in made worlds) up to which a surface point counts as found."""
 SPACING = 0.25
-"""Scene units: of several points in a cube of this side one is kept, so that ground which many
+"""Side of a cube in scene units in which one of several points is kept, so that ground which many
 views see weighs no more than a wall that one sees."""
 TRAINING_VIEWS = 40
-"""So many training views at most, evenly spread, beside all test views."""
+"""Most training views that are looked at, evenly spread, beside all test views."""
 STRIDE = 2
-"""Every so many-th row and column is taken."""
+"""Distance in pixels of the rows and columns of a depth image that become surface points."""
 OPAQUE = 0.5
-"""Pixels of less alpha show no surface."""
+"""Alpha from which a pixel shows a surface."""
 SLACK = 0.02
-"""A training view sees a point whose depth is within this share of its true depth there."""
+"""Largest share of its depth by which a point that a view sees may miss the view's true depth."""
 
 
 def geometry_metrics(scene: Scene, model: Reconstruction) -> dict[str, float]:
@@ -40,7 +40,7 @@ def geometry_metrics(scene: Scene, model: Reconstruction) -> dict[str, float]:
     view does. Each view is rendered once.
 
     Args:
-        scene: Its test views are the scored ones.
+        scene: The scene; its test views are the scored ones.
         model: What is judged, by what it renders.
     Returns: depth_... and geometry_... by name, see metrics/scene_registry.py; empty where no true
         depth is known. nan where nothing is blind.
@@ -86,7 +86,7 @@ def _surface(scene: Scene, found: Tensor, true: Tensor, blind: Tensor) -> dict[s
     """Scores of the cloud that the model shows against the true one.
 
     Args:
-        scene: With true depth of all views.
+        scene: The scene, with true depth of all views.
         found: Points that the model shows.
         true: Points of the true surface.
         blind: Which true points are of a test view.
@@ -111,8 +111,8 @@ def seen_by(points: Float64[Tensor, "n 3"], views: Sequence[View]) -> Bool[Tenso
     """Which points at least one of the views truly sees: in its image, at its true depth.
 
     Args:
-        points: In the scene's frame.
-        views: With true depth.
+        points: Points in the scene's frame.
+        views: Views with true depth.
     """
     seen = torch.zeros(len(points), dtype=torch.bool)
     for view in views:

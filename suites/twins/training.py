@@ -1,4 +1,4 @@
-"""One whole iteration of method 3dgs: render, loss, backward, optimiser, density statistics."""
+"""One whole training step of method 3dgs: render, loss, backward, optimiser, density statistics."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def trained(size: Size) -> Problem:
 
 
 def iterates(problem: Problem, _: Leaves) -> Forward:
-    """`start` that trains until the model is large enough; then a forward pass is one iteration.
+    """`start` that trains until the model is large enough; then a forward pass is one step.
 
     Args:
         problem: Scene, and number of Gaussians to grow to.

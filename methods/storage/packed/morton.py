@@ -5,7 +5,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 BITS = 21
-"""Of each axis; three of them fill an int64 but for the sign."""
+"""Bits of a cell number along one axis; three of them fill an int64 but for the sign."""
 SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F),
           (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249))  # fmt: skip
 """Shifts and masks that move bit i of a number to place 3 i."""
@@ -18,6 +18,11 @@ def morton_codes(
 
     The box is cut into 2^21 cells along each axis; the code holds the bits of the three cell
     numbers in turn. Positions outside count as the nearest within.
+
+    Args:
+        positions: Positions in the frame of the box.
+        low: Lowest corner of the box.
+        high: Highest corner; along an axis on which it is no higher than `low`, all cells are 0.
 
     Source: Morton 1966, "A computer oriented geodetic data base".
     """

@@ -1,4 +1,4 @@
-"""A file of records in a row, each sealed together with all before it: damage is seen on reading.
+"""A file of records, one after another, each sealed with all before it: damage is seen on reading.
 
 Layout, little-endian: 4 bytes magic, u16 version, then records: u64 length, 32 bytes SHA-256 of the
 seal of the record before (of magic and version, for the first), the length and the content; content.
@@ -14,7 +14,7 @@ from splatproof.base.errors import DataError
 from splatproof.reference.compression.container import MAGIC
 
 VERSION = 2
-"""Version 1 is reference.compression.container's."""
+"""Version of files in this layout; version 1 is reference.compression.container's."""
 START = struct.Struct("<4sH")
 LENGTH = struct.Struct("<Q")
 

@@ -34,7 +34,14 @@ class Rows(Protocol):
     def take(
         self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
     ) -> Mapping[str, Tensor]:
-        """Some parameters of some primitives, in that order."""
+        """Some parameters of some primitives.
+
+        Args:
+            rows: Indices of the primitives, in any order, or a slice.
+            names: Names of the parameters, among FIELDS.
+
+        Returns: Each parameter by its name, primitives in the order of `rows`.
+        """
         ...
 
 
@@ -57,7 +64,12 @@ class MemoryRows:
     def take(
         self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
     ) -> Mapping[str, Tensor]:
-        """Some parameters of some primitives, in that order."""
+        """Some parameters of some primitives, in the order of `rows`.
+
+        Args:
+            rows: Indices of the primitives, or a slice.
+            names: Names of the parameters, among FIELDS.
+        """
         return {name: getattr(self._model, name).detach()[rows] for name in names}
 
 
@@ -100,7 +112,12 @@ class FolderRows:
     def take(
         self, rows: Int64[Tensor, " m"] | slice, names: tuple[str, ...]
     ) -> Mapping[str, Tensor]:
-        """Some parameters of some primitives, in that order."""
+        """Some parameters of some primitives, in the order of `rows`.
+
+        Args:
+            rows: Indices of the primitives, or a slice.
+            names: Names of the parameters, among FIELDS.
+        """
         chosen = rows if isinstance(rows, slice) else rows.numpy()
         found = {name: torch.from_numpy(self._arrays[name][chosen].copy()) for name in names}
         self._map.madvise(mmap.MADV_DONTNEED)

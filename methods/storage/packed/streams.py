@@ -26,9 +26,10 @@ def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) 
     neighbours in space.
 
     Args:
-        rows: Of an unsigned type, or any little-endian one: only bits count.
-        entropy: "none" only rearranges.
-        planes: False keeps the array as it is, row after row.
+        rows: Numbers of an unsigned or any little-endian type: only their bits count.
+        entropy: "zstd" compresses the stream, "none" only rearranges it.
+        planes: Whether bytes of one kind lie together; False keeps the array as it is, row after
+            row.
 
     Source: byte planes as in Blosc's shuffle filter; choice by sample: ours.
     """
@@ -46,9 +47,9 @@ def expand(data: bytes, count: int, columns: int, kind: str) -> Shaped[np.ndarra
 
     Args:
         data: What squeeze returned.
-        count: n.
-        columns: c.
-        kind: numpy's name of the type, as "<f2".
+        count: Number of rows n of the array.
+        columns: Number of columns c.
+        kind: Type of its numbers by numpy's name, as "<f2".
 
     Raises: DataError if the stream is not one of that shape.
     """

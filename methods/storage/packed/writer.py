@@ -5,8 +5,8 @@ cores, so that neither way holds more than a few of them. What the file adds: pr
 order of the Morton curve, streams by part and byte, and no codes for primitives whose harmonics the
 gate drops (their rest comes back as exactly 0; the reference rounds 0 to its lattice).
 
-Layout of version 2 (packing_records): a header in JSON, the lattice (float32 m, then r), chunks.
-A chunk holds, for each of PARTS, u32 bytes and a stream (packing_streams).
+Layout of version 2 (records): a header in JSON, the lattice (float32 m, then r), chunks. A chunk
+holds, for each of PARTS, its length in bytes (u32) and a stream (streams).
 """
 
 import json
@@ -28,6 +28,7 @@ from torch.nn import functional
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import whole_file
+from splatproof.methods.contracts.reconstruction import Origin
 from splatproof.methods.storage.packed.morton import morton_codes
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import MemoryRows, Rows
@@ -53,11 +54,13 @@ class FileSettings(PackSettings):
     """How much is kept of a model, and how it is laid out."""
 
     sort: bool = True
-    """Order primitives along the Morton curve; False keeps their order."""
+    """Whether primitives are ordered along the Morton curve, so that neighbours in space are
+    neighbours in the file and it gets smaller; False: they keep their order."""
     planes: bool = True
-    """Bytes of one kind together, as differences where that pays; False: row after row."""
+    """Whether bytes of one kind lie together, as differences where that makes the file smaller;
+    False: the numbers of one primitive lie together."""
     entropy: Entropy = "zstd"
-    """"none" leaves the streams uncoded."""
+    """How the streams of the file are compressed at last. zstd: by zstd; none: not at all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,13 +70,12 @@ class PackedFacts:
     mode: Mode = "classic"
     """How it is rasterized."""
     shift: Float[Tensor, "3"] = field(default_factory=lambda: torch.zeros(3, dtype=torch.float64))
-    """Float64; added to the means it gives positions in the original frame."""
+    """Vector in scene units, float64; added to the means it gives positions in the original
+    frame."""
     units: str = "sfm"
     """Name of the length unit."""
-    method: str = "import"
-    """Name of the row that made it."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Every setting it was made with, JSON-ready."""
+    origin: Origin = field(default_factory=Origin)
+    """Where it comes from; the header holds its fields beside the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +83,14 @@ class PackedReport:
     """What writing a packed model gave."""
 
     primitives: int
+    """Number of primitives in the file."""
     open_share: float
     """Share of the primitives whose harmonics the gate kept."""
     bytes_by_part: Mapping[str, int]
-    """Of PARTS, and "frame": header, lattice, lengths, seals. They sum to the file."""
+    """Bytes of each of PARTS, and of "frame": header, lattice, lengths, seals. They sum to the
+    file."""
     seconds: float
+    """Wall seconds that writing took."""
 
     @property
     def bytes(self) -> int:
@@ -106,11 +111,12 @@ def write_packed(
     Held at once: 17 bytes a primitive (order, gate), and a few chunks.
 
     Args:
-        path: Written whole or not at all.
+        path: The file, written whole or not at all.
         source: Gaussians in memory, or rows of a model folder (FolderRows).
-        settings: What is kept and how.
-        facts: What is needed to draw and export it.
-        threads: None: all cores. The bytes do not depend on it.
+        settings: What is kept and how; None: the defaults.
+        facts: What is needed to draw and export it; None: the defaults.
+        threads: Number of threads that pack; None: one for each core. The bytes do not depend on
+            it.
 
     Raises: DataError for numbers that are not finite or do not fit half precision.
 
@@ -127,9 +133,10 @@ def write_packed(
         "bands": rows.bands,
         "chunk": CHUNK,
         "packing": asdict(settings),
-        **vars(facts),
+        "mode": facts.mode,
         "shift": facts.shift.tolist(),
-        "settings": dict(facts.settings),
+        "units": facts.units,
+        **asdict(facts.origin),
     }
     sizes = dict.fromkeys(PARTS, 0)
 
@@ -154,7 +161,13 @@ def write_packed(
 
 
 def in_order(work: Callable[[Any], T], items: Iterable[Any], workers: int) -> Iterator[T]:
-    """Results of work(item) in order, at most workers + 1 of them begun ahead."""
+    """Results of work(item) in the order of the items, while threads work ahead.
+
+    Args:
+        work: What is done with one item, in a thread.
+        items: Any number of items, taken one by one.
+        workers: Number of threads, at least 1; at most workers + 1 results are begun ahead.
+    """
     ahead: deque[Future[T]] = deque()
     with ThreadPoolExecutor(workers) as pool:
         try:

@@ -20,6 +20,9 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     Folders above are made. After an error nothing is left; after a kill, at most a file whose name
     ends in ".partial".
+
+    Args:
+        path: Name of the finished file; one that is there is replaced.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
@@ -31,12 +34,22 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a UTF-8 text file that is there whole or not at all."""
+    """Write a UTF-8 text file that is there whole or not at all.
+
+    Args:
+        path: Name of the file; its folder is made, and a file that is there is replaced.
+        text: What it is to hold; line ends stay as they are.
+    """
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file that is there whole or not at all."""
+    """Write a file that is there whole or not at all.
+
+    Args:
+        path: Name of the file; its folder is made, and a file that is there is replaced.
+        content: What it is to hold.
+    """
     with whole_file(path) as partial:
         partial.write_bytes(content)
 

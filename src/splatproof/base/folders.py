@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 SUFFIX = ".partial"
-"""Ends the temporary names; what carries it after a kill is rubbish."""
+"""End of temporary names; what carries it after a kill is rubbish."""
 
 
 @contextmanager

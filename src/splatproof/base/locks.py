@@ -16,7 +16,7 @@ def locked(
     """Hold the lock file `path` while the block runs.
 
     Args:
-        path: Made where it is missing, with its folders; its content is left alone.
+        path: The lock file, made where it is missing, with its folders; its content is left alone.
         busy: What a user is told where another process holds the lock; empty: wait for it.
         elsewhere: What a user can do where the file cannot be made.
 
@@ -34,7 +34,14 @@ def locked(
 
 
 def lock(file: IO[Any], *, busy: str = "") -> None:
-    """Lock an open file until it is closed; `busy` and what is raised are those of `locked`."""
+    """Lock an open file until it is closed.
+
+    Args:
+        file: Any open file; its content is left alone.
+        busy: What a user is told where another process holds the lock; empty: wait for it.
+
+    Raises: UsageError saying `busy`.
+    """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0))
     except BlockingIOError:

@@ -16,7 +16,7 @@ def unknown(where: str, name: str, known: Iterable[str]) -> UsageError:
 
     Args:
         where: What the name should be one of, or the place where it was found.
-        name: As it was given.
+        name: The name that was given.
         known: Names that exist.
     """
     return UsageError(f"{where}: unknown {name!r}{did_you_mean(name, known)}")
@@ -24,6 +24,10 @@ def unknown(where: str, name: str, known: Iterable[str]) -> UsageError:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """End of a sentence about an unknown name: ", did you mean 'x'? There are: x, y".
+
+    Args:
+        name: The name that was given.
+        known: Names that exist; they are listed up to LISTED, else counted.
 
     >>> did_you_mean("psrn", ["psnr", "flip"])
     ", did you mean 'psnr'? There are: flip, psnr"

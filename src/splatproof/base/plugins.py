@@ -14,7 +14,7 @@ def with_plugins(built_in: Mapping[str, T], group: str, kind: type[T]) -> dict[s
 
     Args:
         built_in: Our own entries by name; they come first and cannot be replaced.
-        group: Of the entry points, "splatproof.methods" for example.
+        group: Name of the entry point group, "splatproof.methods" for example.
         kind: Type that each entry point must load to.
 
     Returns: Both, by name; the entry point's name is the entry's.

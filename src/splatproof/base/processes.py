@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, final
 
+from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
 
 
@@ -27,8 +28,8 @@ class Worker:
         """Start it. Ctrl-C and SIGTERM wait until it is started; it never hears ctrl-C itself.
 
         Args:
-            work: Called there as work(connection, *arguments); importable by name.
-            arguments: Sent there by pickle.
+            work: Called in the new process as work(connection, *arguments); importable by name.
+            arguments: What else it gets, sent by pickle.
             preload: Modules that are imported once for all workers that name them, where import
                 costs more than what a worker does; empty: the worker imports what it needs.
 
@@ -40,7 +41,7 @@ class Worker:
         else:
             context = multiprocessing.get_context("spawn")
         self._says, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(work, theirs, arguments))
+        self._process = context.Process(target=_serve, args=(work, theirs, arguments, is_quiet()))
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says)
         try:
@@ -61,6 +62,9 @@ class Worker:
 
     def send(self, message: object) -> None:
         """Say something to the worker.
+
+        Args:
+            message: Anything that pickle can send.
 
         Raises: EOFError if it has ended.
         """
@@ -101,7 +105,13 @@ class Worker:
 
 
 def listening(workers: Sequence[Worker]) -> list[Worker]:
-    """Wait until some of these have something to say, or have ended; which ones."""
+    """Wait until some workers have something to say, or have ended.
+
+    Args:
+        workers: Those that are waited for, at least one.
+
+    Returns: Those that have; at least one.
+    """
     ready = set(wait([end for one in workers for end in (one._says, one._process.sentinel)]))
     return [one for one in workers if ready & {one._says, one._process.sentinel}]
 
@@ -113,10 +123,12 @@ def _end(process: BaseProcess, says: Connection) -> None:
     says.close()  # not before: the worker would say that nobody listens
 
 
-def _serve(work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...]) -> None:
-    """What a worker's process does."""
+def _serve(
+    work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...], quiet: bool
+) -> None:
+    """What a worker's process does; it is as quiet as the one that started it."""
     serve_parent()
-    with connection:
+    with connection, silenced(quiet):
         work(connection, *arguments)
 
 
@@ -135,7 +147,11 @@ def _die_with_parent() -> None:
 
 
 def how_it_ended(code: int | None) -> str:
-    """What an exit code says, to be read after "its process": a signal's name, or the code."""
+    """What an exit code says, to be read after "its process": a signal's name, or the code.
+
+    Args:
+        code: Exit code of a process; negative: number of the signal that ended it.
+    """
     if code is not None and code < 0:
         name = signal.Signals(-code).name
         hint = "; this is what running out of memory looks like" if name == "SIGKILL" else ""

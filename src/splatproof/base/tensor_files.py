@@ -19,9 +19,9 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = Non
     """Write named tensors and JSON-ready facts into one file that is there whole or not at all.
 
     Args:
-        path: Its folder is made.
-        tensors: By name.
-        facts: Stored in the file's header.
+        path: Name of the file; its folder is made, and a file that is there is replaced.
+        tensors: Tensors by name, on any device.
+        facts: JSON-ready content of the file's header, which `read_tensors` gives back.
     Raises: OSError where the disk does not take it.
     """
     content = {name: tensor.detach().contiguous() for name, tensor in tensors.items()}

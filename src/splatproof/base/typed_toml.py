@@ -22,8 +22,8 @@ def read_toml(path: Path, fault: type[SplatproofError] = UsageError) -> dict[str
     """The tables of a TOML file.
 
     Args:
-        path: Of the file.
-        fault: What is raised: DataError for a file that belongs to data.
+        path: The file, in UTF-8.
+        fault: Type of the error that is raised: DataError for a file that belongs to data.
     Raises: `fault` naming the file when it is missing, not text or not TOML.
     """
     try:
@@ -40,13 +40,13 @@ def build(
     where: str,
     fault: type[SplatproofError] = UsageError,
 ) -> T:
-    """`table` as the dataclass `kind`, nested ones included; only whole numbers become floats.
+    """A table as a dataclass, nested ones included; only whole numbers change type, to floats.
 
     Args:
         kind: Frozen dataclass of plain types, tuples, dicts, unions and such dataclasses.
-        table: As read from TOML.
+        table: The table, as it was read from TOML.
         where: File and place in it, for errors.
-        fault: What is raised: DataError for a file that belongs to data.
+        fault: Type of the error that is raised: DataError for a file that belongs to data.
     Raises: `fault` naming the key, what was found and what was expected.
     """
     try:

@@ -19,12 +19,15 @@ class Finding:
     """One thing that was looked at."""
 
     topic: str
+    """Heading that it stands under."""
     name: str
+    """What was looked at."""
     status: Literal["ok", "absent", "fault"]
     """absent: something optional is not there; fault: something essential is not."""
     found: str
+    """What there is."""
     fix: str = ""
-    """What to do about it."""
+    """What to do about it; empty: nothing."""
 
 
 def doctor(*, out: Path = Path("runs")) -> int:

@@ -46,9 +46,9 @@ def run(
     store (MLFLOW_TRACKING_URI, else OUT/mlflow.db).
 
     With --json each case is a line: suite, scene, method, variant, pose_noise, protocol, seed,
-    status (kept, finished, failed), error, folder, every metric by its name, seconds by stage, primitives,
-    bytes_on_disk, peak_memory_mb, render_ms. With --dry-run too the line has estimated_seconds,
-    estimated_memory_mb, basis and missing instead of results.
+    status (kept, finished, failed), error, folder, every metric by its name, seconds by stage,
+    primitives, bytes_on_disk, peak_memory_mb, render_ms. With --dry-run too the line has
+    estimated_seconds, estimated_memory_mb, basis and missing instead of results.
 
     Args:
         suite: Name of a suite, or the path of a .toml file.

@@ -25,6 +25,7 @@ class Trio:
     render: Path
     truth: Path
     mask: Path | None
+    """White where a pixel counts; None: all count."""
 
 
 def score(
@@ -42,9 +43,10 @@ def score(
     Files are matched by their path in the folder without the suffix (PNG, JPEG, TIFF; 8 bit, or 16
     bit RGB as PNG). Where TRUTH is the truth/ of a finished case (`bench fit`, `bench run`) and
     nothing else is asked for, its protocol and its masks/ are used; with its renders/ that gives the
-    image scores of its record again to the last digit. Every file is looked at before anything is scored, and each that is missing, left over, unreadable or
-    of another size is named. Only the scoring rules of a protocol apply (rounding, masks, region,
-    metrics, colour fits); which images there are, and their sizes, is what the folders hold.
+    image scores of its record again to the last digit. Every file is looked at before anything is
+    scored, and each that is missing, left over, unreadable or of another size is named. Only the
+    scoring rules of a protocol apply (rounding, masks, region, metrics, colour fits); which images
+    there are, and their sizes, is what the folders hold.
 
     With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
     valid_share and every metric by its name; then a line with image null: the mean of each over the
