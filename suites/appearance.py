@@ -9,11 +9,9 @@ from torch import Tensor
 
 from splatproof.methods.contracts.reconstruction import Adapts, Reconstruction
 from splatproof.metrics.colour_fit import fit_colours
+from splatproof.reference.types.nearest_view import nearest_view
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import View
-
-ALIKE = 0.866
-"""Least cosine between the directions of two views that look alike: 30 degrees."""
 
 
 def shown(view: View, training: Sequence[View], model: Reconstruction, protocol: Protocol) -> View:
@@ -30,7 +28,7 @@ def shown(view: View, training: Sequence[View], model: Reconstruction, protocol:
     """
     asked = view.without_truth()
     if protocol.appearance == "nearest":
-        return replace(asked, appearance=nearest(view, training).name)
+        return replace(asked, appearance=nearest_view(view, training).name)
     if protocol.appearance in ("half", "oracle") and isinstance(model, Adapts):
         columns = usable_columns(view.camera.width, protocol)
         code = model.fit_appearance(asked, view.load()[:, columns], columns)
@@ -67,26 +65,6 @@ def usable_columns(width: int, protocol: Protocol) -> slice:
         protocol: The rules, of which `appearance` counts.
     """
     return slice(0, width if protocol.appearance == "oracle" else width // 2)
-
-
-def nearest(view: View, training: Sequence[View]) -> View:
-    """The training view whose light a view most probably has.
-
-    Views of the same sensor come before others, then those that look in nearly the same direction
-    (within 30 degrees, as long as there are any), and of these the one whose centre is nearest.
-
-    Args:
-        view: Any view.
-        training: Training views, at least one.
-
-    Source: spec of DLG-GS's test protocol: same sensor and direction before nearest centre.
-    """
-    same = [other for other in training if other.sensor == view.sensor] or list(training)
-    towards = [float(other.camera.rotation[2] @ view.camera.rotation[2]) for other in same]
-    alike = [other for other, cosine in zip(same, towards, strict=True) if cosine >= ALIKE] or [
-        max(zip(towards, range(len(same)), same, strict=True))[2]
-    ]
-    return min(alike, key=lambda other: float((other.camera.centre - view.camera.centre).norm()))
 
 
 def told(model: Reconstruction, protocol: Protocol) -> str:

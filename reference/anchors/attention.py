@@ -46,16 +46,41 @@ def create(
     )  # fmt: skip
 
 
+def in_box(
+    centres: Float[Tensor, "n 3"], low: Float[Tensor, "3"], high: Float[Tensor, "3"]
+) -> Float[Tensor, "n 3"]:
+    """Share of the way through the scene's box along each axis, in [0, 1): what the code reads.
+
+    Args:
+        centres: Anchor positions, scene units; those outside the box count as on its side.
+        low: Corner of the box with the smallest coordinates, scene units.
+        high: The opposite corner.
+
+    Raises: ValueError if the box has no extent along an axis.
+
+    Source: ours.
+    """
+    if not (high > low).all():
+        raise ValueError(f"box without extent: from {low.tolist()} to {high.tolist()}")
+    return ((centres - low) / (high - low)).clamp(0, 1 - torch.finfo(centres.dtype).eps)
+
+
 def fourier_code(centres: Float[Tensor, "n 3"]) -> Float[Tensor, "n 24"]:
     """eps_a: sin and cos of 2 pi w_k x + phi_k, w_k = 2^(k-1), phi_k = 0, pi/2, 0, pi/2.
 
+    The code has period 1, so no two places of [0, 1) share one; only its two ends meet.
+
     Args:
-        centres: Anchor positions scaled to about [-1, 1]: large values lose digits in float32.
+        centres: Anchor positions in [0, 1), from `in_box`.
 
     Returns: For each octave sin x 3 then cos x 3.
 
+    Raises: ValueError if a position is outside [0, 1), where it would alias.
+
     Source: DLG-GS, Eq. 6; frequencies and phases as the spec decides.
     """
+    if not ((centres >= 0) & (centres < 1)).all():
+        raise ValueError("the code has period 1: scale positions to [0, 1), see in_box")
     parts = []
     for octave in range(OCTAVES):
         argument = 2 * math.pi * 2**octave * centres + (octave % 2) * math.pi / 2

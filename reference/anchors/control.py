@@ -24,7 +24,8 @@ class GrowthSettings:
     opacity: float = 0.005
     """Mean opacity of an anchor's Gaussians below which it is pruned."""
     unvisited: int = 500
-    """Iterations outside every view after which an anchor is pruned."""
+    """Steps outside every view after which an anchor is pruned; `keep` raises it to two passes over
+    the training views where that is longer."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,6 +63,7 @@ def voxel_statistics(
 
 
 def new_anchors(
+    anchors: Float[Tensor, "n 3"],
     positions: Float[Tensor, "m 3"],
     statistics: VoxelStatistics,
     voxel: float,
@@ -70,9 +72,12 @@ def new_anchors(
     """Centres of new anchors: none where the gradient is low, fine ones where it is dense too.
 
     High gradient and high density: a centre in every sub-cell (fine x fine x fine) that holds a
-    Gaussian. High gradient, low density: one centre for the whole voxel.
+    Gaussian. High gradient, low density: one centre for the whole voxel. A cell of either kind
+    that holds an anchor already gets none (ours), so that anchors which stood in distinct sub-cells
+    still do: the support network's grid must then have the sub-cells' edge, voxel / fine.
 
     Args:
+        anchors: Centres of the anchors so far, scene units.
         positions: Means of the neural Gaussians in scene units.
         statistics: From `voxel_statistics` with the same positions and voxel.
         voxel: Edge of a voxel in scene units, > 0.
@@ -84,11 +89,21 @@ def new_anchors(
     """
     steep = statistics.gradient >= settings.gradient
     dense = statistics.density >= settings.density
-    coarse = (statistics.cells[steep & ~dense].to(positions) + 0.5) * voxel
+    coarse = _free(statistics.cells[steep & ~dense], anchors, voxel)
     inside = (steep & dense)[statistics.owner]
     edge = voxel / settings.fine
     parts = torch.unique((positions[inside] / edge).floor().long(), dim=0)
-    return torch.cat([coarse, (parts.to(positions) + 0.5) * edge])
+    fine = _free(parts, anchors, edge)
+    return torch.cat([(coarse.to(positions) + 0.5) * voxel, (fine.to(positions) + 0.5) * edge])
+
+
+def _free(
+    cells: Int[Tensor, "c 3"], anchors: Float[Tensor, "n 3"], edge: float
+) -> Int[Tensor, "d 3"]:
+    """The cells of this edge in which no anchor stands."""
+    taken = {tuple(cell) for cell in (anchors / edge).floor().long().tolist()}
+    free = [tuple(cell) not in taken for cell in cells.tolist()]
+    return cells[torch.tensor(free, dtype=torch.bool)]
 
 
 def temporal_growth(
@@ -120,15 +135,24 @@ def update_unvisited(record: Int[Tensor, " n"], visible: Bool[Tensor, " n"]) -> 
 
 
 def keep(
-    opacity: Float[Tensor, " n"], record: Int[Tensor, " n"], settings: GrowthSettings
+    opacity: Float[Tensor, " n"],
+    record: Int[Tensor, " n"],
+    views: int,
+    settings: GrowthSettings,
 ) -> Bool[Tensor, " n"]:
     """Anchors that stay: opaque enough over N_p iterations, and visited recently enough.
+
+    Each pass draws every training view once in a new order, so an anchor that a single one sees
+    may wait for nearly two passes: with a shorter limit the draw alone would prune it (ours).
 
     Args:
         opacity: Mean opacity of each anchor's Gaussians over the N_p iterations in which it was
             visible; nan for an anchor that never was (only its record counts).
         record: Iterations since each anchor was last in a view, from `update_unvisited`.
+        views: Number of training views, > 0.
         settings: Least opacity, and the longest time out of view.
+
+    Source: HDGS, Sec. 3.5, "Pruning".
     """
     faint = opacity < settings.opacity  # nan compares as false
-    return ~faint & (record <= settings.unvisited)
+    return ~faint & (record <= max(settings.unvisited, 2 * views))

@@ -1,17 +1,16 @@
-"""Lighting-adaptive appearance (DLAAM): colour head, its losses, and what a test view may know."""
+"""Lighting-adaptive appearance (DLAAM): colour head and its losses.
 
-from typing import Literal
+Which image a test view's factor comes from, the paper does not say: a protocol does, by naming a
+training view (`nearest_view`) or by handing over the part of the test image that is not scored.
+"""
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatproof.reference.anchors import hvi
 from splatproof.reference.supervision.losses import ssim_map
 from splatproof.reference.types import mlp
 from splatproof.reference.types.mlp import Mlp
-
-TestMode = Literal["nearest", "half", "oracle"]
 
 
 def adapt_colours(
@@ -111,36 +110,3 @@ def dropout_loss(
     target = full.detach()
     l1 = (dropped - target).abs().mean()
     return (1 - dssim) * l1 + dssim * (1 - ssim_map(dropped, target).mean())
-
-
-def factor_at_test(
-    mode: TestMode,
-    weights: Float[Tensor, "12 e"],
-    test_image: Float[Tensor, "h w 3"],
-    train_images: list[Float[Tensor, "ht wt 3"]],
-    train_distances: Float[Tensor, " v"],
-) -> Float[Tensor, " e"]:
-    """eps_s of a test view, by what it may know; the paper does not say which it used.
-
-    - nearest: that of the nearest training view (ties: first). The default: nothing leaks.
-    - half: that of the left half of the test image; then only the right half may be scored.
-    - oracle: that of the whole test image. It leaks the truth, and its rows are never ranked.
-
-    Args:
-        mode: What the view may know, as listed above.
-        weights: Learnt linear layer of f_HVI, as `hvi.illumination_factor` takes it.
-        test_image: The photo of the test view, sRGB in [0, 1]; not read in mode "nearest".
-        train_images: Photos of the training views, sRGB in [0, 1]; only read in mode "nearest".
-        train_distances: Distance from the test camera to each training camera, any unit.
-
-    Raises: ValueError for "nearest" without training views.
-
-    Source: ours (spec: protocol, "appearance at test").
-    """
-    if mode == "oracle":
-        return hvi.illumination_factor(test_image, weights)
-    if mode == "half":
-        return hvi.illumination_factor(test_image[:, : test_image.shape[1] // 2], weights)
-    if not train_images:
-        raise ValueError("no training view to take the illumination from")
-    return hvi.illumination_factor(train_images[int(train_distances.argmin())], weights)

@@ -1,6 +1,6 @@
 """HDGS hierarchy: few moving anchors, refined layer by layer into the Gaussians of one instant."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -26,7 +26,9 @@ class HierarchySettings:
     children: int = 2
     """k: number of children of an anchor in the anchor layers."""
     gaussians: int = 12
-    """K: number of Gaussians of one initial anchor; a multiple of k^(N - 2)."""
+    """K: number of Gaussians of one initial anchor; a multiple of k^(N - 2). The paper's K stays at
+    12, which stores more numbers the more layers there are, and does not divide at N = 5; with
+    `by_leaf` it grows with the depth instead. Tables over N have a row for either rule."""
     features: int = 32
     instance: int = 8
     period: float = 1.0
@@ -36,6 +38,31 @@ class HierarchySettings:
     def leaves(self) -> int:
         """Anchors of layer N - 2 that descend from one initial anchor: k^(N - 2)."""
         return self.children ** (self.layers - 2)
+
+
+def by_leaf(settings: HierarchySettings, leaf: int) -> HierarchySettings:
+    """The second rule of size, K = leaf k^(N - 2): the last anchors keep their number of Gaussians.
+
+    One layer more then halves the number of initial anchors that a number of Gaussians takes,
+    which is the halved storage of the paper's Table 8.
+
+    Args:
+        settings: Layers N and children k are read; `gaussians` is replaced.
+        leaf: Number of Gaussians of each anchor of layer N - 2, > 0; the paper has 6 at N = 3.
+
+    Raises: ValueError if there are fewer than 2 layers: one layer of Gaussians without anchors is
+        no hierarchy but per-Gaussian motion, a method of its own.
+
+    Source: ours.
+    """
+    _check_layers(settings)
+    return replace(settings, gaussians=leaf * settings.leaves)
+
+
+def _check_layers(settings: HierarchySettings) -> None:
+    """Refuse a hierarchy without anchors."""
+    if settings.layers < 2:
+        raise ValueError(f"need at least 2 layers, anchors and Gaussians: N {settings.layers}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,9 +131,10 @@ def create_networks(
 
     Raises: ValueError if there are fewer than 2 layers or K is not a multiple of k^(N - 2).
     """
-    if settings.layers < 2 or settings.gaussians % settings.leaves:
+    _check_layers(settings)
+    if settings.gaussians % settings.leaves:
         raise ValueError(
-            f"need at least 2 layers, and K a multiple of k^(N - 2): N {settings.layers}, "
+            f"K must be a multiple of k^(N - 2), see by_leaf: N {settings.layers}, "
             f"k {settings.children}, K {settings.gaussians}"
         )
     wide = settings.features

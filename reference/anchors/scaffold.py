@@ -17,7 +17,7 @@ class Anchors:
     """What is stored and trained for each anchor."""
 
     centres: Float[Tensor, "n 3"]
-    """Voxel centres, scene units; they never move."""
+    """Voxel centres, scene units; they never move, unless a depth constraint gives them a rate."""
     offsets: Float[Tensor, "n k 3"]
     """Where the k Gaussians stand about the centre, in units of the anchor's offset scale."""
     features: Float[Tensor, "n f"]

@@ -1,4 +1,10 @@
-"""Voxel-depth joint constraint (VDJC): Gaussians and their anchors against a relative depth."""
+"""Voxel-depth joint constraint (VDJC): Gaussians and their anchors against a relative disparity.
+
+The paper blends distances and compares them with what a monocular network says. Such a network says
+a d + b of the disparity d, with a and b unknown: no inverse of that is affine in depth. So here both
+renders blend inverse distances, which a robust affine map can bring to the network's range, and in
+which what nothing covers is infinitely far instead of at the camera (ours).
+"""
 
 from dataclasses import dataclass
 
@@ -16,10 +22,14 @@ QUANTILES = (0.02, 0.98)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthWeights:
-    """lambda_EC and lambda_MC. Source: DLG-GS, Sec. 3.2."""
+    """lambda_EC, lambda_MC and the rate that lets the second act. Source: DLG-GS, Sec. 3.2."""
 
     gaussian: float = 0.01
     anchor: float = 0.01
+    anchor_rate: float = 1.6e-4
+    """Learning rate of the anchors' centres in units of the scene's extent, where this constraint
+    is on. The anchor term reaches nothing but centres, and those of Scaffold-GS have rate 0: it
+    would have no effect. The paper gives no value; this is 3DGS's first rate of positions."""
 
 
 def _blend(
@@ -36,14 +46,19 @@ def _blend(
     ).colour[..., 0]
 
 
-def gaussian_depth(
+def _inverse_distances(camera: Camera, positions: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+    """1 / |x - x_c|; what is nearer than the near plane counts as on it."""
+    return 1 / (positions - camera.centre.to(positions)).norm(dim=1).clamp(min=camera.near)
+
+
+def gaussian_disparity(
     camera: Camera,
     means: Float[Tensor, "n 3"],
     quaternions: Float[Tensor, "n 4"],
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
 ) -> Float[Tensor, "h w"]:
-    """D_ng = sum delta_i w_i, delta = |u_i - x_c|; gradients reach position and opacity only.
+    """D_ng = sum w_i / delta_i, delta = |u_i - x_c|; gradients reach position and opacity only.
 
     Not normalised by the weights (as the paper prints it): a pixel that nothing covers has 0.
 
@@ -54,22 +69,24 @@ def gaussian_depth(
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
         opacities: Opacity of each Gaussian, in [0, 1].
 
-    Returns: Blended distance to the camera centre, scene units.
+    Returns: Blended inverse distance to the camera centre, one over scene units.
 
-    Source: DLG-GS, Eqs. 1 and 2.
+    Source: DLG-GS, Eqs. 1 and 2, with 1 / delta for delta.
     """
-    distances = (means - camera.centre.to(means)).norm(dim=1)
-    return _blend(camera, means, quaternions.detach(), scales.detach(), opacities, distances)
+    carried = _inverse_distances(camera, means)
+    return _blend(camera, means, quaternions.detach(), scales.detach(), opacities, carried)
 
 
-def anchor_depth(
+def anchor_disparity(
     camera: Camera,
     anchors: Float[Tensor, "n 3"],
     means: Float[Tensor, "n 3"],
     quaternions: Float[Tensor, "n 4"],
     scales: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "h w"]:
-    """D_va: the anchors' distances blended with tau G(p), tau = 0.95; gradients reach anchors only.
+    """D_va: as D_ng with the anchors' distances and tau G(p), tau = 0.95; gradients reach anchors.
+
+    Anchors only: they must have a learning rate, see `DepthWeights.anchor_rate`.
 
     Args:
         camera: The pinhole camera, from whose centre distances are taken.
@@ -78,17 +95,15 @@ def anchor_depth(
         quaternions: (w, x, y, z), any norm; no gradient flows to them.
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
 
-    Source: DLG-GS, Eq. 3.
+    Source: DLG-GS, Eq. 3, with 1 / delta for delta.
     """
-    distances = (anchors - camera.centre.to(anchors)).norm(dim=1)
-    opacities = torch.full_like(distances, ANCHOR_OPACITY).detach()
-    return _blend(
-        camera, means.detach(), quaternions.detach(), scales.detach(), opacities, distances
-    )
+    carried = _inverse_distances(camera, anchors)
+    opacities = torch.full_like(carried, ANCHOR_OPACITY).detach()
+    return _blend(camera, means.detach(), quaternions.detach(), scales.detach(), opacities, carried)
 
 
-def normalise_depth(
-    depth: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"]
+def normalise_disparity(
+    disparity: Float[Tensor, "h w"], valid: Bool[Tensor, "h w"]
 ) -> Float[Tensor, "h w"]:
     """Robust affine map: the 2 % quantile of the valid pixels to 0, the 98 % quantile to 1.
 
@@ -96,24 +111,19 @@ def normalise_depth(
     to 0; so do invalid pixels (also where they are inf or NaN).
 
     Args:
-        depth: Depth in any unit.
-        valid: Pixels whose depth is known; only these set the range.
+        disparity: Disparity in any unit.
+        valid: Pixels whose disparity is known; only these set the range.
 
     Source: ours (the paper: "normalized to a comparable range").
     """
-    clean = torch.where(valid, depth, 0)
+    clean = torch.where(valid, disparity, 0)
     if not valid.any():
         return clean
-    low, high = torch.quantile(depth[valid].detach(), depth.new_tensor(QUANTILES))
+    low, high = torch.quantile(disparity[valid].detach(), disparity.new_tensor(QUANTILES))
     spread = high - low
     if not spread > 0:
         return torch.where(valid, clean * 0, 0)
     return torch.where(valid, (clean - low) / spread, 0)
-
-
-def from_disparity(disparity: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-    """Depth 1 / d of a monocular disparity; inf where it is not positive (mask those out)."""
-    return torch.where(disparity > 0, 1 / torch.where(disparity > 0, disparity, 1), torch.inf)
 
 
 def appearance_weight(
@@ -141,18 +151,18 @@ def depth_loss(
     """L_depth = l_EC mean(w |D_ng - D_r|) + l_MC mean(w |D_va - D_r|), each map normalised.
 
     Args:
-        gaussian: D_ng, from `gaussian_depth`.
-        anchor: D_va, from `anchor_depth`.
-        reference: Monocular depth D_r (not disparity), relative only.
+        gaussian: D_ng, from `gaussian_disparity`.
+        anchor: D_va, from `anchor_disparity`.
+        reference: Disparity D_r as a monocular network says it: scale and zero point unknown.
         valid: Pixels where D_r is known.
         weight: w in [0, 1], from `appearance_weight`.
         strength: Factors l_EC and l_MC of the two terms.
 
     Source: DLG-GS, Eqs. 4 and 5.
     """
-    target = normalise_depth(reference, valid)
+    target = normalise_disparity(reference, valid)
     terms = [
-        (weight * (normalise_depth(depth, valid) - target).abs()).mean()
-        for depth in (gaussian, anchor)
+        (weight * (normalise_disparity(disparity, valid) - target).abs()).mean()
+        for disparity in (gaussian, anchor)
     ]
     return strength.gaussian * terms[0] + strength.anchor * terms[1]

@@ -53,6 +53,9 @@ def outlier_loss(
 ) -> Float[Tensor, ""]:
     """L_out = 1/N sum w 1(e > delta) e, e = |rank - mean rank of the neighbourhood|.
 
+    `soft_rank` of a whole image keeps a table of n x n numbers for its gradient: 58 GB at 120,000
+    pixels in float32. Until there is a twin that ranks whole images, this is for small crops.
+
     Args:
         ranks: Soft ranks of the rendered depth, divided by the number of pixels so that delta does
             not depend on the image size (ours).

@@ -6,6 +6,8 @@ from torch import Tensor
 
 ROWS_AT_ONCE = 1024
 """Rows of the pairwise table held at a time; memory only."""
+ROUNDING = 4.0
+"""Spread of a constant vector at most, in units in the last place of its largest value."""
 
 
 def soft_rank(values: Float[Tensor, " n"], temperature: float) -> Float[Tensor, " n"]:
@@ -33,6 +35,29 @@ def soft_rank(values: Float[Tensor, " n"], temperature: float) -> Float[Tensor, 
     return torch.cat(parts) if parts else values
 
 
+def standardised(values: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """(z - mean) / deviation; all 0, and with zero gradient, where z is constant.
+
+    A spread of a few units in the last place of the largest value is rounding, so it counts as
+    constant: divided by itself it would be noise with a gradient of one over the noise (ours).
+
+    Args:
+        values: Numbers in any unit.
+
+    Raises: ValueError if a value is not finite.
+    """
+    if not values.isfinite().all():
+        raise ValueError("soft ranks need finite values: mask the others out first")
+    if len(values) == 0:
+        return values
+    span = (values.max() - values.min()).detach()
+    varies = span > ROUNDING * torch.finfo(values.dtype).eps * values.abs().max()
+    # Divided by the span first, since squares of very small or large numbers leave the dtype.
+    centred = (values - values.mean()) / torch.where(varies, span, 1)
+    deviation = torch.where(varies, centred.square().mean(), 1).sqrt()
+    return torch.where(varies, centred / deviation, 0)
+
+
 def correlation(a: Float[Tensor, " n"], b: Float[Tensor, " n"]) -> Float[Tensor, ""]:
     """Pearson correlation in [-1, 1]; 0 with zero gradient where either one is constant.
 
@@ -40,13 +65,7 @@ def correlation(a: Float[Tensor, " n"], b: Float[Tensor, " n"]) -> Float[Tensor,
         a: One vector of finite numbers.
         b: The other, in any unit of its own.
     """
-    if len(a) < 2:
-        return (a.sum() + b.sum()) * 0
-    a, b = a - a.mean(), b - b.mean()
-    power = (a * a).sum() * (b * b).sum()
-    # A constant vector keeps rounding noise of about n eps |mean|, far below any real spread.
-    varies = power > torch.finfo(a.dtype).tiny
-    return torch.where(varies, (a * b).sum() / torch.where(varies, power, 1).sqrt(), 0)
+    return (standardised(a) * standardised(b)).sum() / max(1, len(a))
 
 
 def spearman(
@@ -54,14 +73,18 @@ def spearman(
 ) -> Float[Tensor, ""]:
     """Approximate Spearman correlation: Pearson of the two soft-rank vectors, in [-1, 1].
 
+    Each vector is divided by its standard deviation before it is ranked: one temperature cannot
+    serve metres and the numbers of a network (ours).
+
     Args:
         a: One vector of finite numbers.
-        b: The other, in the same unit, since both are ranked with one temperature.
-        temperature: tau > 0, in the unit of the values.
+        b: The other, in any unit of its own.
+        temperature: tau > 0, in standard deviations.
 
     Source: HDGS, Eq. 10.
     """
-    return correlation(soft_rank(a, temperature), soft_rank(b, temperature))
+    ranks = [soft_rank(standardised(values), temperature) for values in (a, b)]
+    return correlation(*ranks)
 
 
 def global_depth_loss(
@@ -71,8 +94,8 @@ def global_depth_loss(
 
     Args:
         rendered: Rendered depth at a sample of pixels.
-        estimated: Monocular depth (not disparity) at these pixels, scaled to the same spread.
-        temperature: tau > 0 of the soft ranks, in the unit of both depths.
+        estimated: Monocular depth (not disparity) at these pixels, in any unit.
+        temperature: tau > 0 of the soft ranks, in standard deviations of either depth.
 
     Source: HDGS, Eq. 11.
     """

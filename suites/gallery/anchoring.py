@@ -37,8 +37,8 @@ def draw_attention(scene: Scene, path: Path) -> None:
         path: PNG file to write.
     """
     centres, voxel = _anchors_of(scene, 400)
-    scaled = centres / centres.abs().max()
-    inputs = anchor_attention.fourier_code(scaled)
+    place = anchor_attention.in_box(centres, centres.amin(dim=0), centres.amax(dim=0))
+    inputs = anchor_attention.fourier_code(place)
     weights = anchor_attention.create(24, 16, torch.Generator().manual_seed(0), torch.float64)
     gated = anchor_attention.pooled_gates(inputs, weights)
     radius = 4 * voxel

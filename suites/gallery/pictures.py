@@ -99,7 +99,8 @@ COMPONENTS = (
     ),
     Component(
         title="Lighting-adaptive appearance",
-        modules=("reference/anchors/hvi", "reference/anchors/attention", "reference/anchors/lighting_appearance"),
+        modules=("reference/anchors/hvi", "reference/anchors/attention", "reference/anchors/lighting_appearance",
+                 "reference/types/nearest_view"),
         source="DLG-GS, Sec. 2.3, Eqs. 6 to 19",
         pictures=(Picture(file="attention", draw=anchoring.draw_attention,
                           caption="Whom three anchors attend to, and how strongly"),),

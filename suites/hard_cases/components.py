@@ -56,7 +56,7 @@ def _valid_depth(kind: str) -> tuple[Tensor, ...]:
 
 
 def _normalise(depth: Tensor, valid: Tensor) -> Tensor:
-    return depth_constraint.normalise_depth(depth, valid > 0)
+    return depth_constraint.normalise_disparity(depth, valid > 0)
 
 
 def _attention(radius: float):

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from helpers.tiny_scene import camera, tiny_scene
+from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.methods.contracts.reconstruction import Stored
 from splatproof.metrics.protocol_files import load_protocol
@@ -108,27 +108,6 @@ def test_nothing_of_the_scored_half_is_looked_at(mode, tmp_path):
     asked = appearance.shown(other.test_views[0], other.train_views, Fitting(SCENE, []), left)
     assert isinstance(asked.appearance, Tensor)
     assert float(asked.appearance) != pytest.approx(1.0, abs=1e-3)  # the oracle does look
-
-
-def view(name: str, *, x: float = 0.0, sensor: str = "", turned: bool = False) -> View:
-    pose = torch.eye(4, dtype=torch.float64)
-    if turned:
-        pose[:3, :3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0]).double())
-    pose[:3, 3] = pose[:3, :3] @ torch.tensor([-x, 0.0, 0.0]).double()
-    where = replace(camera(0), world_to_camera=pose)
-    return View(name=name, camera=where, load=lambda: torch.zeros(1, 1, 3), sensor=sensor)
-
-
-def test_the_nearest_view_is_of_the_same_sensor_and_direction_first():
-    asked = view("asked", sensor="left")
-    near_other = view("near, other sensor", x=0.1, sensor="right")
-    near_back = view("near, looks back", x=0.2, sensor="left", turned=True)
-    alike = view("alike", x=0.5, sensor="left")
-    farther = view("farther", x=0.9, sensor="left")
-    every = [near_other, near_back, farther, alike]
-    assert appearance.nearest(asked, every).name == "alike"
-    assert appearance.nearest(asked, [near_other, near_back]).name == "near, looks back"
-    assert appearance.nearest(asked, [near_other]).name == "near, other sensor"
 
 
 def test_nearest_names_a_training_view_for_the_model():

@@ -5,6 +5,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch import Tensor
 from torch.testing import assert_close
 
 from helpers.splats import colours
@@ -19,7 +20,7 @@ FLAT = replace(SMALL, layers=2, gaussians=3)
 
 
 def model(n: int, seed: int, sizes: mh.HierarchySettings = SMALL, *, rigid: bool = False):
-    """Anchors with motion; residual networks are random, or zero where rigid."""
+    """Anchors with motion; networks have random biases, residual ones are zero where rigid."""
     g = torch.Generator().manual_seed(seed)
     counts = [sizes.children**i for i in range(1, sizes.layers - 1)] + [sizes.gaussians]
 
@@ -41,30 +42,80 @@ def model(n: int, seed: int, sizes: mh.HierarchySettings = SMALL, *, rigid: bool
             mh.LayerNetworks(**{name: stir(net) for name, net in vars(layer).items()})
             for layer in networks.layers
         )
-        networks = replace(networks, layers=layers, leaf_position=stir(networks.leaf_position))
+        others = ("leaf_position", "colour", "opacity", "shape")
+        stirred = {name: stir(getattr(networks, name)) for name in others}
+        networks = replace(networks, layers=layers, **stirred)
     return anchors, networks
 
 
-def test_positions_by_hand_of_the_equations():
-    """One anchor of three layers, unrolled by hand: two sub-anchors with three Gaussians each."""
-    anchors, networks = model(1, 3)
-    time = 0.37
-    sway = 0.8 / (2 * math.pi) * math.sin(2 * math.pi * (time - float(anchors.peaks)) / 0.8)
-    root = anchors.centres[0] + sway * anchors.velocities[0]
-    moment = torch.full((1, 1), time, dtype=D)
-    first = torch.cat([anchors.instances, mh.code(root[None]), mh.code(moment)], dim=1)
-    layer = networks.layers[0]
-    moves = mlp.evaluate(layer.position, first).reshape(2, 3)
-    sizes = mlp.evaluate(layer.scale, first).reshape(2, 3) + anchors.log_scales
-    want = []
-    for child in range(2):
-        here = root + anchors.offsets[0][0, child] * anchors.log_scales[0].exp() + moves[child]
-        second = torch.cat([anchors.instances, mh.code(here[None]), mh.code(moment)], dim=1)
-        leaf = mlp.evaluate(networks.leaf_position, second).reshape(3, 3)
-        for j in range(3):
-            step = anchors.offsets[1][0, 3 * child + j] * sizes[child].exp()
-            want.append(here + step + leaf[j])
-    assert_close(mh.decode(anchors, networks, SMALL, time, EYE).means, torch.stack(want))
+def embedding(values: Tensor) -> Tensor:
+    """(x, sin 2^l x, cos 2^l x for l < 4) of one vector."""
+    waves = [wave(values * 2.0**level) for level in range(4) for wave in (torch.sin, torch.cos)]
+    return torch.cat([values, *waves])
+
+
+def outputs(network: mlp.Mlp, inputs: Tensor, columns: int) -> Tensor:
+    """What a network says of one row of inputs, a row a child."""
+    return mlp.evaluate(network, inputs[None]).reshape(-1, columns)
+
+
+def by_loop(anchors: mh.MotionAnchors, networks: mh.HierarchyNetworks, time: float, period: float):
+    """Every anchor walked down its tree, child by child: the equations without a batch."""
+    rows: dict[str, list] = {name: [] for name in ("mean", "turn", "scale", "opacity", "colour")}
+    owners: list[int] = []
+    moment = embedding(torch.tensor([time], dtype=D))
+    for n in range(len(anchors.centres)):
+        phase = math.sin(2 * math.pi * (time - float(anchors.peaks[n])) / period)
+        root = anchors.centres[n] + period / (2 * math.pi) * phase * anchors.velocities[n]
+        age = (time - float(anchors.peaks[n])) / math.exp(float(anchors.log_spans[n]))
+        alive = math.exp(-0.5 * age**2)
+
+        def inputs(at: Tensor, n: int = n) -> Tensor:
+            return torch.cat([anchors.instances[n], embedding(at), moment])
+
+        parents = [(root, anchors.features[n], anchors.log_scales[n])]
+        for layer, offsets in zip(networks.layers, anchors.offsets[:-1], strict=True):
+            children, steps = [], iter(offsets[n])
+            for at, feature, size in parents:
+                moves = outputs(layer.position, inputs(at), 3)
+                features = outputs(layer.feature, inputs(at), len(feature))
+                sizes = outputs(layer.scale, inputs(at), 3)
+                for j in range(len(moves)):
+                    where = at + next(steps) * size.exp() + moves[j]
+                    children.append((where, feature + features[j], size + sizes[j]))
+            parents = children
+        steps = iter(anchors.offsets[-1][n])
+        for at, feature, size in parents:
+            moves = outputs(networks.leaf_position, inputs(at), 3)
+            way = at - EYE
+            sees = torch.cat([feature, way.norm()[None], way / way.norm()])
+            shapes = outputs(networks.shape, sees, 7)
+            opacities = outputs(networks.opacity, sees, 1)
+            tints = outputs(networks.colour, sees, 3)
+            for j in range(len(moves)):
+                rows["mean"].append(at + next(steps) * size.exp() + moves[j])
+                rows["turn"].append(shapes[j, 3:] / shapes[j, 3:].norm())
+                rows["scale"].append(size.exp() / (1 + torch.exp(-shapes[j, :3])))
+                rows["opacity"].append(alive / (1 + torch.exp(-opacities[j, 0])))
+                rows["colour"].append(1 / (1 + torch.exp(-tints[j])))
+                owners.append(n)
+    return {name: torch.stack(values) for name, values in rows.items()}, owners
+
+
+@pytest.mark.parametrize("sizes", [FLAT, SMALL, DEEP], ids=["2 layers", "3 layers", "4 layers"])
+@given(n=st.integers(2, 4), seed=st.integers(0, 2**16), time=st.floats(-2, 2))
+@settings(max_examples=4)
+def test_all_outputs_by_loop(sizes, n, seed, time):
+    anchors, networks = model(n, seed, sizes)
+    got = mh.decode(anchors, networks, sizes, time, EYE)
+    want, owners = by_loop(anchors, networks, time, 0.8)
+    assert_close(got.means, want["mean"])
+    assert_close(got.quaternions, want["turn"])
+    assert_close(got.scales, want["scale"])
+    assert_close(got.opacities, want["opacity"])
+    assert_close(colours(got), want["colour"])
+    assert got.rows is not None
+    assert got.rows.tolist() == owners
 
 
 @pytest.mark.parametrize("sizes", [FLAT, SMALL, DEEP], ids=["2 layers", "3 layers", "4 layers"])
@@ -144,10 +195,39 @@ def test_storage_counts_what_is_saved():
     assert mh.stored_numbers(anchors, networks) == 5 * per_anchor + nets
 
 
-@pytest.mark.parametrize("wrong", [replace(SMALL, layers=1), replace(SMALL, gaussians=7)])
+def test_one_layer_more_needs_half_the_anchors_for_as_many_gaussians():
+    """Table 8 of the paper by the second rule: 6 Gaussians a last anchor, N from 2 to 5."""
+    stored = []
+    for layers, gaussians in ((2, 6), (3, 12), (4, 24), (5, 48)):
+        sizes = mh.by_leaf(mh.HierarchySettings(layers=layers), 6)
+        assert sizes.gaussians == gaussians
+        anchors, networks = model(480 // gaussians, 0, sizes)
+        assert len(mh.decode(anchors, networks, sizes, 0.2, EYE).means) == 480
+        nets = mh.stored_numbers(model(0, 0, sizes)[0], networks)
+        stored.append((mh.stored_numbers(anchors, networks) - nets) / 480)
+    # 55 numbers an anchor and 3 an offset; k + ... + k^(N - 2) + K offsets.
+    assert stored == [73 / 6, 97 / 12, 145 / 24, 241 / 48]
+
+
+def test_with_the_number_of_gaussians_held_depth_costs_storage():
+    counts = [
+        mh.stored_numbers(*model(480 // 12, 0, mh.HierarchySettings(layers=layers)))
+        for layers in (2, 3, 4)
+    ]
+    assert counts == sorted(counts)
+
+
+@pytest.mark.parametrize("wrong", [replace(SMALL, gaussians=7), mh.HierarchySettings(layers=5)])
 def test_sizes_that_do_not_fit_are_refused(wrong):
-    with pytest.raises(ValueError, match="multiple"):
+    with pytest.raises(ValueError, match="by_leaf"):
         mh.create_networks(wrong, torch.Generator())
+
+
+def test_one_layer_is_no_hierarchy():
+    with pytest.raises(ValueError, match="2 layers"):
+        mh.create_networks(replace(SMALL, layers=1), torch.Generator())
+    with pytest.raises(ValueError, match="2 layers"):
+        mh.by_leaf(replace(SMALL, layers=1), 6)
 
 
 def test_gradients():

@@ -29,26 +29,27 @@ def gaussians(n: int, seed: int):
 
 @given(n=st.integers(0, 6), seed=st.integers(0, 2**16))
 @settings(max_examples=20)
-def test_depths_are_the_weighted_distances(n, seed):
+def test_disparities_are_the_weighted_inverse_distances(n, seed):
     camera = view()
     means, anchors, quaternions, scales, opacities = gaussians(n, seed)
     full = rasterize(
         camera, means, quaternions, scales, opacities,
-        colours=torch.ones(n, 1, dtype=D), distance=True,
+        colours=1 / (means - camera.centre).norm(dim=1, keepdim=True),
     )  # fmt: skip
-    assert full.distance is not None
-    got = dc.gaussian_depth(camera, means, quaternions, scales, opacities)
-    assert_close(got, full.distance * full.alpha)  # not divided by the weights
+    got = dc.gaussian_disparity(camera, means, quaternions, scales, opacities)
+    assert_close(got, full.colour[..., 0])  # not divided by the weights
     fixed = torch.full((n,), 0.95, dtype=D)
     far = (anchors - camera.centre).norm(dim=1)
-    want = rasterize(camera, means, quaternions, scales, fixed, colours=far[:, None]).colour[..., 0]
-    assert_close(dc.anchor_depth(camera, anchors, means, quaternions, scales), want)
+    want = rasterize(camera, means, quaternions, scales, fixed, colours=1 / far[:, None]).colour[
+        ..., 0
+    ]
+    assert_close(dc.anchor_disparity(camera, anchors, means, quaternions, scales), want)
 
 
 def test_gradients_go_where_the_paper_sends_them():
     inputs = [x.requires_grad_() for x in gaussians(4, 1)]
     means, anchors, quaternions, scales, opacities = inputs
-    dc.gaussian_depth(view(), means, quaternions, scales, opacities).sum().backward()
+    dc.gaussian_disparity(view(), means, quaternions, scales, opacities).sum().backward()
     assert means.grad is not None
     assert means.grad.any()
     assert opacities.grad is not None
@@ -57,7 +58,7 @@ def test_gradients_go_where_the_paper_sends_them():
     assert scales.grad is None
     for x in inputs:
         x.grad = None
-    dc.anchor_depth(view(), anchors, means, quaternions, scales).sum().backward()
+    dc.anchor_disparity(view(), anchors, means, quaternions, scales).sum().backward()
     assert anchors.grad is not None
     assert anchors.grad.any()
     assert means.grad is quaternions.grad is scales.grad is opacities.grad is None
@@ -66,11 +67,11 @@ def test_gradients_go_where_the_paper_sends_them():
 def test_gradcheck():
     means, anchors, quaternions, scales, opacities = gaussians(3, 2)
     assert torch.autograd.gradcheck(
-        lambda m, o: dc.gaussian_depth(view(), m, quaternions, scales, o),
+        lambda m, o: dc.gaussian_disparity(view(), m, quaternions, scales, o),
         (means.requires_grad_(), opacities.requires_grad_()),
     )
     assert torch.autograd.gradcheck(
-        lambda a: dc.anchor_depth(view(), a, means.detach(), quaternions, scales),
+        lambda a: dc.anchor_disparity(view(), a, means.detach(), quaternions, scales),
         anchors.requires_grad_(),
     )
 
@@ -80,23 +81,26 @@ def depth(seed: int, h: int = 9, w: int = 11) -> torch.Tensor:
 
 
 ALL = torch.ones(9, 11, dtype=torch.bool)
+WEIGHTS = dc.DepthWeights()
 
 
 @given(seed=st.integers(0, 2**16), a=st.floats(0.01, 100), b=st.floats(-50, 50))
 def test_normalising_forgets_scale_and_shift(seed, a, b):
     z = depth(seed)
-    assert_close(dc.normalise_depth(a * z + b, ALL), dc.normalise_depth(z, ALL), atol=1e-7, rtol=0)
+    assert_close(
+        dc.normalise_disparity(a * z + b, ALL), dc.normalise_disparity(z, ALL), atol=1e-7, rtol=0
+    )
 
 
 def test_normalising_by_hand_and_against_outliers():
     z = torch.arange(101, dtype=D).reshape(1, 101)
     valid = torch.ones(1, 101, dtype=torch.bool)
-    got = dc.normalise_depth(z, valid)
+    got = dc.normalise_disparity(z, valid)
     assert float(got[0, 2]) == pytest.approx(0)
     assert float(got[0, 98]) == pytest.approx(1)
     wild = z.clone()
     wild[0, 100] = 1e9
-    assert_close(dc.normalise_depth(wild, valid)[0, :99], got[0, :99])
+    assert_close(dc.normalise_disparity(wild, valid)[0, :99], got[0, :99])
 
 
 @pytest.mark.parametrize("bad", [torch.inf, torch.nan])
@@ -106,8 +110,8 @@ def test_invalid_pixels_never_spread(bad):
     z[2, 5] = bad
     other = z.clone()
     other[2, 5] = 7.0
-    got = dc.normalise_depth(z, valid)
-    assert_close(got, dc.normalise_depth(other, valid))
+    got = dc.normalise_disparity(z, valid)
+    assert_close(got, dc.normalise_disparity(other, valid))
     assert float(got[2, 5]) == 0
 
 
@@ -120,16 +124,57 @@ def test_maps_without_a_range_are_zero(kind):
         valid[:] = False
     if kind == "one":
         valid[4, 4] = True
-    got = dc.normalise_depth(z, valid)
+    got = dc.normalise_disparity(z, valid)
     assert not got.any()
     got.sum().backward()
     assert z.grad is not None
     assert not z.grad.any()
 
 
-def test_disparity_is_inverted():
-    got = dc.from_disparity(torch.tensor([[0.5, 4.0, 0.0, -1.0]], dtype=D))
-    assert got.tolist() == [[2.0, 0.25, torch.inf, torch.inf]]
+@given(seed=st.integers(0, 2**16), a=st.floats(0.1, 10), b=st.floats(0, 5))
+def test_a_perfect_model_has_no_loss_whatever_the_network_adds(seed, a, b):
+    """A network says a d + b of the disparity d: its inverse is no affine map of depth."""
+    true = 1 / depth(seed)
+    loss = dc.depth_loss(true, true, a * true + b, ALL, torch.ones(9, 11, dtype=D), WEIGHTS)
+    assert float(loss) == pytest.approx(0, abs=1e-9)
+
+
+def test_what_nothing_covers_is_infinitely_far_and_a_mean_at_the_camera_is_finite():
+    means, anchors, quaternions, scales, opacities = gaussians(3, 0)
+    anchors[0] = means[0] = view().centre
+    means, anchors = means.requires_grad_(), anchors.requires_grad_()
+    seen = dc.gaussian_disparity(view(), means, quaternions, scales, opacities)
+    hung = dc.anchor_disparity(view(), anchors, means, quaternions, scales)
+    (seen.sum() + hung.sum()).backward()
+    for x in (means, anchors):
+        assert x.grad is not None
+        assert x.grad.isfinite().all()
+    none = dc.gaussian_disparity(view(), means[:0], quaternions[:0], scales[:0], opacities[:0])
+    assert not none.any()
+
+
+def test_the_range_is_taken_as_given():
+    """Without gradient through the quantiles, each pixel counts by one over the range."""
+    z = depth(2).requires_grad_()
+    dc.normalise_disparity(z, ALL).sum().backward()
+    low, high = torch.quantile(z.detach(), torch.tensor([0.02, 0.98], dtype=D))
+    assert z.grad is not None
+    assert_close(z.grad, torch.full_like(z.grad, float(1 / (high - low))))
+
+
+def test_the_anchor_term_reaches_centres_only_so_they_have_a_rate():
+    """Gaussians as Scaffold-GS makes them: of centre, offset and reach only the centre can follow."""
+    means, centres, quaternions, scales, _ = gaussians(6, 3)
+    stored = [centres, means - centres, torch.ones(6, 1, dtype=D)]
+    centres, offsets, reach = (x.requires_grad_() for x in stored)
+    hung = dc.anchor_disparity(view(), centres, centres + offsets * reach, quaternions, scales)
+    every, nothing = torch.ones(6, 8, dtype=torch.bool), torch.zeros(6, 8, dtype=D)
+    near = 1 / depth(4, 6, 8)
+    dc.depth_loss(nothing, hung, near, every, nothing + 1, WEIGHTS).backward()
+    assert centres.grad is not None
+    assert centres.grad.any()
+    assert offsets.grad is reach.grad is None
+    assert WEIGHTS.anchor_rate > 0
 
 
 def test_weight_by_hand_and_without_gradient():
@@ -144,9 +189,9 @@ def test_weight_by_hand_and_without_gradient():
 def test_loss_by_hand():
     reference, strength = depth(0), dc.DepthWeights(gaussian=0.5, anchor=2.0)
     gaussian, anchor, weight = depth(1), depth(2), depth(3) - 1
-    target = dc.normalise_depth(reference, ALL)
+    target = dc.normalise_disparity(reference, ALL)
     want = sum(
-        s * float((weight * (dc.normalise_depth(z, ALL) - target).abs()).mean())
+        s * float((weight * (dc.normalise_disparity(z, ALL) - target).abs()).mean())
         for s, z in ((0.5, gaussian), (2.0, anchor))
     )
     got = dc.depth_loss(gaussian, anchor, reference, ALL, weight, strength)

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -36,8 +37,10 @@ def test_cold_ranks_are_the_discrete_ones(n, seed):
 def test_cold_correlation_is_scipys_and_ignores_monotone_maps(n, seed):
     a, b = distinct(n, seed), distinct(n, seed + 1)
     want = float(stats.spearmanr(a.numpy(), b.numpy())[0])  # type: ignore[arg-type]
-    assert float(sr.spearman(a, b, 1e-3)) == pytest.approx(want, abs=1e-9)
-    assert float(sr.spearman(a.exp(), b**3 + b + 5, 1e-3)) == pytest.approx(want, abs=1e-9)
+    # Steps of 0.1 stay above 1e-3 deviations under these maps, a hundred times the temperature.
+    assert float(sr.spearman(a, b, 1e-5)) == pytest.approx(want, abs=1e-9)
+    bent = (a / 10).exp(), (b / 10) ** 3 + b + 5
+    assert float(sr.spearman(*bent, 1e-5)) == pytest.approx(want, abs=1e-9)
 
 
 @given(n=st.integers(2, 30), seed=st.integers(0, 2**16), tau=st.floats(1e-3, 10))
@@ -57,6 +60,40 @@ def test_constant_depth_has_no_order_and_no_gradient(n):
     rho.backward()
     assert constant.grad is not None
     assert_close(constant.grad, torch.zeros_like(constant))
+
+
+@pytest.mark.parametrize("value", [0.1, 1.7, 3.0, 1e-30, 1e30])
+@pytest.mark.parametrize("n", [7, 100, 1000])
+def test_a_constant_in_single_precision_has_no_gradient(n, value):
+    """The mean of equal numbers is rounded: what is left of them must not count as a spread."""
+    constant = torch.full((n,), value, requires_grad=True)
+    rho = sr.correlation(constant, torch.rand(n, generator=torch.Generator().manual_seed(0)))
+    assert float(rho.detach()) == 0
+    rho.backward()
+    assert constant.grad is not None
+    assert not constant.grad.any()
+
+
+@pytest.mark.parametrize("unit", [1e-25, 1e25])
+def test_correlation_of_single_precision_is_numpys_in_any_unit(unit):
+    a, b = (torch.randn(50, generator=torch.Generator().manual_seed(k)) for k in (0, 1))
+    want = np.corrcoef(a.numpy(), b.numpy())[0, 1]
+    assert float(sr.correlation(a * unit, b + 3)) == pytest.approx(want, abs=1e-5)
+
+
+@given(seed=st.integers(0, 2**16), unit=st.floats(1e-3, 1e3), shift=st.floats(-100, 100))
+def test_one_temperature_serves_two_units(seed, unit, shift):
+    """Metres against the numbers of a network: units and zero points of either change nothing."""
+    a, b = distinct(20, seed), distinct(20, seed + 1)
+    want = sr.spearman(a, b, 0.3)
+    assert_close(sr.spearman(unit * a + shift, b, 0.3), want, atol=1e-8, rtol=0)
+    assert_close(sr.spearman(a, unit * b + shift, 0.3), want, atol=1e-8, rtol=0)
+
+
+def test_temperature_is_in_standard_deviations():
+    a, b = distinct(12, 0), distinct(12, 1)
+    ranks = [sr.soft_rank(z / z.std(correction=0), 0.4).numpy() for z in (a, b)]
+    assert float(sr.spearman(a, b, 0.4)) == pytest.approx(np.corrcoef(ranks)[0, 1])
 
 
 @pytest.mark.parametrize("tau", [1e-8, 1e8])
@@ -101,3 +138,5 @@ def test_gradient(seed):
 def test_senseless_input_is_refused(values, tau):
     with pytest.raises(ValueError, match=r"temperature|finite"):
         sr.soft_rank(torch.tensor(values), tau)
+    with pytest.raises(ValueError, match=r"temperature|finite"):
+        sr.spearman(torch.tensor(values), torch.tensor([1.0, 3.0]), tau)
