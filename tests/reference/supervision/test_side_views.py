@@ -117,7 +117,9 @@ def test_a_block_spiral_turns_with_the_world(seed):
     turn = torch.eye(3, dtype=D)[torch.randperm(3, generator=g)]
     turn = turn * (2 * torch.randint(0, 2, (3, 1), generator=g) - 1)
     corners = torch.stack([turn @ low, turn @ high])
-    poses = block_spiral(corners.amin(dim=0), corners.amax(dim=0), turn @ UP, 40.0, SpiralSettings())
+    poses = block_spiral(
+        corners.amin(dim=0), corners.amax(dim=0), turn @ UP, 40.0, SpiralSettings()
+    )
     eyes = torch.stack([pinhole(pose).centre for pose in poses.reshape(-1, 4, 4)]) @ turn
     around = eyes - torch.tensor([13.0, 24, 1], dtype=D)
     assert_close(around[:, :2].norm(dim=1), torch.full((48,), 5.0, dtype=D))
