@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory import guide_depth, layered_depth
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
 from splatproof.reference.supervision.side_views import unproject
 from splatproof.reference.types.camera import Camera, project_points
@@ -271,7 +271,7 @@ def adapt_all(
     depths = {}
     for view in order:
         camera, image = cameras[view], images[view]
-        guide, visible = layered_depth.render(memory, camera)
+        guide, visible = guide_depth.render(memory, camera)
         sparse = sparse_depths(camera, points[seen[view]])
         depth = adapt_view(denoiser, image, sparse, guide, visible, settings, generator)
         depths[view] = depth
