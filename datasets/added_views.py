@@ -1,6 +1,8 @@
 """Test views that a scene's own flight never had, from a second scene in the same frame."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import torch
 from jaxtyping import Float64
@@ -9,7 +11,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.splits import chosen_views, split_hash
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.scene import Scene, View
+from splatproof.reference.types.scene import Scene, Sweep, View
 
 
 def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
@@ -54,7 +56,20 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
 
 
 def _moved(view: View, shift: Float64[Tensor, "3"]) -> View:
-    """The view with its pose in a frame whose origin lies `shift` further on: t' = t + R shift."""
+    """The view in a frame whose origin lies `shift` further on: t' = t + R shift, x' = x - shift."""
     pose = view.camera.world_to_camera.clone()
     pose[:3, 3] += pose[:3, :3] @ shift
-    return replace(view, camera=replace(view.camera, world_to_camera=pose))
+    return replace(
+        view,
+        camera=replace(view.camera, world_to_camera=pose),
+        load_sweep=partial(_moved_sweep, view.load_sweep, shift) if view.load_sweep else None,
+    )
+
+
+def _moved_sweep(load: Callable[[], Sweep], shift: Float64[Tensor, "3"]) -> Sweep:
+    sweep = load()
+    return replace(
+        sweep,
+        positions=(sweep.positions - shift).to(sweep.positions.dtype),
+        origin=sweep.origin - shift,
+    )

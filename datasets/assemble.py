@@ -5,6 +5,7 @@ import hashlib
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +19,7 @@ from splatproof.base.errors import DataError, UsageError
 from splatproof.datasets.depth_maps import depth_loader, depth_path
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.datasets.layout import Layout, PosedPhoto
-from splatproof.datasets.lidar import sample_sweeps
+from splatproof.datasets.lidar import read_sweep, sample_sweeps, sweeps_of
 from splatproof.datasets.photos import photo_size
 from splatproof.datasets.protocol_subset import chosen_part
 from splatproof.datasets.resize import scale_intrinsics, scaled_size
@@ -40,7 +41,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     """Make the Scene: views, split, shift, points and the facts of the record.
 
     The split is the protocol's test_names, else the one that the set ships, else every hold-th.
-    With `drop_test_points` the sweeps of held-out moments are left out too. Photos are only
+    With `drop_test_points` sparse points come from no sweep of a held-out moment. Photos are only
     looked at (size), not decoded.
 
     Args:
@@ -69,7 +70,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     return Scene(
         name=folder.resolve().name,
         root=folder,
-        views=_views(folder, photos, rotations, centres - shift, protocol, layout.flatten),
+        views=_views(folder, layout, photos, rotations, centres - shift, shift, protocol),
         train=train,
         test=test,
         points=replace(points, positions=points.positions - torch.from_numpy(shift)),
@@ -112,33 +113,38 @@ def _points(
 ) -> tuple[SparsePoints, int]:
     """(points in the original frame, how many there would be without the protocol's rule)."""
     points, sweeps = layout.points, layout.sweeps
+    if points is not None:
+        used = seen_in_training(points, train) if protocol.drop_test_points else points
+        return used, len(points)
     if protocol.drop_test_points:
         trained = {photos[i].time for i in train}
-        points = seen_in_training(points, train)
         sweeps = [sweep for sweep in sweeps if sweep.time in trained]
-    if layout.sweeps:
-        points = sample_sweeps(sweeps)
-        return points, len(points)
-    return points, len(layout.points)
+    points = sample_sweeps(sweeps)
+    return points, len(points)
 
 
 def _views(
     folder: Path,
+    layout: Layout,
     photos: Sequence[PosedPhoto],
     rotations: Float64[np.ndarray, "n 3 3"],
     centres: Float64[np.ndarray, "n 3"],
+    shift: Float64[np.ndarray, "3"],
     protocol: Protocol,
-    flatten: bool,
 ) -> tuple[View, ...]:
-    """One view a photo; photos of equal cameras and size share their undistortion."""
+    """One view a photo; photos of equal cameras and size share their undistortion.
+
+    A view's loaders hold the paths of its own files alone, and none of them that of another's.
+    """
     positions = TensorCache(POSITION_BYTES)
     pinholes: Pinholes = {}
     poses = np.tile(np.eye(4), (len(photos), 1, 1))
     poses[:, :3, :3] = rotations
     poses[:, :3, 3] = -np.einsum("nij,nj->ni", rotations, centres)
     start = min((photo.time for photo in photos if photo.time is not None), default=0.0)
+    sweeps = sweeps_of(layout.sweeps, [photo.time for photo in photos])
     views = []
-    for photo, pose in zip(photos, torch.from_numpy(poses), strict=True):
+    for photo, pose, sweep in zip(photos, torch.from_numpy(poses), sweeps, strict=True):
         size = photo_size(photo.path)
         pinhole = _pinhole(photo, size, protocol, pinholes)
         scaled = pinhole.size
@@ -150,10 +156,9 @@ def _views(
             size=scaled,
             filter=protocol.filter,
             positions=positions,
-            background=protocol.background if flatten else None,
+            background=protocol.background if layout.flatten else None,
             valid=photo.valid,
             sky=photo.sky,
-            moving=photo.moving,
         )
         views.append(
             View(
@@ -170,7 +175,8 @@ def _views(
                 if pinhole.undistortion
                 else depth_loader(folder, photo.name, size, scaled),
                 load_sky=truth.sky_mask if photo.sky else None,
-                load_moving=truth.moving_masks if photo.moving else None,
+                load_sweep=partial(read_sweep, sweep, shift, start) if sweep else None,
+                load_moving=partial(truth.moving_masks, photo.moving) if photo.moving else None,
                 time=None if photo.time is None else photo.time - start,
                 sensor=photo.sensor,
             )

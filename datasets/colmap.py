@@ -1,5 +1,6 @@
 """Opens COLMAP scene folders: a model in sparse/0 or sparse, photos beside it."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from splatproof.datasets.moving_masks import FOLDER, moving_masks
 from splatproof.datasets.photos import list_photos
 from splatproof.datasets.scene_file import SceneFile, read_scene_file
 from splatproof.datasets.sparse_points import read_points
-from splatproof.datasets.view_times import read_moments, sky_path
+from splatproof.datasets.sweep_files import list_sweeps
+from splatproof.datasets.view_times import Moment, read_moments, sky_path
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
@@ -33,10 +35,12 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     photos = photo_folder(folder, protocol)
     about = read_scene_file(folder)
     names = [image.name for image in model.images]
+    moments = read_moments(folder, names)
     layout = Layout(
         adapter="colmap",
-        photos=_with_moments(folder, posed_photos(model, photos)),
+        photos=_with_moments(folder, posed_photos(model, photos), moments),
         points=read_points(model),
+        sweeps=list_sweeps(folder) if moments else (),
         up=about.up,
         up_source="scene.toml",
         units=about.units,
@@ -94,9 +98,10 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
     return posed
 
 
-def _with_moments(folder: Path, photos: list[PosedPhoto]) -> list[PosedPhoto]:
+def _with_moments(
+    folder: Path, photos: list[PosedPhoto], moments: Mapping[str, Moment]
+) -> list[PosedPhoto]:
     """The photos with time, camera, and masks of sky and movers where the folder has them."""
-    moments = read_moments(folder, [photo.name for photo in photos])
     found = []
     for photo in photos:
         sky = sky_path(folder, photo.name)

@@ -1,8 +1,7 @@
 """True depth beside the photos of scenes that have it: depth/<photo's stem>.npz."""
 
-import zipfile
-import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.datasets.array_files import read_arrays
 
 FOLDER = "depth"
 KEY = "depth"
@@ -42,19 +42,11 @@ def depth_loader(
             that holds its own pixel's centre: means over edges would be depths of nothing.
     """
     path = depth_path(scene, name)
-    return (lambda: _read(path, photo_size, size)) if path.is_file() else None
+    return partial(_read, path, photo_size, size) if path.is_file() else None
 
 
 def _read(path: Path, photo_size: tuple[int, int], size: tuple[int, int]) -> Float[Tensor, "h w"]:
-    try:
-        # opened here: numpy leaves its own handle open when the file is damaged
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            depth = arrays[KEY]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
-        raise DataError(
-            f"{path}: no array {KEY!r} to read ({said}); make the scene again"
-        ) from None
+    (depth,) = read_arrays(path, KEY)
     if depth.shape != photo_size[::-1] or depth.dtype != np.float32:
         raise DataError(
             f"{path}: depth is {depth.dtype} {depth.shape[::-1]}, its photo is {photo_size}; "

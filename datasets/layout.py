@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -44,15 +44,24 @@ class PosedPhoto:
     sensor: str = ""
 
 
+class Hits(NamedTuple):
+    """What a LiDAR's file has, in the set's own frame."""
+
+    positions: Float64[np.ndarray, "n 3"]
+    """Where rays hit."""
+    origin: Float64[np.ndarray, "3"]
+    """Where the sensor was."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Sweep:
+class SweepFile:
     """One turn of a LiDAR."""
 
     time: float
     """Seconds from the same start as the photos' times."""
     path: Path
-    read: Callable[[], Float64[np.ndarray, "n 3"]]
-    """Reads all its points, in the scene's frame."""
+    read: Callable[[], Hits]
+    """Reads the file. It can be pickled: views are sent to other processes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,11 +72,10 @@ class Layout:
     photos: Sequence[PosedPhoto]
     description: Sequence[Path] = ()
     """Files that say where the cameras are; their bytes are hashed for the record."""
-    points: SparsePoints = field(
-        default_factory=lambda: plain_points(np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-    )
-    sweeps: Sequence[Sweep] = ()
-    """Where there are any, a bounded sample of their points stands for `points`."""
+    points: SparsePoints | None = None
+    """None: the set has no sparse points; a bounded sample of the sweeps' points stands for them."""
+    sweeps: Sequence[SweepFile] = ()
+    """In order of time."""
     up: tuple[float, float, float] | None = None
     """Unit vector against gravity where the format fixes it; None: guessed from the cameras."""
     up_source: str = "data set"

@@ -7,7 +7,7 @@ for the other order, which others use; bilinear sampling of a small photo blurs 
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -53,8 +53,6 @@ class Truth:
     """Mask image of the photo: 0 where a pixel must not be used."""
     sky: Path | None = None
     """Mask image of the photo: above 0 where there is sky."""
-    moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]] = field(default_factory=dict)
-    """Kind of what moves: mask image of the photo, above 0 where it is, or what makes such a mask."""
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
@@ -98,9 +96,16 @@ class Truth:
         assert self.sky is not None
         return self._mostly(self._flag(self.sky))
 
-    def moving_masks(self) -> dict[str, Bool[Tensor, "h w"]]:
+    def moving_masks(
+        self, moving: Mapping[str, Path | Callable[[], Bool[np.ndarray, "h w"]]]
+    ) -> dict[str, Bool[Tensor, "h w"]]:
         """Each kind of what moves, and the pixels that it covers by more than half their area.
 
+        Masks are no field of this class: who may read the image may not read them.
+
+        Args:
+            moving: Kind of what moves: mask image of the photo, above 0 where it is, or what makes
+                such a mask.
         Raises: DataError naming the file.
         """
         return {
@@ -109,7 +114,7 @@ class Truth:
                 if isinstance(source, Path)
                 else torch.from_numpy(source()).float()
             )
-            for kind, source in self.moving.items()
+            for kind, source in moving.items()
         }
 
     def _mostly(self, flags: Float[Tensor, "_h _w"]) -> Bool[Tensor, "h w"]:

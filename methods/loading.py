@@ -57,6 +57,5 @@ def load_origin(folder: Path) -> Origin:
     Raises: DataError if it cannot be read.
     """
     if folder.is_file():
-        packed = read_packed(folder)[1]
-        return Origin(method=packed.method, settings=packed.settings)
+        return read_packed(folder)[1].origin
     return origin_of(folder)

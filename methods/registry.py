@@ -17,7 +17,7 @@ GROUP = "splatproof.methods"
 def _city(name: str, settings: type, description: str) -> Method:
     return Method(
         name=name, settings=settings, fit=partial(fit_city, method=name), cost=city_cost,
-        description=description,
+        description=description, blocks=True,
     )  # fmt: skip
 
 

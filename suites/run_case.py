@@ -277,6 +277,7 @@ def origin_of_case(case: Case) -> Origin:
     return Origin(
         method=case.method, variant=case.variant, settings=asdict(case.settings),
         scene=case.scene, protocol=asdict(case.protocol), seed=case.seed,
+        pose_noise=case.pose_noise,
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """What the adapters of driving data share: tables of numbers, LiDAR files, cameras of a car."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.layout import Sweep
+from splatproof.datasets.layout import Hits, SweepFile
 
 FRAME_SECONDS = 0.1
 """KITTI and Waymo take 10 frames a second; used where an export has no timestamps."""
@@ -89,8 +90,13 @@ def homogeneous(matrix: Float64[np.ndarray, "3 4"]) -> Float64[np.ndarray, "4 4"
 
 
 def sweep(
-    path: Path, time: float, to_world: Float64[np.ndarray, "4 4"], columns: int, first: int
-) -> Sweep:
+    path: Path,
+    time: float,
+    to_world: Float64[np.ndarray, "4 4"],
+    columns: int,
+    first: int,
+    sensor: int | tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> SweepFile:
     """A LiDAR file of float32 rows.
 
     Args:
@@ -99,24 +105,43 @@ def sweep(
         to_world: Motion from the file's frame to the scene's.
         columns: Numbers in a row.
         first: Index of the column of x; y and z follow.
+        sensor: Where the sensor is in the file's frame, or the index of the column of x of each
+            ray's own sensor, y and z after it: the median is where the one with most rays is.
     """
-    return Sweep(time=time, path=path, read=lambda: _points(path, to_world, columns, first))
+    return SweepFile(
+        time=time, path=path, read=partial(_hits, path, to_world, columns, first, sensor)
+    )
 
 
-def _points(
-    path: Path, to_world: Float64[np.ndarray, "4 4"], columns: int, first: int
-) -> Float64[np.ndarray, "n 3"]:
-    size = path.stat().st_size
+def _hits(
+    path: Path,
+    to_world: Float64[np.ndarray, "4 4"],
+    columns: int,
+    first: int,
+    sensor: int | tuple[float, float, float],
+) -> Hits:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataError(
+            f"{path}: LiDAR sweep cannot be read: {error.strerror}; put it back, or open the scene "
+            "again to go without"
+        ) from None
+    size = len(data)
     if not size or size % (4 * columns):
         raise DataError(
             f"{path}: has {size} bytes, expected a multiple of {4 * columns} above 0 "
             f"({columns} float32 a point); the file is cut short or of another kind"
         )
-    rows = np.fromfile(path, dtype=np.float32).reshape(-1, columns)
+    rows = np.frombuffer(data, dtype="<f4").reshape(-1, columns)
     points = rows[:, first : first + 3].astype(np.float64)
-    if not np.isfinite(points).all():
+    origin = np.array(sensor, np.float64)
+    if isinstance(sensor, int):
+        origin = np.median(rows[:, sensor : sensor + 3].astype(np.float64), axis=0)
+    if not (np.isfinite(points).all() and np.isfinite(origin).all()):
         raise DataError(f"{path}: has a point that is not finite")
-    return points @ to_world[:3, :3].T + to_world[:3, 3]
+    rotation, place = to_world[:3, :3], to_world[:3, 3]
+    return Hits(points @ rotation.T + place, rotation @ origin + place)
 
 
 def frame_names(folder: Path) -> list[str]:

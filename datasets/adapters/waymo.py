@@ -23,6 +23,9 @@ CAMERAS = ("front", "front_left", "front_right", "side_left", "side_right")
 """Names of the cameras 0 to 4, which a protocol's `sensors` chooses from."""
 OPENCV_TO_VEHICLE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Right, down, forward in the axes of Waymo's cameras: x forward, y left, z up."""
+ROOF = (1.43, 0.0, 2.184)
+"""Where the LiDAR on the roof is in the vehicle's frame, in metres: its extrinsic calibration, the same in
+the data set's sequences (Sun et al. 2020, Waymo Open Dataset). It has most of a sweep's points."""
 SUFFIXES = (".jpg", ".png")
 MASKS = {"vehicles": "vehicle", "people": "human"}
 """Folders of drivestudio's masks; its third one, all, is these two together."""
@@ -37,8 +40,8 @@ def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
     """Read ego_pose, extrinsics, intrinsics, images; lidar, sky and dynamic masks where they are.
 
     Intrinsics are fx, fy, cx, cy, k1, k2, p1, p2, k3; photos are undistorted by the protocol's
-    rule. LiDAR rows are 14 float32 in the vehicle's frame: origin, point, 8 labels. What moves
-    faster than 1 m/s is masked: by rectangles around its box (dynamic_masks) or, where they are, by
+    rule. LiDAR rows are 14 float32 in the vehicle's frame: origin, point, 8 labels; several
+    LiDARs share a file, and the sweep's origin is where most rays start. What moves faster than 1 m/s is masked: by rectangles around its box (dynamic_masks) or, where they are, by
     segments inside those (fine_dynamic_masks). Boxes (instances) are not read: nothing needs them.
 
     Args:
@@ -82,7 +85,9 @@ def open_drivestudio(folder: Path, protocol: Protocol) -> Scene:
         photos=photos,
         description=files or [folder / "ego_pose"],
         sweeps=[
-            driving.sweep(path, i * driving.FRAME_SECONDS, vehicle[i], columns=14, first=3)
+            driving.sweep(
+                path, i * driving.FRAME_SECONDS, vehicle[i], columns=14, first=3, sensor=0
+            )
             for i, path in sweeps
         ],
         up=driving.UP,
@@ -102,7 +107,8 @@ def open_pvg(folder: Path, protocol: Protocol) -> Scene:
     """Read calib, pose, image_0 to image_4, and velodyne and sky_0 to sky_4 where they are.
 
     A frame's calib has P0 to P4 and Tr_velo_to_cam_0 to _4, vehicle to camera with OpenCV axes;
-    the export drops the distortion. LiDAR rows are 6 float32 in the vehicle's frame.
+    the export drops the distortion. LiDAR rows are 6 float32 in the vehicle's frame; the export
+    drops which LiDAR measured a point, so a sweep's origin is that of the one on the roof.
 
     Args:
         folder: The sequence's folder.
@@ -146,7 +152,9 @@ def open_pvg(folder: Path, protocol: Protocol) -> Scene:
         photos=photos,
         description=[*calibs, *poses] or [folder / "calib"],
         sweeps=[
-            driving.sweep(path, i * driving.FRAME_SECONDS, vehicle[i], columns=6, first=0)
+            driving.sweep(
+                path, i * driving.FRAME_SECONDS, vehicle[i], columns=6, first=0, sensor=ROOF
+            )
             for i, path in sweeps
         ],
         up=driving.UP,

@@ -39,3 +39,5 @@ class Method:
     """What the method does, in one line."""
     loaders: Mapping[str, Loader] = field(default_factory=dict)
     """How to load the kinds of models that only this method leaves, by kind."""
+    blocks: bool = False
+    """Whether it trains a scene in blocks, so that Run.engine and Run.workers apply."""

@@ -16,6 +16,7 @@ from splatproof.base.files import sha256, write_text
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.result import TRUE_POSES
 from splatproof.reference.types.scene import View
 
 FORMAT = "splatproof model"
@@ -40,6 +41,9 @@ class Origin:
     """Every rule of the protocol it was trained under, JSON-ready; empty: unknown."""
     seed: int | None = None
     """Seed of the run; None: unknown."""
+    pose_noise: str = TRUE_POSES
+    """Level of the noise on the poses that it was trained under, see
+    `splatproof.datasets.pose_noise`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Loader
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
+from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
@@ -55,6 +56,11 @@ class DecodedModel:
         )
 
     @property
+    def mode(self) -> Mode:
+        """How it is rasterized, see splatproof.reference.rasterizer."""
+        return self.model.mode
+
+    @property
     def primitives(self) -> int:
         """Number of rows that are stored."""
         return self.model.primitives
@@ -72,7 +78,7 @@ class DecodedModel:
         self.model.parameters.to(device)
         asked = view.without_truth()
         output = backend.draw(
-            view.camera, self.model.splats(asked, TRAINED), mode=self.model.mode,
+            view.camera, self.model.splats(asked, TRAINED), mode=self.mode,
             background=None if background is None else background.to(device),
         )  # fmt: skip
         return replace(output, colour=self.model.finish_image(asked, output)).to("cpu")
@@ -101,7 +107,7 @@ class DecodedModel:
         """
         del folder
         facts = {
-            "mode": self.model.mode, "shift": self.shift.tolist(), "units": self.units,
+            "mode": self.mode, "shift": self.shift.tolist(), "units": self.units,
             "primitives": self.primitives, "model": self.model.facts(),
         }  # fmt: skip
         return Stored(tensors=self.model.parameters.state(), facts=facts)

@@ -1,6 +1,7 @@
-"""Cameras to render from, as a JSON file."""
+"""Cameras to render from, as a JSON file: where they stand, and when and in whose light they look."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,22 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
+from splatproof.base.names import did_you_mean
 from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.scene import View, camera_view
 
 KEYS = ("name", "width", "height", "K", "world_to_camera")
+"""What every entry has."""
+MORE = ("time", "sensor", "appearance")
+"""What an entry may have besides."""
 
 
-def read_cameras(path: Path) -> dict[str, Camera]:
-    """Cameras by name from a JSON list of objects with the keys of KEYS.
+def read_cameras(path: Path) -> dict[str, View]:
+    """Views that nobody took, by name, from a JSON list of objects with the keys of KEYS.
+
+    They may also have those of MORE, which models that know of them obey: `time` in seconds since
+    the scene's first view, `sensor` the name of a physical camera, `appearance` the name of the
+    training view in whose light and exposure the model is shown.
 
     Args:
         path: K is 3 x 3 in pixels, world_to_camera 4 x 4 rigid and row-major with OpenCV axes.
@@ -26,16 +36,44 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     entries = read_json(path)
     if not isinstance(entries, list) or not entries:
         raise DataError(f"{path}: expected a list of at least one camera")
-    cameras: dict[str, Camera] = {}
+    views: dict[str, View] = {}
     for index, entry in enumerate(entries):
         where = f"{path}: camera {index}"
+        known = (*KEYS, *MORE)
+        strange = [key for key in entry if key not in known] if isinstance(entry, dict) else []
+        if strange:
+            raise DataError(f"{where}: unknown {strange[0]!r}{did_you_mean(strange[0], known)}")
         if not isinstance(entry, dict) or not set(KEYS) <= set(entry):
             raise DataError(f"{where}: expected an object with {', '.join(KEYS)}")
         name = entry["name"]
-        if not isinstance(name, str) or not name or name in cameras:
+        if not isinstance(name, str) or not name or name in views:
             raise DataError(f"{where}: name {name!r}, expected a text that no other camera has")
-        cameras[name] = _camera(entry, where)
-    return cameras
+        view = camera_view(_camera(entry, where), name, time=_time(entry, where))
+        views[name] = replace(view, **_words(entry, where))
+    return views
+
+
+def _time(entry: dict[str, Any], where: str) -> float | None:
+    """Seconds since the scene's first view; None where the entry does not say."""
+    if "time" not in entry:
+        return None
+    time = entry["time"]
+    try:
+        seconds = float(time) if type(time) in (int, float) else math.nan
+    except OverflowError:  # a whole number of more than 308 digits
+        seconds = math.inf
+    if not math.isfinite(seconds):
+        raise DataError(f"{where}: time {time!r}, expected a finite number of seconds")
+    return seconds
+
+
+def _words(entry: dict[str, Any], where: str) -> dict[str, Any]:
+    """Sensor and appearance, where the entry says them."""
+    said = {key: entry[key] for key in ("sensor", "appearance") if key in entry}
+    for key, value in said.items():
+        if not isinstance(value, str) or not value:
+            raise DataError(f"{where}: {key} {value!r}, expected a name")
+    return said
 
 
 def _camera(entry: dict[str, Any], where: str) -> Camera:

@@ -79,7 +79,12 @@ class Trainer:
             model: What is trained; it is moved to the run's device.
             plan: What is minimised, on which views, and how the model changes.
             run: Seed, backend, checkpoints and who is told.
+
+        Raises: ValueError if two terms have one name.
         """
+        names = [term.name for term in plan.terms]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two terms have one name: {', '.join(names)}")
         self.model, self.plan, self.run = model, plan, run
         self.backend = get_backend(run.backend)
         self.device = torch.device(run.device or self.backend.device)

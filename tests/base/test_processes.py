@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from helpers.talking_workers import die, echo
+from helpers.talking_workers import die, echo, tell_quiet
 from splatproof.base.processes import Worker, how_it_ended, listening
+from splatproof.base.quiet import silenced
 
 
 @pytest.mark.parametrize("preload", [(), ("splatproof.base.errors",)])
@@ -27,6 +28,13 @@ def test_what_is_said_comes_back(preload):
         with pytest.raises(EOFError):
             worker.receive()
         assert worker.how_it_ended() == "ended with exit code 0"
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+@pytest.mark.parametrize("preload", [(), ("splatproof.base.errors",)])
+def test_a_worker_is_as_quiet_as_the_one_that_starts_it(quiet, preload):
+    with silenced(quiet), Worker(tell_quiet, preload=preload) as worker:
+        assert worker.receive() is quiet
 
 
 @pytest.mark.parametrize(("code", "how"), [(7, "exit code 7"), (-signal.SIGTERM, "by SIGTERM")])

@@ -4,18 +4,23 @@ import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import pytest
+import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
+from splatproof.cli.fit import fit as fit_command
 from splatproof.cli.running import BlockRunning
+from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.city.executor import ENGINES
-from splatproof.methods.city.settings import StitchGS
+from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.loading import load_origin
 from splatproof.methods.registry import METHODS
+from splatproof.metrics.protocol_files import load_protocol
 from splatproof.suites import run_case as cases
 from splatproof.suites import runner
 from splatproof.suites.records import read_record
@@ -35,6 +40,7 @@ def town(tmp_path, monkeypatch):
     """The fake method on a fake scene; cases run in this process."""
     monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
     monkeypatch.setattr(cases, "open_scene", fake_scene)
+    monkeypatch.setattr("splatproof.suites.scenes.open_scene", fake_scene)
     for name in ("run_suite", "run_alone"):
         monkeypatch.setattr(runner, name, partial(getattr(runner, name), launch=in_process))
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
@@ -155,7 +161,7 @@ def spied(monkeypatch) -> list[Run]:
 
     fake = replace(METHODS["fake"], fit=remembers)
     monkeypatch.setitem(METHODS, "fake", fake)
-    monkeypatch.setitem(METHODS, "blocky", replace(fake, name="blocky", settings=StitchGS))
+    monkeypatch.setitem(METHODS, "blocky", replace(fake, name="blocky", blocks=True))
     return seen
 
 
@@ -189,6 +195,37 @@ def test_options_of_blocks_are_refused_where_no_method_has_blocks(town, capsys):
         assert main(["run", "mine.toml", *options]) == 2
         assert "no method of suite mine does" in capsys.readouterr().err
     assert tree(town) == before
+
+
+def test_the_levels_of_pose_noise_are_those_that_there_are():
+    assert get_args(get_type_hints(fit_command)["pose_noise"]) == tuple(LEVELS)
+
+
+@pytest.mark.usefixtures("no_store")
+def test_pose_noise_reaches_the_training_and_is_kept_with_the_model(town, monkeypatch, capsys):
+    given = []
+
+    def remembers(scene, settings, run):
+        given.append(scene)
+        return fake_methods.model_of(0.5, run.backend)
+
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=remembers))
+    assert fit("--pose-noise", "L2", "--json", "--seed", "3") == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["pose_noise"] == "L2"
+    ((true,), (noisy,)) = [fake_scene("town", load_protocol("default"))], given
+    moved = [
+        not torch.equal(a.camera.world_to_camera, b.camera.world_to_camera)
+        for a, b in zip(true.views, noisy.views, strict=True)
+    ]
+    assert moved == [index in true.train for index in range(len(true.views))]
+    assert load_origin(town / "out" / "model").pose_noise == "L2"
+    assert fit("--pose-noise", "L1", "--seed", "3") == 2  # the folder holds another case
+
+
+def test_methods_in_blocks_say_so():
+    kinds = {name: issubclass(method.settings, CitySettings) for name, method in METHODS.items()}
+    assert {name: method.blocks for name, method in METHODS.items()} == kinds
+    assert set(kinds.values()) == {True, False}
 
 
 def test_the_engines_are_those_that_there_are():

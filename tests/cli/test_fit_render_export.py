@@ -13,11 +13,11 @@ from plyfile import PlyData
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.cli import main, report
 from splatproof.datasets.catalogue import opening
-from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import camera_view
 from splatproof.suites import run_case as cases
-from splatproof.suites import runner
+from splatproof.suites import runner, scenes
 from splatproof.suites.records import read_record
 from splatproof.suites.workers import in_process
 
@@ -30,7 +30,8 @@ def bench_fit(out, *more: str) -> int:
     scene = out.parent / "tiny"
     scene.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cases, "open_scene", lambda spec, protocol: tiny_scene())
+        for module in (cases, scenes):
+            patch.setattr(module, "open_scene", lambda spec, protocol: tiny_scene())
         patch.setattr(runner, "run_alone", partial(runner.run_alone, launch=in_process))
         patch.setattr(report, "sync_cases", lambda out, uri: False)
         return main(["fit", "3dgs", str(scene), "--out", str(out), *OPTIONS, *SETTINGS, *more])
@@ -199,8 +200,7 @@ def test_export(fitted, tmp_path, capsys, inside):
     assert said["frame"] == "as trained"
 
 
-@pytest.mark.usefixtures("asked")
-def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys):
+def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys, asked):
     packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -208,9 +208,9 @@ def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys):
     assert main(["export", str(packed), "--ply", str(ply)]) == 0
     assert len(PlyData.read(ply)["vertex"].data) == told["gaussians"]
     out = tmp_path / "renders"
-    assert main(["render", str(packed), str(out)]) == 2
-    assert "does not say which scene it was trained on" in capsys.readouterr().err
-    assert main(["render", str(packed), str(out), "--scene", "tiny", "--protocol", "3dgs"]) == 0
+    assert main(["render", str(packed), str(out)]) == 0
+    assert asked == [(str(fitted.parent / "tiny"), load_protocol("3dgs"))]
+    assert load_origin(packed) == load_origin(fitted / "model")
     mine, whole = (cv2.imread(str(f / "0.png")) for f in (out, fitted / "renders"))
     assert np.abs(np.asarray(mine, dtype=int) - np.asarray(whole, dtype=int)).max() <= 2
     capsys.readouterr()

@@ -11,7 +11,7 @@ from splatproof.datasets.added_views import with_tests
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import Scene, Sweep
 
 RULES = Protocol(name="p", source="test")
 
@@ -40,6 +40,29 @@ def test_all_own_views_train_and_tracks_keep_their_views():
     names = [both.views[i].name for i in both.points.track_views.tolist()]
     assert names == [scene.views[i].name for i in scene.points.track_views.tolist()]
     assert [view.name for view in both.views] == sorted(view.name for view in both.views)
+
+
+def test_a_sweep_of_a_test_view_moves_with_its_camera():
+    """A point keeps its place in the picture, and its distance from the sensor."""
+    scene, tests = renamed(tiny_scene(), "m"), renamed(tiny_scene(views=2), "a")
+    sweep = Sweep(
+        positions=torch.tensor([[0.2, -0.1, 0.3]]), origin=torch.zeros(3).double(), time=0.5
+    )
+    tests = replace(
+        tests,
+        views=tuple(replace(view, load_sweep=lambda: sweep) for view in tests.views),
+        shift=torch.tensor([5.0, -3.0, 2.0], dtype=torch.float64),
+    )
+    for view, own in zip(with_tests(scene, tests, RULES).test_views, tests.views, strict=True):
+        assert view.load_sweep is not None
+        moved = view.load_sweep()
+        assert (moved.time, moved.positions.dtype) == (0.5, torch.float32)
+        assert torch.equal(moved.origin, tests.shift)
+        seen, _ = project_points(view.camera, moved.positions.double())
+        want, _ = project_points(own.camera, sweep.positions.double())
+        assert (seen - want).abs().max() < 1e-4  # pixels: float32 of 5 units, 9 pixels a unit
+        still, _ = project_points(view.camera, sweep.positions.double())
+        assert (still - want).abs().max() > 1  # control: left where it was
 
 
 def test_fewer_views_train_and_the_tests_stay():

@@ -13,7 +13,7 @@ from splatproof.datasets import fingerprint
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.depth_maps import depth_path
 from splatproof.datasets.fingerprint import Known, files_sha256
-from splatproof.datasets.view_times import sky_path
+from splatproof.datasets.view_times import Moment, sky_path, write_moments
 from splatproof.reference.types.protocol import Protocol
 
 RULES = Protocol(name="test", source="test")
@@ -28,6 +28,9 @@ def folder(tmp_path):
         path.parent.mkdir()
     np.savez(depth, depth=np.ones((72, 96), np.float32))
     shutil.copy(scene / "photos" / PHOTOS[2], sky)
+    write_moments(scene, {name: Moment(time=0.0, sensor="front") for name in PHOTOS})
+    (scene / "lidar").mkdir()
+    np.savez(scene / "lidar" / "0.npz", time=0.0, points=np.ones((400, 3)), origin=np.zeros(3))
     for kind in ("vehicles", "people"):
         shutil.copytree(scene / "photos", scene / "moving" / kind)
     return scene
@@ -40,7 +43,7 @@ def hashed(folder: Path, known: Known | None = None) -> str:
 @pytest.mark.parametrize(
     "name",
     [f"photos/{PHOTOS[0]}", f"photos/{PHOTOS[5]}", "depth/photo_001.npz", "sky/photo_002.png",
-     "moving/people/photo_003.png"],
+     "moving/people/photo_003.png", "lidar/0.npz"],
 )  # fmt: skip
 def test_one_byte_of_any_file_changes_it(folder, name):
     """Of the same size, and with the old time."""
@@ -90,7 +93,7 @@ def test_progress_is_told_and_a_lost_file_is_named(folder):
     seen = []
     scene = open_scene(folder, RULES)
     files_sha256(scene, {}, lambda done, total: seen.append((done, total)))
-    files = 6 + 1 + 1 + 2 * 6  # photos, a depth map, a sky mask, two masks of what moves a photo
+    files = 6 + 3 + 2 * 6  # photos, a depth map, a sky mask, a sweep, two masks of movers a photo
     assert seen == [(i + 1, files) for i in range(files)]
     (folder / "photos" / PHOTOS[2]).unlink()
     with pytest.raises(DataError, match=r"photo_002\.png: cannot be read: No such file"):

@@ -14,7 +14,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.scene import View
+from splatproof.reference.types.scene import Sweep, View
 
 ADAPTER_TESTS = Path(__file__).parents[1] / "datasets" / "adapters"
 
@@ -56,6 +56,12 @@ def moving(view: View) -> dict[str, Tensor]:
     """A view's masks of what moves."""
     assert view.load_moving is not None
     return view.load_moving()
+
+
+def sweep(view: View) -> Sweep:
+    """A view's LiDAR sweep."""
+    assert view.load_sweep is not None
+    return view.load_sweep()
 
 
 def refused(folder: Path, said: str, **rules) -> None:

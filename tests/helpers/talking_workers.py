@@ -3,6 +3,8 @@
 import os
 from multiprocessing.connection import Connection
 
+from splatproof.base.quiet import is_quiet
+
 
 def echo(says: Connection, greeting: str) -> None:
     """Say the greeting, then whatever is heard, until that is "end"."""
@@ -17,3 +19,8 @@ def die(says: Connection, code: int) -> None:
     if code < 0:
         os.kill(os.getpid(), -code)
     os._exit(code)
+
+
+def tell_quiet(says: Connection) -> None:
+    """Say whether logs and progress are silenced here."""
+    says.send(is_quiet())

@@ -5,6 +5,7 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,12 @@ LARGEST_CHUNK = 2**20
 KINDS = {"positions": (3, "<f4"), "opacity": (1, "<f2"), "rotation": (4, "<f2"),
          "scale": (3, "<f2"), "dc": (3, "<f2"), "kept": (1, "|u1"), "rest": (0, "|u1")}  # fmt: skip
 """Columns and type of each part; rest has 3 (bands - 1) columns."""
+
+ADDED: dict[str, tuple[type, ...]] = {
+    "variant": (str,), "scene": (str,), "protocol": (dict,), "seed": (int, NoneType),
+    "pose_noise": (str,),
+}  # fmt: skip
+"""Types of the fields of Origin that the first files of version 2 lack."""
 
 
 def read_packed(
@@ -87,8 +94,7 @@ def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> in
         mode=facts.mode, shift=facts.shift, units=facts.units, primitives=count,
         degree=round(bands**0.5) - 1,
     )  # fmt: skip
-    origin = Origin(method=facts.method, settings=facts.settings)
-    write_description(folder, EXPLICIT, origin, told)
+    write_description(folder, EXPLICIT, facts.origin, told)
     return count
 
 
@@ -124,7 +130,7 @@ def _opened(
     table = _table(path, next(stream, b""), 3 * (bands - 1))
     facts = PackedFacts(
         mode=header["mode"], shift=torch.tensor(header["shift"], dtype=torch.float64),
-        units=header["units"], method=header["method"], settings=header["settings"],
+        units=header["units"], origin=_origin(header),
     )  # fmt: skip
     return facts, header, _chunks(path, stream, header, table, threads or os.cpu_count() or 1)
 
@@ -140,6 +146,10 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
         for name, kind in kinds.items():
             if type(header[name]) is not kind:
                 raise ValueError(f"{name} is {header[name]!r}, expected {kind.__name__}")
+        for name, types in ADDED.items():
+            if name in header and type(header[name]) not in types:
+                words = " or ".join(kind.__name__ for kind in types)
+                raise ValueError(f"{name} is {header[name]!r}, expected {words}")
         shift = header["shift"]
         if len(shift) != 3 or not all(type(v) in (int, float) for v in shift):
             raise ValueError(f"shift is {shift!r}, expected three numbers")
@@ -152,6 +162,12 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
         return header
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{path}: header of a packed model that is none ({error})") from None
+
+
+def _origin(header: dict[str, Any]) -> Origin:
+    """Where a model comes from; what its file does not say is unknown."""
+    added = {name: header[name] for name in ADDED if name in header}
+    return Origin(method=header["method"], settings=header["settings"], **added)
 
 
 def _table(path: Path, content: bytes, dims: int) -> Float32[Tensor, "d 256"]:

@@ -28,6 +28,7 @@ from torch.nn import functional
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import whole_file
+from splatproof.methods.contracts.reconstruction import Origin
 from splatproof.methods.storage.packed.morton import morton_codes
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import MemoryRows, Rows
@@ -73,10 +74,8 @@ class PackedFacts:
     frame."""
     units: str = "sfm"
     """Name of the length unit."""
-    method: str = "import"
-    """Name of the method that made it; "import" for a foreign file."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Every setting it was made with, JSON-ready."""
+    origin: Origin = field(default_factory=Origin)
+    """Where it comes from; the header holds its fields beside the others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,9 +133,10 @@ def write_packed(
         "bands": rows.bands,
         "chunk": CHUNK,
         "packing": asdict(settings),
-        **vars(facts),
+        "mode": facts.mode,
         "shift": facts.shift.tolist(),
-        "settings": dict(facts.settings),
+        "units": facts.units,
+        **asdict(facts.origin),
     }
     sizes = dict.fromkeys(PARTS, 0)
 

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, final
 
+from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
 
 
@@ -40,7 +41,7 @@ class Worker:
         else:
             context = multiprocessing.get_context("spawn")
         self._says, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(work, theirs, arguments))
+        self._process = context.Process(target=_serve, args=(work, theirs, arguments, is_quiet()))
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says)
         try:
@@ -122,10 +123,12 @@ def _end(process: BaseProcess, says: Connection) -> None:
     says.close()  # not before: the worker would say that nobody listens
 
 
-def _serve(work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...]) -> None:
-    """What a worker's process does."""
+def _serve(
+    work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...], quiet: bool
+) -> None:
+    """What a worker's process does; it is as quiet as the one that started it."""
     serve_parent()
-    with connection:
+    with connection, silenced(quiet):
         work(connection, *arguments)
 
 

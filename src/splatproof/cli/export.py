@@ -6,11 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from splatproof.cli import output
+from splatproof.cli.baking import UNSEEN, Seen, baked, view_of
 from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from splatproof.methods.contracts.reconstruction import Origin, Reconstruction
     from splatproof.reference.types.gaussians import Gaussians
+    from splatproof.reference.types.scene import View
 
 
 GATE = 0.02
@@ -24,6 +28,7 @@ def export(
     packed: Path | None = None,
     gate: float | None = None,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    seen: Annotated[Seen, tyro.conf.arg(name="")] = UNSEEN,
 ) -> int:
     """Write a trained model as a .ply with the original 3DGS release's properties, or packed small.
 
@@ -31,8 +36,14 @@ def export(
     and z are written in float64, which some viewers do not read. A packed file keeps the local frame
     and says the shift; `bench render` and `bench export` take it wherever they take a model folder.
 
-    With --json each written file is a line: ply or packed (its path), gaussians, and frame of a
-    .ply; bytes, bytes_by_part and open_share of a packed file.
+    A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
+    view at one time: --view names the view, --time may change its time, and --cameras, --scene and
+    --protocol say where to find it. From other views the file is not what the model shows. Models of
+    plain Gaussians look the same from everywhere and refuse these options.
+
+    With --json each written file is a line: ply or packed (its path), gaussians, view and time (null
+    where the model is the same from everywhere), and frame of a .ply; bytes, bytes_by_part and
+    open_share of a packed file.
 
     Args:
         model: The folder that `bench fit` calls OUT, the model folder in it, or a packed file.
@@ -42,10 +53,10 @@ def export(
             in units of colour (0 to 1), loses it; 0 keeps all. None: 0.02.
         local: With --ply: keep the scene's local frame, with all properties in float32, so that any
             viewer reads it.
+        seen: The one view that the model is written at.
     """
     from splatproof.base.errors import UsageError
     from splatproof.methods.loading import load_origin, load_reconstruction
-    from splatproof.methods.storage.ply import write_ply
 
     if ply is None and packed is None:
         raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
@@ -54,37 +65,54 @@ def export(
     if ply is None and local:
         raise UsageError("--local is for --ply FILE; add it or leave --local out")
     loaded = load_reconstruction(model_path(model))
+    view = view_of(model, loaded, seen)
+    gaussians = baked(loaded, view)
     if packed is not None:
-        _pack(loaded, load_origin(model_path(model)), packed, GATE if gate is None else gate)
-    if ply is None:
-        return 0
-    shift = None if local else getattr(loaded, "shift", None)
-    write_ply(ply, _baked(loaded), shift)
-    moved = [] if shift is None else [v for v in shift.tolist() if v]
-    frame = f"shifted back by {shift.tolist()}" if shift is not None and moved else "as trained"
-    record = {"ply": str(ply), "gaussians": loaded.primitives, "frame": frame}
-    output.emit(record, f"{ply}: {loaded.primitives} Gaussians, positions {frame}")
+        origin = load_origin(model_path(model))
+        _pack(loaded, gaussians, view, origin, packed, GATE if gate is None else gate)
+    if ply is not None:
+        _ply(gaussians, view, ply, None if local else getattr(loaded, "shift", None))
     return 0
 
 
-def _baked(model: "Reconstruction") -> "Gaussians":
-    """The model as explicit Gaussians."""
-    from splatproof.base.errors import UsageError
-    from splatproof.methods.contracts.reconstruction import Bakes
-
-    if not isinstance(model, Bakes):
-        raise UsageError(f"a model of kind {model.kind!r} cannot be turned into explicit Gaussians")
-    return model.bake()
+def _looks(view: "View | None") -> tuple[dict[str, object], str]:
+    """Where a written model is looked at from: what --json says of it, and words."""
+    if view is None:
+        return {"view": None, "time": None}, ""
+    when = "" if view.time is None else f" at {view.time:g} s"
+    return {"view": view.name, "time": view.time}, f" as seen from {view.name}{when}"
 
 
-def _pack(model: "Reconstruction", origin: "Origin", path: Path, gate: float) -> None:
+def _ply(gaussians: "Gaussians", view: "View | None", path: Path, shift: "Tensor | None") -> None:
+    """Write a .ply file and say in which frame it is."""
+    from splatproof.methods.storage.ply import write_ply
+
+    write_ply(path, gaussians, shift)
+    moved = [] if shift is None else [v for v in shift.tolist() if v]
+    frame = f"shifted back by {shift.tolist()}" if shift is not None and moved else "as trained"
+    seen, words = _looks(view)
+    record = {"ply": str(path), "gaussians": len(gaussians), "frame": frame} | seen
+    output.emit(record, f"{path}: {len(gaussians)} Gaussians{words}, positions {frame}")
+
+
+def _pack(
+    model: "Reconstruction",
+    gaussians: "Gaussians",
+    view: "View | None",
+    origin: "Origin",
+    path: Path,
+    gate: float,
+) -> None:
     """Write a packed file and say how small it is."""
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 
     known = {n: getattr(model, n) for n in ("mode", "shift", "units") if hasattr(model, n)}
-    facts = PackedFacts(**known, method=origin.method, settings=origin.settings)
-    report = write_packed(path, _baked(model), settings=FileSettings(gate=gate), facts=facts)
+    facts = PackedFacts(**known, origin=origin)
+    report = write_packed(path, gaussians, settings=FileSettings(gate=gate), facts=facts)
     each = report.bytes / max(report.primitives, 1)
+    seen, words = _looks(view)
     record = {"packed": str(path), "gaussians": report.primitives, "bytes": report.bytes,
               "bytes_by_part": dict(report.bytes_by_part), "open_share": report.open_share}  # fmt: skip
-    output.emit(record, f"{path}: {report.primitives} Gaussians, {each:.1f} bytes each")
+    output.emit(
+        record | seen, f"{path}: {report.primitives} Gaussians{words}, {each:.1f} bytes each"
+    )

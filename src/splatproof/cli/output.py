@@ -18,6 +18,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from splatproof.base.quiet import is_quiet, silenced
+
 
 @dataclass(frozen=True, kw_only=True)
 class Style:
@@ -37,7 +39,8 @@ def speaking(style: Style) -> Iterator[None]:
     """Everything printed inside the block follows `style`."""
     token = _style.set(style)
     try:
-        yield
+        with silenced(style.quiet):
+            yield
     finally:
         _style.reset(token)
 
@@ -45,11 +48,6 @@ def speaking(style: Style) -> Iterator[None]:
 def wants_json() -> bool:
     """Whether results are to be JSON lines (--json)."""
     return _style.get().json
-
-
-def is_quiet() -> bool:
-    """Whether logs and progress are to be left out (--quiet)."""
-    return _style.get().quiet
 
 
 def print_record(record: Mapping[str, object]) -> None:

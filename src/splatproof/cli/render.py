@@ -31,8 +31,8 @@ def render(
 
     A model that `bench fit` or `bench run` saved knows its scene and protocol: without options its
     held-out views are rendered as they were scored, at the protocol's size and over its background,
-    and the images are those in the case's renders/ byte for byte. A model from elsewhere (a packed
-    file) needs --scene and --protocol. PNGs have 8 bits a channel, or 16 where the protocol scores
+    and the images are those in the case's renders/ byte for byte. A packed file knows them too. A
+    model from elsewhere needs --scene and --protocol. PNGs have 8 bits a channel, or 16 where the protocol scores
     renders that are not rounded. With --json one line tells out, images (how many),
     source (the scene or the file of cameras) and protocol.
 
@@ -45,7 +45,9 @@ def render(
             background. None: the protocol that the model was trained under.
         views: Which views of the scene: those that are scored, those that train, or all. None: test.
         cameras: Render from the cameras in this .json file instead: a list of objects with name,
-            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes).
+            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes), and for models
+            that know of them time (seconds since the scene's first view), sensor (name of a physical
+            camera) and appearance (name of the training view whose light is shown).
         backend: Name of the rasterizer: cpu, reference or cuda.
     """
     from splatproof.base.errors import DataError, UsageError
@@ -103,8 +105,7 @@ def _of_file(
     import torch
 
     from splatproof.methods.storage.camera_files import read_cameras
-    from splatproof.reference.types.scene import camera_view
 
     background = torch.tensor(rules.background)
-    chosen = [camera_view(camera, name) for name, camera in read_cameras(cameras).items()]
+    chosen = tuple(read_cameras(cameras).values())
     return chosen, lambda view, model: model.render(view, background).colour

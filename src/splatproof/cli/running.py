@@ -59,13 +59,6 @@ USUAL, USUAL_BLOCKS = Running(), BlockRunning()
 """How things run where nothing else is asked for."""
 
 
-def has_blocks(settings: type) -> bool:
-    """Whether a method with settings of this type trains a scene in blocks."""
-    from splatproof.methods.city.settings import CitySettings
-
-    return issubclass(settings, CitySettings)
-
-
 def check_options(suite: "Suite", running: Running, blocks: BlockRunning) -> None:
     """Refuse, before anything is written, options that no case can obey.
 
@@ -77,9 +70,11 @@ def check_options(suite: "Suite", running: Running, blocks: BlockRunning) -> Non
         any; MissingError if this machine lacks what the backend needs.
     """
     from splatproof.methods.contracts.backends import get_backend
+    from splatproof.methods.registry import get_method
 
     get_backend(running.backend)
-    if blocks != USUAL_BLOCKS and not any(has_blocks(type(c.settings)) for c in suite.cases):
+    in_blocks = any(get_method(name).blocks for name in {case.method for case in suite.cases})
+    if blocks != USUAL_BLOCKS and not in_blocks:
         raise UsageError(
             "--workers and --engine are for methods that train a scene in blocks, and no method of "
             f"suite {suite.name} does; leave them out"

@@ -19,6 +19,8 @@ from helpers.posed_scenes import POINTS
 from splatproof.base.errors import DataError
 from splatproof.cli import main
 from splatproof.datasets.catalogue.opening import ADAPTERS, open_scene
+from splatproof.datasets.depth_maps import depth_path
+from splatproof.datasets.view_times import Moment, sky_path, write_moments
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,8 @@ class Fixture:
     of this file named in left_out."""
     unread: str = r"$^"
     """Pattern of the files that are not read at all."""
+    adapter: str = ""
+    """Name of the adapter where it is not that of the fixture."""
     counted: str = r"$^"
     """Pattern of the files that have no name of their own in the layout, only a place in a row: what is
     said is how many there are, and where."""
@@ -53,6 +57,27 @@ def _rich_nerfstudio(folder: Path) -> None:
     path.write_text(json.dumps(data))
 
 
+def _driven(folder: Path) -> None:
+    """A COLMAP model with moments and what may lie beside: LiDAR, depth, masks of sky and movers."""
+    write_scene(folder, Flight(model="PINHOLE", params=[70, 72, 47, 37]))
+    names = [path.name for path in sorted((folder / "photos").iterdir())]
+    moments = {name: Moment(time=0.1 * i, sensor="front") for i, name in enumerate(names)}
+    write_moments(folder, moments)
+    for part in ("depth", "sky", "moving/vehicles", "moving/people", "lidar"):
+        (folder / part).mkdir(parents=True)
+    for name, moment in moments.items():
+        np.savez(depth_path(folder, name), depth=np.full((72, 96), 4, np.float32))
+        for mask in (sky_path(folder, name), *moving_masks_of(folder, name)):
+            Image.new("L", (96, 72), 255).save(mask)
+        file = folder / "lidar" / f"{Path(name).stem}.npz"
+        np.savez(file, points=np.ones((5, 3)), origin=np.zeros(3), time=moment.time)
+
+
+def moving_masks_of(folder: Path, name: str) -> list[Path]:
+    """Paths of the masks of what moves of a photo."""
+    return [folder / "moving" / kind / name for kind in ("vehicles", "people")]
+
+
 def _tourism(folder: Path) -> None:
     fixtures("photo_tourism").tourism(folder, ["train", "test", "train", "", "train", "test"])
 
@@ -65,6 +90,9 @@ def _tracking(folder: Path) -> None:
 
 FIXTURES = {
     "colmap": Fixture(partial(write_scene, flight=Flight())),
+    "colmap, driven": Fixture(
+        _driven, optional=r"lidar/|depth/|sky/|views\.json", adapter="colmap"
+    ),
     "photo-tourism": Fixture(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
     "nerfstudio": Fixture(_rich_nerfstudio),
     "matrixcity": Fixture(
@@ -113,7 +141,9 @@ def use(folder: Path) -> None:
     scene = open_scene(folder, protocol(hold=2))
     for view in scene.views:
         view.load()
-        for read in (view.load_mask, view.load_sky, view.load_moving):
+        for read in (
+            view.load_mask, view.load_sky, view.load_sweep, view.load_depth, view.load_moving,
+        ):  # fmt: skip
             if read is not None:
                 read()
 
@@ -128,7 +158,8 @@ def fault(folder: Path) -> str:
 
 
 def test_every_adapter_has_a_fixture_here():
-    assert set(FIXTURES) == {adapter.name for adapter in ADAPTERS}
+    known = {fixture.adapter or name for name, fixture in FIXTURES.items()}
+    assert known == {adapter.name for adapter in ADAPTERS}
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {
@@ -143,7 +174,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 def test_a_damaged_file_is_named_in_one_line(tmp_path, name):
     fixture, root = written(tmp_path, name)
     scene = open_scene(root / fixture.inside, protocol(hold=2))
-    assert scene.facts["adapter"] == name
+    assert scene.facts["adapter"] == (fixture.adapter or name)
     assert fault(root / fixture.inside) == ""
     for path in files_of(root):
         kept = path.read_bytes()
@@ -200,4 +231,6 @@ def photo_of(root: Path, fixture: Fixture) -> Path:
     """The photo of the first view."""
     name = Path(open_scene(root / fixture.inside, protocol(hold=2)).views[0].name).name
     found = [path for path in files_of(root) if path.name == name]
-    return next(path for path in found if not re.search(r"masks|sky|images_2", str(path.parent)))
+    return next(
+        path for path in found if not re.search(r"masks|sky|moving|images_2", str(path.parent))
+    )

@@ -1,4 +1,5 @@
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -11,10 +12,12 @@ from helpers.adapter_checks import (
     protocol,
     refused,
     sky,
+    sweep,
     tenths,
     without,
 )
 from helpers.posed_scenes import blob, worst_error
+from splatproof.base.errors import DataError
 from splatproof.datasets.catalogue.opening import open_scene
 
 RADIUS = 6378137.0
@@ -136,6 +139,49 @@ def test_points_are_seen_where_they_were_painted(tmp_path, write):
     found = scene.points.positions + scene.shift - torch.from_numpy(np.tile(POINTS, (4, 1)))
     assert found.abs().max() < 1e-5
     assert {path.suffix for path in scene.sources} == {".bin", ".png"}
+
+
+@BOTH
+def test_each_view_has_its_sweep_in_the_scene_frame(tmp_path, write):
+    """Float32 of coordinates below 16 metres, in the file and again in the scene's frame."""
+    folder, _ = write(tmp_path)
+    for rules in ({}, {"clips": ((folder.name, 1, -1),)}):
+        scene = open_scene(folder, protocol(**rules))
+        for view in scene.views:
+            i = int(view.name[-8:-4])
+            found = sweep(view)
+            assert found.time == view.time
+            assert tenths(view) == i - (1 if rules else 0)
+            want = torch.from_numpy(POINTS) - scene.shift
+            assert (found.positions - want).abs().max() < 16 * 2**-23
+            place = (imu(i) @ np.linalg.inv(full(TO_LIDAR)))[:3, 3]
+            # the devkit's Mercator is a difference of numbers of 1e7 metres
+            assert (found.origin - torch.from_numpy(place) + scene.shift).abs().max() < 1e-7
+            beside = (imu((i + 1) % 4) @ np.linalg.inv(full(TO_LIDAR)))[:3, 3]
+            # control: the car of another moment
+            assert (found.origin - torch.from_numpy(beside) + scene.shift).abs().max() > 0.01
+
+
+@BOTH
+def test_views_of_a_moment_without_a_sweep_have_none(tmp_path, write):
+    folder, _ = write(tmp_path)
+    path = sorted(tmp_path.rglob("*.bin"))[2]
+    scene = open_scene(folder, protocol())
+    path.unlink()
+    gone = next(view for view in scene.views if tenths(view) == 2)
+    with pytest.raises(DataError, match=rf"{path.name}: LiDAR sweep cannot be read: No such file"):
+        sweep(gone)
+    views = open_scene(folder, protocol()).views
+    assert {tenths(view) for view in views if view.load_sweep is None} == {2}
+
+
+@BOTH
+def test_views_are_sent_to_other_processes(tmp_path, write):
+    folder, _ = write(tmp_path)
+    for view in open_scene(folder, protocol()).views:
+        sent = pickle.loads(pickle.dumps(view))
+        assert torch.equal(sweep(sent).positions, sweep(view).positions)
+        assert torch.equal(sent.load(), view.load())
 
 
 def test_sky_of_tracking(tmp_path):

@@ -1,3 +1,6 @@
+import pickle
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +14,7 @@ from helpers.adapter_checks import (
     protocol,
     refused,
     sky,
+    sweep,
     tenths,
     without,
 )
@@ -22,6 +26,8 @@ F, C = (80.0, 84.0), (50.0, 34.0)
 K1, K2, P1, P2, K3 = -0.1, 0.02, 0.01, -0.01, 0.003
 FAR = np.array([2.1e4, -3e4, 40.0])
 """Waymo's worlds are far from their origin."""
+ROOF, SIDE = (1.43, 0.0, 2.184), (3.2, 1.0, 1.0)
+"""Where two LiDARs are on the vehicle."""
 
 
 def mount(camera):
@@ -90,6 +96,7 @@ def drivestudio(folder, *, frames=4, paint=True):
             points[name] = point + FAR
         rows = np.zeros((3, 14), np.float32)
         inside = np.c_[POINTS + FAR, np.ones(3)] @ np.linalg.inv(vehicle(i)).T
+        rows[:, :3] = [ROOF, ROOF, SIDE]
         rows[:, 3:6] = inside[:, :3]
         rows.tofile(folder / f"lidar/{i:03d}.bin")
         write_sky(folder / f"sky_masks/{i:03d}_1.png")
@@ -162,6 +169,54 @@ def test_lidar_sky_and_chosen_cameras(tmp_path, write):
     assert scene.views[0].load_mask is None
     assert open_scene(tmp_path, protocol()).views[0].load_sky is None  # has no file
     refused(tmp_path, "has no camera 'back', .* it has 'front', 'front_left'", sensors=("back",))
+
+
+@BOTH
+def test_each_view_has_its_sweep_in_the_scene_frame(tmp_path, write):
+    """Float32 of coordinates below 4 metres, in the file and again in the scene's frame."""
+    write(tmp_path)
+    for rules in ({}, {"clips": ((tmp_path.name, 1, -1),)}):
+        scene = open_scene(tmp_path, protocol(**rules))
+        assert scene.shift.abs().max() > 1e4
+        for view in scene.views:
+            found = sweep(view)
+            i = int(Path(view.name).stem.split("_")[0]) % 1000
+            assert found.time == view.time
+            assert tenths(view) == i - (1 if rules else 0)
+            want = torch.from_numpy(POINTS + FAR) - scene.shift
+            assert (found.positions - want).abs().max() < 4 * 2**-23
+            origin = torch.from_numpy(vehicle(i)[:3, :3] @ ROOF + vehicle(i)[:3, 3]) - scene.shift
+            # of 3e4 metres in float64, after a mount in float32
+            assert (found.origin - origin).abs().max() < 4 * 2**-23
+            other = torch.from_numpy(vehicle((i + 1) % 4)[:3] @ [*ROOF, 1.0]) - scene.shift
+            assert (found.origin - other).abs().max() > 1  # control: the vehicle of another moment
+
+
+@BOTH
+def test_views_of_a_moment_without_a_sweep_have_none(tmp_path, write):
+    write(tmp_path)
+    bins = sorted(tmp_path.rglob("*.bin"))
+    scene = open_scene(tmp_path, protocol())
+    bins[1].unlink()
+    gone = next(view for view in scene.views if tenths(view) == 1)
+    with pytest.raises(DataError, match=rf"{bins[1].name}: LiDAR sweep cannot be read: No such"):
+        sweep(gone)
+    views = open_scene(tmp_path, protocol()).views
+    assert {tenths(view) for view in views if view.load_sweep is None} == {1}
+    bins[0].write_bytes(b"123")
+    with pytest.raises(DataError, match=rf"{bins[0].name}: has 3 bytes, expected a multiple of"):
+        sweep(scene.views[0])
+
+
+@BOTH
+def test_views_are_sent_to_other_processes(tmp_path, write):
+    write(tmp_path)
+    for view in open_scene(tmp_path, protocol()).views:
+        sent = pickle.loads(pickle.dumps(view))
+        assert torch.equal(sweep(sent).positions, sweep(view).positions)
+        assert torch.equal(sent.load(), view.load())
+        if view.load_moving:
+            assert moving(sent).keys() == moving(view).keys()
 
 
 def test_what_moves(tmp_path):

@@ -17,7 +17,7 @@ from splatproof.reference.types.scene import camera_view
 
 ORIGIN = Origin(
     method="3dgs", variant="short", settings={"iterations": 5}, scene="tiny",
-    protocol={"name": "default"}, seed=3,
+    protocol={"name": "default"}, seed=3, pose_noise="L1",
 )  # fmt: skip
 
 

@@ -105,6 +105,11 @@ def test_the_loss_is_the_weighted_sum_and_every_term_has_its_name():
     assert told["photometric"] == pytest.approx(single["photometric"], rel=1e-6)
 
 
+def test_two_terms_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="one name: photometric, photometric"):
+        trainer(Pairs(), Photometric(), Photometric(dssim=0.5))
+
+
 def test_a_term_of_the_parameters_is_told_beside_the_loss_on_both_paths():
     for native in (True, False):
         model, plan = prepare(tiny_scene(), Settings(iterations=5, opacity_weight=0.5), RUN)

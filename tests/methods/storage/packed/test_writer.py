@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from splatproof.methods.storage.packed import records as packing_records
 from splatproof.methods.storage.packed import streams as packing_streams
 from splatproof.methods.storage.packed import writer as packing
 from splatproof.methods.storage.packed.morton import morton_codes, morton_order
-from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
+from splatproof.methods.storage.packed.reader import ADDED, read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import FolderRows
 from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
@@ -100,17 +100,39 @@ def test_bytes_do_not_depend_on_threads(folder, small_chunks):
     assert (folder / "1").read_bytes() == (folder / "3").read_bytes()
 
 
+ORIGIN = Origin(
+    method="3dgs", variant="short", settings={"iterations": 5}, scene="tiny",
+    protocol={"name": "default"}, seed=3, pose_noise="L1",
+)  # fmt: skip
+
+
+def test_a_header_that_says_less_of_the_origin_opens(folder):
+    write_packed(folder / "new", model(20, 0, 0), facts=PackedFacts(origin=ORIGIN))
+    parts = [part[40:] for part in cut_records((folder / "new").read_bytes())]
+    header = json.loads(parts[0])
+    assert {"method", "settings", *ADDED} == {part.name for part in fields(Origin)}
+    for name in ADDED:
+        del header[name]
+    with (folder / "old").open("wb") as file:
+        out = RecordWriter(file)
+        for content in [json.dumps(header).encode(), *parts[1:]]:
+            out.add(content)
+    assert load_origin(folder / "old") == Origin(method="3dgs", settings={"iterations": 5})
+
+
 def test_facts_come_back_and_the_harness_opens_the_file(folder):
     facts = PackedFacts(
         mode="antialiased", shift=torch.tensor([5e5, 4.2e6, 0.1], dtype=D), units="metres",
-        method="3dgs", settings={"iterations": 5},
+        origin=ORIGIN,
     )  # fmt: skip
     path = folder / "f.spgs"
     write_packed(path, model(20, 2, 0), facts=facts)
     back = load_reconstruction(path, backend="reference")
     assert isinstance(back, ExplicitModel)
     assert (back.mode, back.units) == ("antialiased", "metres")
-    assert load_origin(path) == Origin(method="3dgs", settings={"iterations": 5})
+    assert load_origin(path) == ORIGIN
+    unpack_packed(path, folder / "f_model")
+    assert load_origin(folder / "f_model") == ORIGIN
     assert back.backend == "reference"
     assert torch.equal(back.shift, facts.shift)
     assert same(back.model, read_packed(path)[0])
@@ -262,6 +284,8 @@ def forged(folder: Path, change: dict, contents: list[bytes] | None = None) -> s
         {"primitives": 2**50}, {"primitives": -1}, {"primitives": "40"}, {"primitives": 39},
         {"bands": 5}, {"bands": 16}, {"chunk": 0}, {"chunk": 2**40}, {"chunk": 15}, {"format": "x"},
         {"shift": [1, 2]}, {"shift": ["a", 1, 2]}, {"mode": "fast"}, {"settings": []}, {"units": 3},
+        {"variant": None}, {"scene": 3}, {"protocol": "3dgs"}, {"seed": "0"}, {"seed": True},
+        {"pose_noise": []},
     ],
 )  # fmt: skip
 def test_forged_headers_are_refused(folder, change):

@@ -1,0 +1,33 @@
+"""Reads arrays of .npz files beside the photos of a scene folder of ours."""
+
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from splatproof.base.errors import DataError
+
+
+def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
+    """Read some arrays of an .npz; the others are not decoded.
+
+    Args:
+        path: The file.
+        names: Names of the arrays, in the order in which they are wanted.
+    Raises: DataError naming the file, and the array that cannot be read.
+    """
+    found, name = [], names[0]
+    try:
+        # opened here: numpy leaves its own handle open when the file is damaged
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            for name in names:
+                found.append(arrays[name])
+    except (
+        OSError, ValueError, KeyError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+    ) as error:  # fmt: skip
+        said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
+        raise DataError(
+            f"{path}: no array {name!r} to read ({said}); make the scene again"
+        ) from None
+    return found
