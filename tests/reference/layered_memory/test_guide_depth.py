@@ -179,3 +179,10 @@ def test_thirty_thousand_layers_take_a_fraction_of_a_second():
     start = time.process_time()
     guide_depth.render(memory, side)
     assert time.process_time() - start < 0.4
+
+
+def test_layers_behind_the_view_are_not_drawn():
+    memory = held(camera(), torch.tensor([[0.01, 0.01, 2.0]], dtype=D))
+    pose = torch.eye(4, dtype=D)
+    pose[2, 3] = -5.0
+    assert not guide_depth.render(memory, camera(pose))[1].any()
