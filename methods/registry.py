@@ -8,6 +8,8 @@ from splatproof.methods.city import settings as city
 from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.contracts.method import Method
+from splatproof.methods.scaffold.method import SCAFFOLD_GS
+from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
 
 GROUP = "splatproof.methods"
@@ -25,6 +27,8 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         THREEDGS,
+        ABSGS,
+        SCAFFOLD_GS,
         _city(
             "citygaussian",
             city.CityGaussian,

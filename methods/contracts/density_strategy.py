@@ -32,6 +32,8 @@ class Observation:
     """Row that each splat was decoded from, -1: none; None: splat i is row i."""
     slots: Int[Tensor, " n"] | None
     """Place among the decoded splats: row * k + place; None: not told apart."""
+    decoded: Int[Tensor, " v"] | None = None
+    """Rows that were decoded for the view, whether they show a splat or not; None: all were."""
     count: int
     """Number of rows of the model."""
 

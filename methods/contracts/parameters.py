@@ -51,6 +51,21 @@ class Parameters:
         if len(set(counts.values())) > 1:
             raise ValueError(f"rows disagree in number: {counts}")
 
+    @staticmethod
+    def of(state: Mapping[str, Tensor]) -> "Parameters":
+        """The parameters that `state` was asked of.
+
+        Args:
+            state: Every tensor by group and name, as `state` returns them.
+
+        Raises: KeyError for a name of no group; ValueError as for the parameters themselves.
+        """
+        groups: dict[str, dict[str, Tensor]] = {"rows": {}, "shared": {}, "labels": {}}
+        for name, value in state.items():
+            group, _, rest = name.partition(".")
+            groups[group][rest] = value
+        return Parameters(groups["rows"], shared=groups["shared"], labels=groups["labels"])
+
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.rows.values()), ()))

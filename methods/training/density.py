@@ -38,6 +38,10 @@ class Density:
     gradient: float = 2e-4
     """Pull from which a Gaussian is cloned or split: mean norm of the loss's gradient by its
     position in the image, in units of half the image. Smaller values give more Gaussians."""
+    split_gradient: float = 0.0
+    """Mean norm of the sums of absolute gradients by the 2D position (per pixel and coordinate, so that
+    they do not cancel), in the same units, from which a large Gaussian is split; small ones are cloned
+    by `gradient` all the same (AbsGS: 4e-4). 0: `gradient` decides on both."""
     split_size: float = 0.01
     """Largest scale up to which a Gaussian is cloned, as a share of the scene's extent (1.1 times
     the radius of the training cameras); a larger one is split."""
@@ -54,7 +58,10 @@ class Density:
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
-        for name in ("start", "stop", "reset_interval", "gradient", "split_size", "largest_size"):
+        for name in (
+            "start", "stop", "reset_interval", "gradient", "split_gradient", "split_size",
+            "largest_size",
+        ):  # fmt: skip
             value = getattr(self, name)
             require(value >= 0, f"density.{name}", value, ">= 0")
         for name in ("interval", "least_interval"):
@@ -86,6 +93,7 @@ def densify(
     prune_large: bool,
     generator: torch.Generator,
     fixed: Bool[Tensor, " n"] | None = None,
+    absolute: Float[Tensor, " n"] | None = None,
 ) -> Rows:
     """Clone small and split large Gaussians that are pulled at; remove those that do not show.
 
@@ -100,16 +108,21 @@ def densify(
         prune_large: Whether Gaussians larger than `largest_size` are removed too.
         generator: Source of the children's positions.
         fixed: Rows that are neither cloned, split nor removed; None: none.
+        absolute: Mean norm of the absolute 2D gradients, by which large Gaussians are split where
+            `split_gradient` is not 0; None: `gradient` decides on both.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.2; rules of its release, without
         the test on screen size, which never fires there.
     """
     size = gaussians.scales.amax(dim=1)
     fixed = torch.zeros_like(size, dtype=torch.bool) if fixed is None else fixed
-    chosen = (gradient >= settings.gradient) & ~fixed
+    small = size <= settings.split_size * extent
+    pulled = gradient >= settings.gradient
+    if absolute is not None:
+        pulled = torch.where(small, pulled, absolute >= settings.split_gradient)
+    chosen = pulled & ~fixed
     if settings.most is not None:
         chosen &= _largest(gradient.where(chosen, -1), max(0, settings.most - len(gaussians)))
-    small = size <= settings.split_size * extent
     split = torch.where(chosen & ~small)[0].repeat(2)
     clone = torch.where(chosen & small)[0]
     keep = torch.where(~(chosen & ~small))[0]
@@ -192,8 +205,10 @@ class DensityControl:
         )
         self.extent, self.rules = extent, rules
         self.statistic: Statistic = statistic
-        self.needs: frozenset[Statistic] = frozenset({statistic})
-        self.gradient_sum = self.seen = torch.zeros(0)
+        self.needs: frozenset[Statistic] = frozenset(
+            {statistic, "absolute"} if settings.split_gradient else {statistic}
+        )
+        self.gradient_sum = self.absolute_sum = self.seen = torch.zeros(0)
 
     def watches(self, step: int) -> bool:
         """Whether the statistics of a step are needed.
@@ -213,6 +228,9 @@ class DensityControl:
             self._clear(seen.count, seen.radii.device)
         gradient = seen.signed if self.statistic == "signed" else seen.absolute
         assert gradient is not None
+        if self.settings.split_gradient:
+            norm = torch.where(seen.radii > 0, seen.gradient_norm("absolute"), 0)
+            self.absolute_sum += seen.by_row(norm)
         if seen.rows is None and gradient.device.type == "cpu":
             kernels.observe(gradient, seen.radii, seen.camera, self.gradient_sum, self.seen)
             return
@@ -258,13 +276,17 @@ class DensityControl:
         fixed = None
         if len(self.gradient_sum) != len(parameters):  # no view was observed since
             self._clear(len(parameters), parameters.rows["means"].device)
-        gradient = self.gradient_sum / self.seen.clamp(min=1)
+        gradient, absolute = (
+            total / self.seen.clamp(min=1) for total in (self.gradient_sum, self.absolute_sum)
+        )
         if self.rules is not None:
-            gradient[~self.rules.growing(parameters)] = -1  # below any threshold
+            resting = ~self.rules.growing(parameters)
+            gradient[resting] = absolute[resting] = -1  # below any threshold
             fixed = self.rules.fixed(parameters)
         rows = densify(
             _shapes(parameters), gradient, self.settings, extent=self.extent,
             prune_large=0 < every < step, generator=generator, fixed=fixed,
+            absolute=absolute if self.settings.split_gradient else None,
         )  # fmt: skip
         self._clear(len(rows.parents), gradient.device)
         return Edit(
@@ -287,16 +309,20 @@ class DensityControl:
     def _clear(self, count: int, device: torch.device) -> None:
         """Forget the statistics."""
         self.gradient_sum = torch.zeros(count, device=device)
+        self.absolute_sum = torch.zeros(count, device=device)
         self.seen = torch.zeros(count, device=device)
 
     def state(self) -> dict[str, Tensor]:
         """The statistics as named tensors."""
-        return {"gradient_sum": self.gradient_sum, "seen": self.seen}
+        return {
+            "gradient_sum": self.gradient_sum, "absolute_sum": self.absolute_sum, "seen": self.seen,
+        }  # fmt: skip
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take over what `state` returned."""
         device = self.gradient_sum.device
         self.gradient_sum = state["gradient_sum"].clone().to(device)
+        self.absolute_sum = state["absolute_sum"].clone().to(device)
         self.seen = state["seen"].clone().to(device)
 
 

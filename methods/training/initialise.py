@@ -126,6 +126,24 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
     )
 
 
+def require_points(scene: Scene) -> None:
+    """Refuse a scene that no training can start from.
+
+    Args:
+        scene: Points and training views are looked at.
+
+    Raises: DataError if there is no point or no training view.
+    """
+    if not scene.train:
+        raise DataError(f"scene {scene.name!r}: no training views. Expected at least one")
+    if len(scene.points) == 0:
+        raise DataError(
+            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
+            "reconstruct the scene again with more overlapping photos (`bench ingest`), or set "
+            "random_points to start from points drawn at random"
+        )
+
+
 def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
     """One isotropic Gaussian for each sparse point: its colour as SH DC, identity rotation.
 
@@ -138,15 +156,8 @@ def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.1.
     """
-    if not scene.train:
-        raise DataError(f"scene {scene.name!r}: no training views. Expected at least one")
+    require_points(scene)
     count = len(scene.points)
-    if count == 0:
-        raise DataError(
-            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
-            "reconstruct the scene again with more overlapping photos (`bench ingest`), or set "
-            "random_points to start from points drawn at random"
-        )
     distance = neighbour_distance(scene.points.positions, lone=0.01 * extent(scene))
     sh = torch.zeros(count, (degree + 1) ** 2, 3)
     sh[:, 0] = (scene.points.colours.float() / 255 - 0.5) / C0

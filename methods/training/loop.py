@@ -268,7 +268,7 @@ class Trainer:
         return values, Observation(
             camera=view.camera, radii=output.radii, opacities=splats.opacities.detach(),
             signed=signed, absolute=absolute, rows=splats.rows, slots=splats.slots,
-            count=len(self.model.parameters),
+            decoded=splats.decoded, count=len(self.model.parameters),
         )  # fmt: skip
 
     def behind(self) -> Tensor:

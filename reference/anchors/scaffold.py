@@ -94,6 +94,28 @@ def view_code(
     return offset / torch.where(apart, distance, 1), distance
 
 
+def blend_bank(
+    features: Float[Tensor, "n f"],
+    network: Mlp,
+    direction: Float[Tensor, "n 3"],
+    distance: Float[Tensor, "n 1"],
+) -> Float[Tensor, "n f"]:
+    """The feature bank: w0 f[::4] + w1 f[::2] + w2 f, thinned features repeated to full length.
+
+    Args:
+        features: Features of each anchor, one row an anchor; f is a multiple of 4.
+        network: From direction and distance (4 numbers) to 3, softmax of which are the weights w.
+        direction: Unit directions from the camera, from `view_code`.
+        distance: Distances to the camera in scene units, from `view_code`.
+
+    Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.2 and its release.
+    """
+    code = torch.cat([direction, distance], dim=1)
+    weights = torch.softmax(mlp.evaluate(network, code), dim=1)
+    coarse, middle = features[:, ::4].repeat(1, 4), features[:, ::2].repeat(1, 2)
+    return weights[:, :1] * coarse + weights[:, 1:2] * middle + weights[:, 2:] * features
+
+
 def decode(
     anchors: Anchors,
     decoder: Decoder,

@@ -30,6 +30,8 @@ class Splats:
     row i."""
     slots: Int[Tensor, " n"] | None = None
     """Where a row decodes to several splats: row * k + place among its k. None: not told apart."""
+    decoded: Int[Tensor, " v"] | None = None
+    """Rows that were decoded for this view, whether they show a splat or not. None: all were."""
 
     def __post_init__(self) -> None:
         """Refuse splats with no colour or two."""

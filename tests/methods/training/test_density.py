@@ -146,3 +146,35 @@ def test_a_short_run_is_a_whole_one(iterations):
     assert all(b - a >= 100 for a, b in pairwise(dense))
     if iterations >= 1000:
         assert dense
+
+
+def test_large_gaussians_are_split_by_the_absolute_gradient_and_small_ones_cloned_by_the_signed():
+    model, _ = drawn(4, 3)
+    size = torch.tensor([0.001, 0.001, 0.5, 0.5])
+    model = replace(model, log_scales=size.log()[:, None].repeat(1, 3),
+                    opacity_logits=torch.zeros(4))  # fmt: skip
+    signed, absolute = torch.tensor([1.0, 0, 1, 0]), torch.tensor([0.0, 1, 0, 1])
+    settings = Density(gradient=0.5, split_gradient=0.5, largest_size=10.0)
+    rows = densify(
+        model, signed, settings, extent=1.0, prune_large=False,
+        generator=torch.Generator().manual_seed(0), absolute=absolute,
+    )  # fmt: skip
+    assert rows.parents.tolist() == [0, 1, 2, 0, 3, 3]  # 0 is cloned, 3 is split
+
+
+def test_absolute_statistics_are_taken_and_restored_beside_the_signed():
+    control = DensityControl(Density(split_gradient=4e-4), iterations=30_000, extent=1.0)
+    assert control.needs == {"signed", "absolute"}
+    assert DensityControl(Density(), iterations=9, extent=1.0).needs == {"signed"}
+    seen = Observation(
+        camera=camera(0, width=20, height=10), radii=torch.tensor([1.0, 0.0]), opacities=None,
+        signed=torch.zeros(2, 2), absolute=torch.tensor([[3.0, 8.0], [1.0, 1.0]]), rows=None,
+        slots=None, count=2,
+    )  # fmt: skip
+    control.observe(seen)
+    again = DensityControl(Density(split_gradient=4e-4), iterations=30_000, extent=1.0)
+    again.restore(control.state())
+    for each in (control, again):
+        assert each.absolute_sum.tolist() == [math.hypot(30, 40), 0.0]
+        assert each.gradient_sum.tolist() == [0.0, 0.0]
+        assert each.seen.tolist() == [1, 0]

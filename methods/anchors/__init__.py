@@ -1,0 +1,1 @@
+"""Voxel anchors that networks decode: what scaffold-gs and its relatives share."""

@@ -1,0 +1,1 @@
+"""Method scaffold-gs: anchors and decoders (Lu et al. 2024)."""
