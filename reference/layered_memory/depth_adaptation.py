@@ -1,14 +1,14 @@
 """Sequential depth adaptation: each view's depth is denoised under the memory of the earlier ones."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory import guide_depth, layered_depth
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
 from splatproof.reference.supervision.side_views import unproject
 from splatproof.reference.types.camera import Camera, project_points
@@ -20,10 +20,10 @@ class DepthDenoiser(Protocol):
 
     steps: int
 
-    def encode(
+    def start(
         self, image: Float[Tensor, "h w 3"], generator: torch.Generator
     ) -> Float[Tensor, "..."]:
-        """Return the noisy latent that denoising starts from.
+        """Return the noisy latent x_T that denoising starts from.
 
         Args:
             image: The view's photo, sRGB in [0, 1].
@@ -31,20 +31,39 @@ class DepthDenoiser(Protocol):
         """
         ...
 
-    def denoise(
+    def predict_clean(
         self, latent: Float[Tensor, "..."], image: Float[Tensor, "h w 3"], step: int
     ) -> Float[Tensor, "..."]:
-        """Return the clean latent as estimated at this step; differentiable by the latent.
+        """Return the clean latent x_0 as the network estimates it; called without gradient.
 
         Args:
-            latent: The latent before this step.
+            latent: The latent x_t before this step.
             image: The view's photo, sRGB in [0, 1].
             step: Number of the step, from 0 to steps - 1.
         """
         ...
 
-    def decode(self, latent: Float[Tensor, "..."]) -> Float[Tensor, "h w"]:
-        """Return the depth in [0, 1] of a clean latent; differentiable."""
+    def advance(
+        self, latent: Float[Tensor, "..."], clean: Float[Tensor, "..."], step: int
+    ) -> Float[Tensor, "..."]:
+        """Return x_(t-1): what the model's own scheduler makes of x_t and x_0, without gradient.
+
+        Args:
+            latent: The latent x_t before this step.
+            clean: The estimate of x_0 after guidance.
+            step: Number of the step, from 0 to steps - 1.
+        """
+        ...
+
+    def decode(
+        self, latent: Float[Tensor, "..."], image: Float[Tensor, "h w 3"]
+    ) -> Float[Tensor, "h w"]:
+        """Return the depth in [0, 1] of a clean latent; differentiable by the latent.
+
+        Args:
+            latent: A clean latent.
+            image: The view's photo, sRGB in [0, 1]; a decoder that needs no photo ignores it.
+        """
         ...
 
 
@@ -57,7 +76,7 @@ class AdaptationSettings:
     guidance_steps: int = 20
     """Optimiser steps at each denoising step (ours; the paper names none)."""
     learning_rate: float = 0.2
-    """Step size of Adam for the latent, log a and b."""
+    """Step size of Adam for the latent, log a, and b in units of the known depths' spread."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,6 +163,32 @@ def guidance_loss(
     return at_points.abs().sum() + visible_weight * at_guide.abs().sum()
 
 
+def depth_unit(
+    sparse: SparseDepths, guide: Float[Tensor, "h w"], visible: Bool[Tensor, "h w"]
+) -> float:
+    """Length that depths are divided by, so that guidance takes the same steps in every scene.
+
+    The range of the known depths, sparse and guide, without the lowest and the highest hundredth:
+    one wrong point must not set it. Where they are all alike it is their size; with none it is 1.
+
+    Args:
+        sparse: Depths of SfM points in the view, scene units.
+        guide: Guide depth of the memory in scene units; only read where visible.
+        visible: Pixels where the memory has a depth.
+
+    Returns: The unit in scene units, > 0.
+
+    Source: ours (Adam's steps have the size of its learning rate, whatever the gradient's).
+    """
+    known = torch.cat([sparse.depths.to(guide), guide[visible]]).sort().values
+    if not len(known):
+        return 1.0
+    last = len(known) - 1
+    low, high = float(known[int(0.01 * last)]), float(known[last - int(0.01 * last)])
+    alike = high - low <= 1e-6 * abs(high)
+    return (abs(high) or 1.0) if alike else high - low
+
+
 def adapt_view(
     denoiser: DepthDenoiser,
     image: Float[Tensor, "h w 3"],
@@ -153,7 +198,10 @@ def adapt_view(
     settings: AdaptationSettings,
     generator: torch.Generator,
 ) -> Float[Tensor, "h w"]:
-    """z-depth of one view: at every denoising step latent, a and b follow the guidance loss.
+    """z-depth of one view: at every denoising step x_0, a and b follow the guidance loss.
+
+    The network estimates x_0 from x_t; guidance moves x_0 through the decoder alone; the model's
+    scheduler takes x_t and the guided x_0 to x_(t-1). All in units of `depth_unit`.
 
     Args:
         denoiser: Predicts depth from the photo, step by step.
@@ -168,23 +216,28 @@ def adapt_view(
 
     Source: StratoSplat, Sec. 3.2, "Sequential Depth Adaptation".
     """
-    latent = denoiser.encode(image, generator)
+    unit = depth_unit(sparse, guide, visible)
+    sparse, guide = replace(sparse, depths=sparse.depths / unit), guide / unit
+    latent = denoiser.start(image, generator)
     with torch.no_grad():
-        a, b = align(denoiser.decode(denoiser.denoise(latent, image, 0)), sparse)
-    log_scale, shift = a.log(), b
+        clean = denoiser.predict_clean(latent, image, 0)
+        scale, shift = align(denoiser.decode(clean, image), sparse)
+    log_scale = scale.log()
     for step in range(denoiser.steps):
-        free = [value.clone().requires_grad_() for value in (latent, log_scale, shift)]
+        free = [value.clone().requires_grad_() for value in (clean, log_scale, shift)]
         optimiser = torch.optim.Adam(free, lr=settings.learning_rate)
         for _ in range(settings.guidance_steps):
             optimiser.zero_grad()
-            clean = denoiser.decode(denoiser.denoise(free[0], image, step))
-            depth = free[1].exp() * clean + free[2]
+            depth = free[1].exp() * denoiser.decode(free[0], image) + free[2]
             guidance_loss(depth, sparse, guide, visible, settings.visible_weight).backward()
             optimiser.step()
+        clean, log_scale, shift = (value.detach() for value in free)
         with torch.no_grad():
-            latent = denoiser.denoise(free[0], image, step)
-            log_scale, shift = free[1].detach(), free[2].detach()
-    return (log_scale.exp() * denoiser.decode(latent) + shift).detach()
+            latent = denoiser.advance(latent, clean, step)
+            if step + 1 < denoiser.steps:
+                clean = denoiser.predict_clean(latent, image, step + 1)
+    with torch.no_grad():
+        return unit * (log_scale.exp() * denoiser.decode(latent, image) + shift)
 
 
 def adapt_all(
@@ -218,7 +271,7 @@ def adapt_all(
     depths = {}
     for view in order:
         camera, image = cameras[view], images[view]
-        guide, visible = layered_depth.render(memory, camera)
+        guide, visible = guide_depth.render(memory, camera)
         sparse = sparse_depths(camera, points[seen[view]])
         depth = adapt_view(denoiser, image, sparse, guide, visible, settings, generator)
         depths[view] = depth

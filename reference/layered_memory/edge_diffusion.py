@@ -30,7 +30,7 @@ class EdgeDiffusion:
             )
         self.steps, self.sweeps, self.contrast = steps, sweeps, contrast
 
-    def encode(
+    def start(
         self, image: Float[Tensor, "h w 3"], generator: torch.Generator
     ) -> Float[Tensor, "h w"]:
         """A little noise around depth 0.5.
@@ -42,33 +42,65 @@ class EdgeDiffusion:
         height, width, _ = image.shape
         return 0.1 * torch.randn(height, width, generator=generator).to(image)
 
-    def denoise(
+    def predict_clean(
         self, latent: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"], step: int
     ) -> Float[Tensor, "h w"]:
-        """Sweeps of exchange with the four neighbours, weighted exp(-(|dI| / contrast)^2).
+        """What is left of the latent between the image's edges.
 
         Args:
             latent: Depth logits before this step.
             image: The view's photo, sRGB in [0, 1]; values stop where it changes.
-            step: Number of the step; not used, since every step is alike.
+            step: Number of the step; not used, since noise is smoothed alike in each.
         """
-        del step  # every step is alike
+        del step
+        return self._smooth(latent, image)
+
+    def advance(
+        self, latent: Float[Tensor, "h w"], clean: Float[Tensor, "h w"], step: int
+    ) -> Float[Tensor, "h w"]:
+        """x_(t-1) = x_0 + (sigma_(t-1) / sigma_t) (x_t - x_0), sigma falling evenly to 0.
+
+        Args:
+            latent: Latent x_t before this step.
+            clean: Guided estimate x_0 of the clean latent.
+            step: Number of the step, from 0 to steps - 1; the last one returns `clean`.
+
+        Source: the deterministic step of Song et al. 2021, "Denoising Diffusion Implicit Models",
+            Eq. 13 (noise added to x_0, not mixed with it).
+        """
+        noise_left = (self.steps - step - 1) / (self.steps - step)
+        return clean + noise_left * (latent - clean)
+
+    def decode(
+        self, latent: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"]
+    ) -> Float[Tensor, "h w"]:
+        """Depth in (0, 1): the sigmoid of the latent, spread between the image's edges.
+
+        The spreading takes guidance at single pixels to their surroundings, as the receptive field
+        of a learned decoder does.
+
+        Args:
+            latent: Clean depth logits.
+            image: The view's photo, sRGB in [0, 1]; values stop where it changes.
+        """
+        return torch.sigmoid(self._smooth(latent, image))
+
+    def _smooth(
+        self, values: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"]
+    ) -> Float[Tensor, "h w"]:
+        """Sweeps of exchange with the four neighbours, weighted exp(-(|dI| / contrast)^2)."""
         across = self._weights(image[:, 1:] - image[:, :-1])
         down = self._weights(image[1:] - image[:-1])
         for _ in range(self.sweeps):
-            flow_x = across * (latent[:, 1:] - latent[:, :-1])
-            flow_y = down * (latent[1:] - latent[:-1])
-            change = torch.zeros_like(latent)
+            flow_x = across * (values[:, 1:] - values[:, :-1])
+            flow_y = down * (values[1:] - values[:-1])
+            change = torch.zeros_like(values)
             change[:, :-1] += flow_x
             change[:, 1:] -= flow_x
             change[:-1] += flow_y
             change[1:] -= flow_y
-            latent = latent + 0.25 * change  # 1/4: stable for four neighbours of weight <= 1
-        return latent
-
-    def decode(self, latent: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
-        """Depth in (0, 1): the sigmoid of the latent."""
-        return torch.sigmoid(latent)
+            values = values + 0.25 * change  # 1/4: stable for four neighbours of weight <= 1
+        return values
 
     def _weights(self, difference: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w"]:
         return torch.exp(-difference.square().sum(dim=-1) / self.contrast**2)

@@ -33,6 +33,9 @@ class LayeredDepth:
     """How many samples each layer holds."""
     forced: int = 0
     """How many merges were only made to keep the cap; more than 0 must be reported."""
+    unseen: int = 0
+    """How many samples the reference camera did not see, and the memory does not hold; more than 0
+    must be reported."""
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -43,7 +46,7 @@ def empty(camera: Camera, merge_distance: float, most_layers: int = 8) -> Layere
     """An LDI without layers.
 
     Args:
-        camera: Reference camera C_ref.
+        camera: Reference camera C_ref; it keeps only what it sees (nadir_reference sees all).
         merge_distance: eps_d > 0 in scene units (paper: 0.02 for 3DAS, 0.55 for LEVIR-NVS).
         most_layers: Cap on the layers of a pixel, at least 1.
 
@@ -68,7 +71,7 @@ def insert(
     A merge weights each side by the samples it holds (the paper says "averaging"): so the order
     inside a batch does not matter. Merged layers can come within eps_d of a neighbour; merging
     goes on, nearest pairs first, until all layers of a pixel are more than eps_d apart. Samples
-    outside the reference image or not in front of it are ignored.
+    outside the reference image or not in front of it are only counted (`unseen`).
 
     Args:
         memory: The LDI so far; it is left as it is.
@@ -85,6 +88,7 @@ def insert(
     column, row = at[inside].long().unbind(dim=1)
     merged = replace(
         memory,
+        unseen=memory.unseen + int((~inside).sum()),
         pixels=torch.cat([memory.pixels, row * camera.width + column]),
         depths=torch.cat([memory.depths, z[inside]]),
         positions=torch.cat([memory.positions, positions[inside]]),
@@ -165,35 +169,3 @@ def _merge(memory: LayeredDepth, pairs: Bool[Tensor, " n"]) -> LayeredDepth:
         memory, pixels=memory.pixels[keep], depths=mean(memory.depths),
         positions=mean(memory.positions), colours=mean(memory.colours), counts=held[keep],
     )  # fmt: skip
-
-
-def render(
-    memory: LayeredDepth, camera: Camera
-) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
-    """Guide depth and visibility mask of the memory in another view.
-
-    Every layer is drawn as a square as wide as its reference pixel's footprint (at least one
-    pixel), nearest first, so that a surface sampled at every reference pixel has no gaps through
-    which hidden layers could be seen.
-
-    Args:
-        memory: The layers to be drawn.
-        camera: Camera of the view that they are drawn in; its image has the result's size.
-
-    Returns: z-depth in scene units (0 where nothing was drawn) and where something was drawn.
-
-    Source: StratoSplat, Sec. 3.2 (guide maps); footprints: ours.
-    """
-    depth = torch.full((camera.height, camera.width), torch.inf, dtype=memory.depths.dtype)
-    at, z = project_points(camera, memory.positions)
-    footprint = memory.depths / float(memory.camera.K[0, 0]) * float(camera.K[0, 0]) / z
-    half = (footprint / 2).clamp(min=0.5)
-    low = (at - half[:, None] - 0.5).ceil().long()  # first and last pixel centre in the square
-    high = (at + half[:, None] - 0.5).floor().long()
-    for i in torch.where(z > camera.near)[0].tolist():
-        left, top = low[i].clamp(min=0).tolist()
-        right, bottom = high[i].tolist()
-        part = depth[top : max(0, bottom + 1), left : max(0, right + 1)]
-        part.clamp_(max=float(z[i]))
-    seen = depth.isfinite()
-    return torch.where(seen, depth, 0), seen

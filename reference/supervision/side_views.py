@@ -1,5 +1,7 @@
 """Side-view supervision: which photo guides a side view, where it counts, and its loss."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import cv2
@@ -16,8 +18,24 @@ EVIDENCE = 2
 """A pixel seen by this many training views is judged by them, not by a refiner."""
 SOLID = 0.9
 """Rendered alpha from which a pixel counts as reconstructed."""
+HOLE = 0.5
+"""Rendered alpha below which a pixel has no surface: more of it is background than scene, and its
+expected depth, which haze of any opacity has, says nothing."""
 OCCLUSION = 0.02
 """Relative depth difference beyond which the reference photo sees something else."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenView:
+    """An image and what was rendered at its camera beside it."""
+
+    camera: Camera
+    image: Float[Tensor, "h w 3"]
+    """sRGB in [0, 1]: the render of a side view, the photo of a training view."""
+    alpha: Float[Tensor, "h w"]
+    """Rendered opacity, in [0, 1]."""
+    depth: Float[Tensor, "h w"]
+    """Rendered z-depth in scene units, 0 where nothing is drawn."""
 
 
 @runtime_checkable
@@ -27,16 +45,13 @@ class ViewRefiner(Protocol):
     Source: DPGS, Eq. 3.
     """
 
-    def __call__(
-        self,
-        camera: Camera,
-        render: Float[Tensor, "h w 3"],
-        depth: Float[Tensor, "h w"],
-        reference_camera: Camera,
-        reference: Float[Tensor, "hr wr 3"],
-        reference_depth: Float[Tensor, "hr wr"],
-    ) -> Float[Tensor, "h w 3"]:
-        """Return the refined image in [0, 1]. Depths are rendered z-depths, 0 where empty."""
+    def __call__(self, side: SeenView, photo: SeenView) -> Float[Tensor, "h w 3"]:
+        """Return the refined image of the side view, in [0, 1].
+
+        Args:
+            side: The flawed side view.
+            photo: The training view that guides it.
+        """
         ...
 
 
@@ -59,7 +74,8 @@ def nearest_photo(
     """Training view that shares most visible points with the side view; ties by view angle.
 
     Args:
-        shared: Points that both the side view and each training view see.
+        shared: Points that both the side view and each training view see: how many pixels of
+            the side view `sees` finds in each, or shared SfM points.
         forward: Unit view directions of the training views.
         side_forward: Unit view direction of the side view.
 
@@ -87,7 +103,7 @@ def side_loss(
         render: Render of the side view; gradients flow through it alone.
         refined: What the refiner made of the render, in [0, 1].
         alpha: Rendered opacity of each pixel, in [0, 1].
-        seen_by: How many training views see each pixel's surface.
+        seen_by: How many training views see each pixel's surface (`seen_by`).
         dssim: Weight l_ssim of the structural term, in [0, 1].
 
     Source: DPGS, Eq. 4; the mask: ours (spec).
@@ -96,39 +112,57 @@ def side_loss(
     return photometric(render, refined.detach(), dssim=dssim, mask=~proven)
 
 
-def warp_and_fill(
-    camera: Camera,
-    render: Float[Tensor, "h w 3"],
-    depth: Float[Tensor, "h w"],
-    reference_camera: Camera,
-    reference: Float[Tensor, "hr wr 3"],
-    reference_depth: Float[Tensor, "hr wr"],
-) -> Float[Tensor, "h w 3"]:
-    """The refiner without learning: reference texture through rendered depth, holes inpainted.
+def sees(view: SeenView, side: SeenView) -> Bool[Tensor, "h w"]:
+    """Pixels of the side view whose surface the other view sees too: inside it and not occluded.
 
-    A pixel takes the photo's colour where its surface lands inside the photo and the photo's own
-    rendered depth agrees within 2 %; it keeps the render where it has a surface that the photo
-    does not see; holes (depth 0) are filled by Telea inpainting.
+    A surface is seen where it lands inside the view, and the view's own rendered depth is there
+    within 2 % of it. Neither view's haze (alpha below one half) is a surface.
 
     Args:
-        camera: Camera of the side view.
-        render: Render of the side view, in [0, 1].
-        depth: Rendered z-depth of the side view in scene units, 0 where empty.
-        reference_camera: Camera of the photo.
-        reference: The photo that guides the side view, sRGB in [0, 1].
-        reference_depth: Rendered z-depth in the photo's view in scene units, 0 where empty.
+        view: The view that may see the surface.
+        side: The view whose pixels are asked for.
+
+    Source: ours (the z-test of the spec).
+    """
+    at, z = project_points(view.camera, unproject(side.camera, side.depth))
+    inside = _inside(view.camera, at) & (z > view.camera.near)
+    there = _sample(torch.stack([view.depth, view.alpha], dim=-1), at)
+    surface = (side.alpha.reshape(-1) >= HOLE) & (there[:, 1] >= HOLE)
+    agrees = (there[:, 0] - z).abs() <= OCCLUSION * z
+    return (inside & surface & agrees).reshape(side.alpha.shape)
+
+
+def seen_by(side: SeenView, training: Sequence[SeenView]) -> Float[Tensor, "h w"]:
+    """How many training views see the surface of each pixel; 0 where there is no surface.
+
+    Args:
+        side: The view whose pixels are asked for.
+        training: Training views with their rendered depths.
+    """
+    count = torch.zeros_like(side.alpha)
+    for view in training:
+        count += sees(view, side)
+    return count
+
+
+def warp_and_fill(side: SeenView, photo: SeenView) -> Float[Tensor, "h w 3"]:
+    """The refiner without learning: reference texture through rendered depth, holes inpainted.
+
+    A pixel takes the photo's colour where the photo sees its surface; it keeps the render where it
+    has a surface that the photo does not see; holes (alpha below one half) are filled by Telea
+    inpainting.
+
+    Args:
+        side: The flawed side view.
+        photo: The training view that guides it.
 
     Source: ours, the floor that learned refiners must beat.
     """
-    world = unproject(camera, depth)
-    at, z = project_points(reference_camera, world)
-    sampled = _sample(reference, at)
-    known = _sample(reference_depth[..., None], at)[..., 0]
-    size = at.new_tensor([reference_camera.width, reference_camera.height])
-    inside = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > reference_camera.near)
-    agrees = ((known - z).abs() <= OCCLUSION * z) & inside & (depth.reshape(-1) > 0)
-    image = torch.where(agrees[:, None], sampled, render.detach().reshape(-1, 3).to(sampled))
-    return fill_holes(image.reshape(render.shape).to(render), depth <= 0)
+    at, _ = project_points(photo.camera, unproject(side.camera, side.depth))
+    sampled = _sample(photo.image, at).reshape(side.image.shape)
+    taken = sees(photo, side)[..., None]
+    image = torch.where(taken, sampled.to(side.image), side.image.detach())
+    return fill_holes(image, side.alpha < HOLE)
 
 
 def fill_holes(image: Float[Tensor, "h w 3"], holes: Bool[Tensor, "h w"]) -> Float[Tensor, "h w 3"]:
@@ -158,6 +192,12 @@ def unproject(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "n 3
     pixels = torch.stack([columns + 0.5, rows + 0.5, torch.ones_like(rows)], dim=-1).reshape(-1, 3)
     cam = pixels.to(camera.K) @ torch.linalg.inv(camera.K).T * depth.reshape(-1, 1).to(camera.K)
     return (cam - camera.translation) @ camera.rotation
+
+
+def _inside(camera: Camera, at: Float[Tensor, "n 2"]) -> Bool[Tensor, " n"]:
+    """Which pixel positions lie in the camera's image."""
+    size = at.new_tensor([camera.width, camera.height])
+    return (at >= 0).all(dim=1) & (at < size).all(dim=1)
 
 
 def _sample(image: Float[Tensor, "h w c"], at: Float[Tensor, "n 2"]) -> Float[Tensor, "n c"]:

@@ -21,7 +21,8 @@ class SpiralSettings:
     radius: float = 1.0
     """Orbit radius in footprint radii; at least 1, so that the orbit encloses the scene."""
     look_up: float = 0.6
-    """Share of its own height at which the lowest orbit looks; the top one looks at the ground."""
+    """Share of its own height at which the lowest orbit looks, in [0, 1); the top one looks at the
+    ground."""
 
 
 def look_at(
@@ -66,8 +67,9 @@ def spiral_path(
     """World-to-camera poses LookAt(c + dh_l u_z, o_lk, u_up), highest orbit first.
 
     Orbit l flies at height H (1 - l / L), so the lowest is at H / L, above the ground; neighbours
-    are turned by half a step against each other. The look-at height dh_l grows from 0 (roofs in
-    view, as in the training views) to `look_up` of the orbit's own height (facades in view).
+    are turned by half a step against each other. The look-at height dh_l grows in even steps from
+    0 (roofs in view, as in the training views) to `look_up` of the lowest orbit's height (facades
+    in view).
 
     Args:
         centre: Scene centre on the ground, scene units.
@@ -93,10 +95,43 @@ def spiral_path(
     for layer in range(settings.layers):
         height = flight_height * (1 - layer / settings.layers)
         sinking = layer / max(1, settings.layers - 1)
-        target = centre + settings.look_up * sinking * height * up
+        rise = settings.look_up * sinking * flight_height / settings.layers
+        target = centre + rise * up
         for view in range(settings.views):
             turn = 2 * torch.pi * up.new_tensor((view + layer / 2) / settings.views)
             around = turn.cos() * east + turn.sin() * north
             eye = centre + height * up + settings.radius * footprint * around
             poses.append(look_at(eye, target, up))
     return torch.stack(poses).reshape(settings.layers, settings.views, 4, 4)
+
+
+def block_spiral(
+    low: Float[Tensor, "3"],
+    high: Float[Tensor, "3"],
+    up: Float[Tensor, "3"],
+    flight_height: float,
+    settings: SpiralSettings,
+) -> Float[Tensor, "layers views 4 4"]:
+    """The spiral around one block of a city; one around the whole city sees outer facades only.
+
+    Its centre is the middle of the box on the box's ground, its footprint half the box's diagonal
+    across up.
+
+    Args:
+        low: Lower corner of the block's bounds, scene units.
+        high: Upper corner of the block's bounds, scene units.
+        up: Unit vector against gravity.
+        flight_height: H_max above the block's ground, > 0, scene units.
+        settings: Numbers of orbits and views, radius of the orbits and height they look at.
+
+    Returns: World-to-camera poses, highest orbit first; see `spiral_path`.
+
+    Raises: ValueError if the box has no extent across up, or the flight height is not positive.
+
+    Source: ours (the paper draws one spiral and names no blocks for it).
+    """
+    middle, half = (low + high) / 2, (high - low) / 2
+    corners = torch.cartesian_prod(*torch.tensor([[-1.0, 1.0]] * 3)).to(half) * half
+    rise = corners @ up
+    footprint = float((corners - rise[:, None] * up).norm(dim=1).max())
+    return spiral_path(middle + rise.min() * up, up, footprint, flight_height, settings)

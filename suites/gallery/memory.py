@@ -10,6 +10,7 @@ from torch import Tensor
 from splatproof.reference.layered_memory import (
     coordinate_field,
     depth_adaptation,
+    guide_depth,
     layered_depth,
     multi_plane,
 )
@@ -69,7 +70,7 @@ def draw_layers(scene: Scene, path: Path) -> None:
     nearest = torch.full((shape[0] * shape[1],), torch.nan, dtype=torch.float64)
     nearest[memory.pixels[first]] = memory.depths[first]
     other = scene.views[0]
-    guide, seen = layered_depth.render(memory, other.camera)
+    guide, seen = guide_depth.render(memory, other.camera)
     figure, axes = panels(4, width=13.0)
     show_image(axes[0], scene.views[_most_downward(scene)].load().numpy(), "reference view")
     show_image(axes[1], held.numpy(), f"layers a pixel (most {int(held.max())})", cmap="viridis")

@@ -62,7 +62,8 @@ COMPONENTS = (
     Component(
         title="Layered memory and sequential depth adaptation",
         modules=("reference/layered_memory/layered_depth", "reference/layered_memory/depth_adaptation",
-                 "reference/layered_memory/edge_diffusion"),
+                 "reference/layered_memory/edge_diffusion", "reference/layered_memory/guide_depth",
+                 "reference/layered_memory/nadir_reference"),
         source="StratoSplat, Sec. 3.2, Eqs. 2 to 4",
         pictures=(
             Picture(file="layers", draw=memory.draw_layers,

@@ -18,7 +18,7 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.training.dense_points import match
 from splatproof.metrics.protocol_files import load_protocol
-from splatproof.reference.layered_memory import layered_depth
+from splatproof.reference.layered_memory import guide_depth, layered_depth
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
 from splatproof.reference.supervision import dense_initialisation as dense
 from splatproof.reference.types.camera import project_points
@@ -94,7 +94,7 @@ def guide_error(scene: Scene, seen: csr_array, memory: LayeredDepth) -> tuple[fl
     truths = 0
     for index in scene.test:
         view = scene.views[index]
-        guide, visible = layered_depth.render(memory, view.camera)
+        guide, visible = guide_depth.render(memory, view.camera)
         at, z = project_points(view.camera, scene.points.positions[dense.points_of(seen, index)])
         size = at.new_tensor([view.camera.width, view.camera.height])
         inside = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > 0)

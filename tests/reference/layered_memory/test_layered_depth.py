@@ -129,38 +129,22 @@ def test_samples_that_the_reference_camera_cannot_see_are_ignored(z):
         ldi.empty(camera(), 0.1), torch.tensor([[0.0, 0, z]]).to(D), torch.zeros(1, 3, dtype=D)
     )
     assert len(memory) == 0
+    assert memory.unseen == 1
+
+
+def test_merged_colours_and_places_are_means_over_their_samples():
+    """Three samples in two batches: 1 + 1, then + 1, weighted by what each side holds."""
+    places = torch.tensor([[0.0, 0, 1.0], [0.1, 0, 1.1], [0.0, 0.05, 1.02]], dtype=D)
+    tints = torch.tensor([[0.0, 0.3, 0.9], [1.0, 0.3, 0.3], [0.2, 0.9, 0.0]], dtype=D)
+    memory = ldi.insert(ldi.empty(camera(), 0.2), places[:2], tints[:2])
+    assert_close(memory.colours, tints[:2].mean(dim=0, keepdim=True))
+    memory = ldi.insert(memory, places[2:], tints[2:])
+    assert memory.counts.tolist() == [3]
+    assert_close(memory.colours, tints.mean(dim=0, keepdim=True))
+    assert_close(memory.positions, places.mean(dim=0, keepdim=True))
 
 
 @pytest.mark.parametrize(("eps", "cap"), [(0.0, 8), (-1.0, 8), (float("nan"), 8), (0.1, 0)])
 def test_senseless_settings_are_refused(eps, cap):
     with pytest.raises(ValueError, match="merge_distance"):
         ldi.empty(camera(), eps, cap)
-
-
-def full_view(view: Camera, depth: Tensor) -> Tensor:
-    """World points of a depth map of the reference camera."""
-    row, column = torch.meshgrid(torch.arange(view.height), torch.arange(view.width), indexing="ij")
-    pixel = torch.stack([column, row, torch.ones_like(row)], dim=-1).reshape(-1, 3).to(D)
-    pixel[:, :2] += 0.5
-    return pixel @ torch.linalg.inv(view.K).T * depth.reshape(-1, 1)
-
-
-@given(seed=st.integers(0, 2**16))
-def test_a_view_rendered_back_into_itself_is_the_same(seed):
-    view = camera()
-    depth = 1 + torch.rand(5, 6, generator=torch.Generator().manual_seed(seed), dtype=D)
-    memory = ldi.insert(ldi.empty(view, 0.1), full_view(view, depth), torch.zeros(30, 3, dtype=D))
-    got, seen = ldi.render(memory, view)
-    assert seen.all()
-    assert_close(got, depth, atol=1e-12, rtol=0)
-
-
-def test_hidden_layers_do_not_leak_through_a_nearer_surface():
-    view = camera()
-    near, far = (full_view(view, torch.full((5, 6), z, dtype=D)) for z in (2.0, 4.0))
-    memory = ldi.insert(ldi.empty(view, 0.1), torch.cat([near, far]), torch.zeros(60, 3, dtype=D))
-    closer = Camera(K=view.K * torch.tensor([[2.0], [2.0], [1.0]]).to(D),
-                    world_to_camera=view.world_to_camera, width=12, height=10)  # fmt: skip
-    got, seen = ldi.render(memory, closer)
-    assert seen.all()
-    assert_close(got, torch.full((10, 12), 2.0, dtype=D))

@@ -220,6 +220,34 @@ def test_zero_field_output_covers_the_image():
     assert float(got.alpha.min()) > 0.5
 
 
+def test_virtual_gaussians_by_loop():
+    """Every hit has the bias of its own distance, and its ray's width there."""
+    camera, hits, _ = joint_scene(5)
+    valid = hits.valid.clone()
+    valid[::3, 1] = False  # rays have unlike numbers of hits
+    hits = replace(hits, valid=valid)
+    g = torch.Generator().manual_seed(6)
+    outputs = torch.randn(int(hits.valid.sum()), 9, generator=g, dtype=D)
+    got = multi_plane.virtual_gaussians(outputs, hits, camera, 2)
+    i = 0
+    for ray in range(len(hits.valid)):
+        met = [k for k in range(3) if bool(hits.valid[ray, k])]
+        distances = [float(hits.distances[ray, k]) for k in met]
+        for k, t in zip(met, distances, strict=True):
+            near, far = min(distances), max(distances)
+            bias = -4.6 + 6.0 * (t - near) / (far - near)
+            assert float(torch.logit(got.opacities[i])) == pytest.approx(
+                float(outputs[i, 3]) + bias
+            )
+            # 2 pixels at focal length 8 are t / 4 apart
+            want = float(outputs[i, 4].exp()) * t / 4
+            assert got.scales[i].tolist() == pytest.approx([want] * 3)
+            assert_close(got.means[i], hits.positions[ray, k])
+            assert_close(colours(got)[i], torch.sigmoid(outputs[i, :3]))
+            i += 1
+    assert i == len(outputs)
+
+
 def test_loss_reaches_the_field_through_the_joint_render():
     camera, hits, explicit = joint_scene(4)
     f = field(2)

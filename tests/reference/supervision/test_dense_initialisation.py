@@ -306,6 +306,21 @@ def test_pairs_of_a_large_scene_take_little_memory():
     assert 2 * 2_000 <= int(done.stdout) <= 2 * 2_000 + 10
 
 
+def test_rays_at_less_than_the_smallest_angle_give_no_points():
+    """1.5 degrees at the default: at depth 18 the rays of the image's middle have 1.59, its edges 1.2."""
+    a, b, image, warp = plane_pair(depth=18.0)
+    got = dense.points_of_pair(a, b, image, warp, torch.ones(48, 64, dtype=D), SETTINGS)
+    rows, columns = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
+    x, y = 18 * (columns.to(D) + 0.5 - 32) / 60, 18 * (rows.to(D) + 0.5 - 24) / 60
+    to_a, to_b = (torch.stack([x - at, y, torch.full_like(x, 18)], dim=-1) for at in (0.0, 0.5))
+    cosine = (to_a * to_b).sum(dim=-1) / (to_a.norm(dim=-1) * to_b.norm(dim=-1))
+    landed = columns + 0.5 - 60 * 0.5 / 18 >= 0
+    wide = (torch.rad2deg(torch.arccos(cosine)) >= 1.5) & landed
+    assert 0 < int(wide.sum()) < int(landed.sum())
+    assert len(got.scores) == int(wide.sum())
+    assert_close(got.positions, torch.stack([x, y, 18 + 0 * x], dim=-1)[wide])
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [("certainty", 1.5), ("sigma", 0.0), ("score", float("nan")), ("partners", 0),

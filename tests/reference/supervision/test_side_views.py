@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,7 +9,12 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from splatproof.reference.supervision import losses, side_views
-from splatproof.reference.supervision.spiral_path import SpiralSettings, look_at, spiral_path
+from splatproof.reference.supervision.spiral_path import (
+    SpiralSettings,
+    block_spiral,
+    look_at,
+    spiral_path,
+)
 from splatproof.reference.types.camera import Camera, project_points
 
 D = torch.float64
@@ -70,6 +76,55 @@ def test_spiral_descends_above_the_ground_around_the_scene(options, footprint, h
     assert_close(eyes[..., :2].norm(dim=-1), torch.full_like(heights, options.radius * footprint))
     forward = poses[..., 2, :3]
     assert (torch.linalg.cross(forward, UP.expand_as(forward)).norm(dim=-1) > 1e-3).all()
+
+
+def look_heights(poses: Tensor) -> Tensor:
+    """Where each view's axis meets the vertical through the origin."""
+    eyes = torch.stack([pinhole(pose).centre for pose in poses.reshape(-1, 4, 4)])
+    forward = poses.reshape(-1, 4, 4)[:, 2, :3]
+    along = eyes[:, :2].norm(dim=1) / forward[:, :2].norm(dim=1)
+    return (eyes + along[:, None] * forward)[:, 2].reshape(poses.shape[:2])
+
+
+@settings(max_examples=40)
+@given(options=settings_of, footprint=st.floats(0.1, 100), height=st.floats(0.1, 100))
+def test_look_at_height_grows_from_the_ground_to_its_share_of_the_lowest_orbit(
+    options, footprint, height
+):
+    at = look_heights(spiral_path(ORIGIN, UP, footprint, height, options)) / height
+    assert_close(at, at[:, :1].expand_as(at), atol=1e-9, rtol=0)  # one height an orbit
+    assert at[0].tolist() == pytest.approx([0] * options.views, abs=1e-9)
+    if options.layers > 1:
+        lowest = options.look_up / options.layers
+        assert at[-1].tolist() == pytest.approx([lowest] * options.views, abs=1e-9)
+        assert (at[:, 0].diff() > -1e-9).all()
+
+
+def test_a_spiral_circles_its_own_block():
+    """Inner facades of a city are seen: each block has its orbits, at its own place."""
+    low, high = torch.tensor([10.0, 20, 1], dtype=D), torch.tensor([16.0, 28, 9], dtype=D)
+    settings = SpiralSettings(layers=2, views=5)
+    got = block_spiral(low, high, UP, 40.0, settings)
+    ground = torch.tensor([13.0, 24, 1], dtype=D)
+    assert_close(got, spiral_path(ground, UP, 5.0, 40.0, settings))  # half of the diagonal 6, 8
+
+
+@given(seed=st.integers(0, 2**16))
+def test_a_block_spiral_turns_with_the_world(seed):
+    """Up along any axis, either way: the same orbits around the same box."""
+    low, high = torch.tensor([10.0, 20, 1], dtype=D), torch.tensor([16.0, 28, 9], dtype=D)
+    g = torch.Generator().manual_seed(seed)
+    turn = torch.eye(3, dtype=D)[torch.randperm(3, generator=g)]
+    turn = turn * (2 * torch.randint(0, 2, (3, 1), generator=g) - 1)
+    corners = torch.stack([turn @ low, turn @ high])
+    poses = block_spiral(
+        corners.amin(dim=0), corners.amax(dim=0), turn @ UP, 40.0, SpiralSettings()
+    )
+    eyes = torch.stack([pinhole(pose).centre for pose in poses.reshape(-1, 4, 4)]) @ turn
+    around = eyes - torch.tensor([13.0, 24, 1], dtype=D)
+    assert_close(around[:, :2].norm(dim=1), torch.full((48,), 5.0, dtype=D))
+    heights = around[:, 2].reshape(4, 12)
+    assert_close(heights, torch.tensor([40.0, 30, 20, 10], dtype=D)[:, None].expand(4, 12))
 
 
 def test_neighbouring_orbits_are_turned_by_half_a_step():
@@ -151,6 +206,12 @@ def test_refined_image_gets_no_gradient():
     assert b.grad is None
 
 
+def seen_view(camera: Camera, image: Tensor, depth: Tensor, alpha: float = 1.0):
+    return side_views.SeenView(
+        camera=camera, image=image, depth=depth, alpha=torch.full_like(depth, alpha)
+    )
+
+
 def plane_views():
     """A textured ground plane from above and from the side, with exact depths and colours."""
 
@@ -163,31 +224,72 @@ def plane_views():
         far = side_views.unproject(camera, torch.ones(24, 32, dtype=D))
         ray = far - camera.centre
         depth = -camera.centre[2] / ray[:, 2]
-        return camera, depth.reshape(24, 32), colour(camera.centre + depth[:, None] * ray)
+        image = colour(camera.centre + depth[:, None] * ray).reshape(24, 32, 3)
+        return seen_view(camera, image, depth.reshape(24, 32))
 
     return view([0.0, 0.001, 9.0]), view([2.0, -3.0, 6.0])
 
 
+GREY = torch.full((24, 32, 3), 0.2, dtype=D)
+
+
+def in_photo(top: side_views.SeenView, side: side_views.SeenView, margin: float = 0) -> Tensor:
+    """Pixels of the side view that land in the photo, that far from its border."""
+    at, _ = project_points(top.camera, side_views.unproject(side.camera, side.depth))
+    size = torch.tensor([32, 24])
+    inside = (at >= margin).all(dim=1) & (at < size - margin).all(dim=1)
+    return inside.reshape(24, 32)
+
+
 def test_warp_brings_the_texture_of_the_photo_to_the_side_view():
-    (top, top_depth, top_colour), (side, depth, colour) = plane_views()
-    render = torch.full((24, 32, 3), 0.2, dtype=D)
-    got = side_views.warp_and_fill(
-        side, render, depth, top, top_colour.reshape(24, 32, 3), top_depth
-    ).reshape(-1, 3)
-    warped = (got - 0.2).abs().sum(dim=1) > 1e-6
+    top, side = plane_views()
+    got = side_views.warp_and_fill(replace(side, image=GREY), top)
+    warped = (got - 0.2).abs().sum(dim=-1) > 1e-6
     assert int(warped.sum()) > 300
-    at, _ = project_points(top, side_views.unproject(side, depth))
-    inner = warped & (at > 0.5).all(dim=1) & (at < torch.tensor([31.5, 23.5])).all(dim=1)
+    inner = warped & in_photo(top, side, 0.5)
     # Bilinear reading of a texture with curvature 0.4 at 0.3 units a pixel: 0.4 * 0.3^2 / 8.
-    assert float((got - colour)[inner].abs().max()) < 0.0045 * 1.05
+    assert float((got - side.image)[inner].abs().max()) < 0.0045 * 1.05
 
 
 def test_occluded_texture_is_not_taken():
-    (top, top_depth, top_colour), (side, depth, _) = plane_views()
-    render = torch.full((24, 32, 3), 0.2, dtype=D)
-    nearer = top_depth * 0.9  # in the photo something stands in front of the plane
-    got = side_views.warp_and_fill(side, render, depth, top, top_colour.reshape(24, 32, 3), nearer)
-    assert_close(got, render)
+    top, side = plane_views()
+    nearer = replace(top, depth=top.depth * 0.9)  # something stands in front of the plane
+    side = replace(side, image=GREY)
+    assert_close(side_views.warp_and_fill(side, nearer), side.image)
+
+
+def test_haze_is_a_hole():
+    """Opacity 0.02 gives a pixel a depth, but it shows nothing: it is filled, not warped to."""
+    top, side = plane_views()
+    hazy = torch.zeros(24, 32, dtype=torch.bool)
+    hazy[10:13, 14:17] = True
+    alpha = torch.where(hazy, 0.02, side.alpha)
+    dark = replace(side, alpha=alpha, image=torch.where(hazy[..., None], 0.0, side.image))
+    nothing = replace(top, alpha=0 * top.alpha)  # so that only filling can change a pixel
+    got = side_views.warp_and_fill(dark, nothing)
+    assert_close(got[~hazy], side.image[~hazy])
+    assert float((got - side.image)[hazy].abs().max()) < 0.1
+    assert float(got[hazy].min()) > 0.1
+    warped = side_views.warp_and_fill(dark, top)  # a photo that sees it has no depth to go by
+    assert_close(warped[hazy], got[hazy], atol=0.05, rtol=0)
+    assert not side_views.sees(top, dark)[hazy].any()
+
+
+def test_views_are_counted_that_see_the_surface():
+    top, side = plane_views()
+    training = [
+        top,
+        replace(top, depth=top.depth * 0.9),  # something stands in front of the plane
+        replace(top, depth=top.depth * 1.1),  # its model has nothing where the side view has
+        replace(top, alpha=0.3 * top.alpha),  # haze
+        replace(top, camera=pinhole(look_at(9 * UP, 20 * UP, UP))),  # looks away
+        side,  # itself
+    ]
+    inside = in_photo(top, side).double()
+    assert 100 < int(inside.sum()) < 700
+    assert_close(side_views.seen_by(side, training), 1 + inside)
+    assert float(side_views.seen_by(replace(side, alpha=0.4 * side.alpha), training).max()) == 0
+    assert_close(side_views.seen_by(side, []), torch.zeros(24, 32, dtype=D))
 
 
 def test_holes_are_filled_from_around_and_the_rest_is_untouched():
