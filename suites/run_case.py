@@ -19,7 +19,7 @@ from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, 
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.registry import get_method
-from splatproof.methods.training.loop import threads
+from splatproof.methods.training.threads import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
 from splatproof.reference.types.result import ImageScore, Result

@@ -12,7 +12,7 @@ from splatproof.base.locks import locked
 from splatproof.base.processes import Worker, listening
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.train_block import BlockJob, train_block, trained
-from splatproof.methods.training.loop import threads as torch_threads
+from splatproof.methods.training.threads import threads as torch_threads
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""

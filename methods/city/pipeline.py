@@ -34,8 +34,9 @@ from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
 from splatproof.methods.threedgs.fit import prepare, started
-from splatproof.methods.training.loop import Trainer, threads
+from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.session import run_key
+from splatproof.methods.training.threads import threads
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64, Int8, Int64
 from torch import Tensor
 
 from splatproof.methods.contracts.parameters import Parameters
-from splatproof.methods.training.density import RowRules
+from splatproof.methods.training.density_control import RowRules
 from splatproof.reference.partition.ghosts import block_boxes, ghosts
 from splatproof.reference.partition.visibility import track_lengths
 from splatproof.reference.types.scene import SparsePoints

@@ -8,7 +8,7 @@ from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.executor import BlocksReport, alone
 from splatproof.methods.city.train_block import BlockJob, train_block
-from splatproof.methods.training.loop import threads as torch_threads
+from splatproof.methods.training.threads import threads as torch_threads
 
 RETRIES = 3
 """How often a block whose worker died is given to another one."""

@@ -15,8 +15,9 @@ from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.loop import Plan, Trainer
+from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.optimizer import Adam, Momentum
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.methods.training.session import run_key
 from splatproof.reference.compression.affine_codes import fake_quantise, lattice

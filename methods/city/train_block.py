@@ -22,11 +22,12 @@ from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.density import DensityControl
+from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.initialise import extent, from_points
-from splatproof.methods.training.loop import Plan, Trainer, scene_digest
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
-from splatproof.methods.training.session import run_key
+from splatproof.methods.training.session import run_key, scene_digest
 from splatproof.methods.training.view_order import Drawn, ViewOrder
 from splatproof.reference.partition.view_sampling import (
     SamplingSettings,

@@ -11,7 +11,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.scaffold.settings import Rates, Settings
 from splatproof.methods.training.initialise import extent, with_points
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import log_linear
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term

@@ -5,8 +5,8 @@ from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
-from splatproof.methods.training.density import DensityControl
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.density_control import DensityControl
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import ImageTerm, ParameterTerm, Photometric, mean_opacity

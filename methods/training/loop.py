@@ -1,72 +1,30 @@
 """The one training loop: any model, any terms, any density control, resumable bit for bit."""
 
-import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from jaxtyping import Int
 from torch import Tensor
 
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.contracts.backends import get_backend
-from splatproof.methods.contracts.density_strategy import DensityStrategy, Observation
+from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
-from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
-from splatproof.methods.training.optimizer import Adam, GradientMean
-from splatproof.methods.training.terms import Frame, ImageTerm, ParameterTerm, Photometric
-from splatproof.methods.training.view_order import Shuffled, ViewOrder
+from splatproof.methods.training.optimizer import GradientMean
+from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
+from splatproof.methods.training.view_order import Shuffled
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
-from splatproof.reference.types.scene import Scene, View
+from splatproof.reference.types.scene import View
 
 REPORT_EVERY = 10
 """Steps between reports."""
-
-
-@contextmanager
-def threads(count: int | None) -> Iterator[None]:
-    """Give torch `count` threads inside, and back what it had afterwards."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """What a training consists of beside its model and its run."""
-
-    steps: int
-    """Number of steps of the whole training."""
-    views: tuple[View, ...]
-    """Views that are trained on."""
-    terms: tuple[ImageTerm | ParameterTerm, ...]
-    """What is minimised; their names are distinct."""
-    density: DensityStrategy
-    key: str
-    """Everything that the result depends on, as text: a checkpoint of another key is refused."""
-    views_per_step: int = 1
-    """Views whose mean gradient one step follows."""
-    random_background: bool = False
-    """Train every view of a step over a background of its own, drawn at random."""
-    order: ViewOrder | None = None
-    """In which order views come; None: shuffled epochs."""
-    optimizer: type[Adam] = Adam
-    """How parameters follow their gradients."""
-    held: Callable[[Parameters], Mapping[str, Int[Tensor, " _"]]] | None = None
-    """Rows of tensors that keep their values in every update, by tensor; None: none do."""
-    native: bool = True
-    """Whether the kernels' own step may be used; False: always autograd."""
 
 
 class Trainer:
@@ -334,15 +292,3 @@ def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
         for name, tensor in tensors.items()
         if name.startswith(prefix)
     }
-
-
-def scene_digest(scene: Scene) -> str:
-    """Hash of the training views' names and cameras and of the sparse points."""
-    digest = hashlib.sha256()
-    for view in scene.train_views:
-        camera = view.camera
-        digest.update(f"{view.name} {camera.width} {camera.height}".encode())
-        digest.update(camera.K.numpy().tobytes() + camera.world_to_camera.numpy().tobytes())
-    digest.update(scene.points.positions.numpy().tobytes())
-    digest.update(scene.points.colours.numpy().tobytes())
-    return digest.hexdigest()

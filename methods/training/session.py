@@ -1,5 +1,6 @@
 """One whole fit around the trainer: threads, stages timed, a killed run continued."""
 
+import hashlib
 import json
 import time
 from collections.abc import Callable
@@ -8,7 +9,9 @@ from typing import Any, TypeVar
 
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.training.loop import Plan, Trainer, scene_digest, threads
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.threads import threads
 from splatproof.reference.types.scene import Scene
 
 M = TypeVar("M", bound=Model)
@@ -52,3 +55,15 @@ def train(run: Run, prepare: Callable[[], tuple[M, Plan]]) -> M:
         trainer.train()
         run.on_stage("train", trainer.seconds)
     return model
+
+
+def scene_digest(scene: Scene) -> str:
+    """Hash of the training views' names and cameras and of the sparse points."""
+    digest = hashlib.sha256()
+    for view in scene.train_views:
+        camera = view.camera
+        digest.update(f"{view.name} {camera.width} {camera.height}".encode())
+        digest.update(camera.K.numpy().tobytes() + camera.world_to_camera.numpy().tobytes())
+    digest.update(scene.points.positions.numpy().tobytes())
+    digest.update(scene.points.colours.numpy().tobytes())
+    return digest.hexdigest()

@@ -15,7 +15,8 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.loop import Plan, Trainer
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, settling
 from splatproof.methods.training.terms import ImageTerm, Photometric, Term, mean_opacity
 from splatproof.reference.types.scene import View, camera_view

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from helpers.tiny_scene import camera, random_gaussians
 from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.parameters import Edit, Parameters
-from splatproof.methods.training.density import Density, DensityControl, densify, reset_opacity
+from splatproof.methods.training.density import Density, densify, reset_opacity
+from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.optimizer import Adam
 from splatproof.reference.rasterizer.rotation import covariance
 from splatproof.reference.types.gaussians import Gaussians

@@ -12,9 +12,10 @@ from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoded import DecodedModel, loader
 from splatproof.methods.models.gaussian_model import GaussianModel, assemble
-from splatproof.methods.training.density import Density, DensityControl
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.initialise import extent, from_points
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, settling
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import Photometric

@@ -13,7 +13,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.training.initialise import extent, from_points
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import Photometric

@@ -15,7 +15,7 @@ from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoded import DecodedModel, loader
 from splatproof.methods.training.initialise import extent, neighbour_distance
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import log_linear, settling
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import Frame, Photometric, Term

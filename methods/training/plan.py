@@ -1,0 +1,41 @@
+"""What a training consists of beside its model and its run."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from jaxtyping import Int
+from torch import Tensor
+
+from splatproof.methods.contracts.density_strategy import DensityStrategy
+from splatproof.methods.contracts.parameters import Parameters
+from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.terms import ImageTerm, ParameterTerm
+from splatproof.methods.training.view_order import ViewOrder
+from splatproof.reference.types.scene import View
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What a training consists of beside its model and its run."""
+
+    steps: int
+    """Number of steps of the whole training."""
+    views: tuple[View, ...]
+    """Views that are trained on."""
+    terms: tuple[ImageTerm | ParameterTerm, ...]
+    """What is minimised; their names are distinct."""
+    density: DensityStrategy
+    key: str
+    """Everything that the result depends on, as text: a checkpoint of another key is refused."""
+    views_per_step: int = 1
+    """Views whose mean gradient one step follows."""
+    random_background: bool = False
+    """Train every view of a step over a background of its own, drawn at random."""
+    order: ViewOrder | None = None
+    """In which order views come; None: shuffled epochs."""
+    optimizer: type[Adam] = Adam
+    """How parameters follow their gradients."""
+    held: Callable[[Parameters], Mapping[str, Int[Tensor, " _"]]] | None = None
+    """Rows of tensors that keep their values in every update, by tensor; None: none do."""
+    native: bool = True
+    """Whether the kernels' own step may be used; False: always autograd."""
