@@ -17,8 +17,9 @@ from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import cost
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
-from splatproof.methods.training.density import RESET_OPACITY, DensityControl
-from splatproof.methods.training.loop import Plan
+from splatproof.methods.training.density import RESET_OPACITY
+from splatproof.methods.training.density_control import DensityControl
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import require, shrink
 from splatproof.methods.training.session import train
 from splatproof.reference.rasterizer.smoothing import sampling_widths, smoothed
