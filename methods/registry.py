@@ -11,6 +11,7 @@ from splatproof.methods.contracts.method import Method
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
+from splatproof.methods.threedgs.mip_splatting import MIP_SPLATTING
 
 GROUP = "splatproof.methods"
 """Entry points of other packages: each loads to a Method of the same name."""
@@ -28,6 +29,7 @@ METHODS: dict[str, Method] = {
     for method in (
         THREEDGS,
         ABSGS,
+        MIP_SPLATTING,
         SCAFFOLD_GS,
         _city(
             "citygaussian",
