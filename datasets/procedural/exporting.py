@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 
 from splatproof.base.errors import DataError, UsageError
-from splatproof.base.files import write_bytes
+from splatproof.base.files import remove_partial_files, write_bytes
 from splatproof.datasets import moving_masks as moving
 from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.depth_maps import depth_path
@@ -53,6 +53,7 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
         raise UsageError(f"{folder}: exists and is not this scene; choose another folder")
     work = folder.with_name(f".{folder.name}.{name}.part")
     work.mkdir(parents=True, exist_ok=True)
+    remove_partial_files(work)
     threads = torch.get_num_threads()
     try:
         _make_views(plan, work, report)

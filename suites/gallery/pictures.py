@@ -32,7 +32,7 @@ COMPONENTS = (
     Component(
         title="Rasterizer",
         modules=("reference/types/camera", "reference/types/splats", "reference/rasterizer/rotation", "reference/rasterizer/spherical_harmonics",
-                 "reference/rasterizer/projection", "reference/rasterizer/compositing", "reference/rasterizer/rasterize",
+                 "reference/rasterizer/projection", "reference/rasterizer/smoothing", "reference/rasterizer/compositing", "reference/rasterizer/rasterize",
                  "reference/rasterizer/screen_gradient", "reference/supervision/losses"),
         source="Kerbl et al. 2023, 3D Gaussian Splatting",
     ),

@@ -57,3 +57,13 @@ def test_json_that_cannot_be_read_is_named(tmp_path, make, match):
     with pytest.raises(DataError, match=rf"a\.json: {match}") as caught:
         files.read_json(tmp_path / "a.json")
     assert "\n" not in str(caught.value)
+
+
+def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
+    (tmp_path / "inner").mkdir()
+    left = tmp_path / "inner" / "a.png.17.partial"
+    for path in (left, tmp_path / "a.png"):
+        path.write_text("x")
+    remove_partial_files(tmp_path)
+    assert not left.exists()
+    assert (tmp_path / "a.png").exists()

@@ -10,6 +10,8 @@ from typing import Any
 
 from splatproof.base.errors import DataError
 
+PARTIAL = ".partial"
+"""End of the names of files that are being written."""
 CHUNK = 2**20
 """Bytes that are read at a time from something that may be large."""
 
@@ -25,12 +27,22 @@ def whole_file(path: Path) -> Iterator[Path]:
         path: Name of the finished file; one that is there is replaced.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
     try:
         yield partial
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Remove what killed writers left in a folder and below; nobody else may be writing there.
+
+    Args:
+        folder: Folder of a work that is continued.
+    """
+    for path in folder.rglob(f"*{PARTIAL}"):
+        path.unlink()
 
 
 def write_text(path: Path, text: str) -> None:

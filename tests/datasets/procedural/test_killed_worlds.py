@@ -55,6 +55,9 @@ def contents(folder):
 def test_a_killed_world_goes_on_and_has_the_bytes_of_an_undisturbed_one(killed, made, world):
     whole, plan = made(world)
     assert not (killed / world).exists()
+    (work,) = killed.glob(f".{world}*")
+    (work / "photos").mkdir(exist_ok=True)
+    (work / "photos" / "view.png.77.partial").write_bytes(b"of a kill in the middle of a file")
     told = []
     exporting.make_scene(plan, killed / world, lambda done, total: told.append(done))
     # a view is counted once it is whole; those in work, one a worker, may be whole too

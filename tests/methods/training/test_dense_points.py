@@ -167,7 +167,8 @@ def test_voxels_merge_as_the_reference_does(seed: int, batches: int):
     enough = members >= dense_points.LEAST_MATCHES
     got = voxels.points()
     assert len(got) == enough.sum()
-    order = np.lexsort(np.floor((want.positions - low).numpy() / 1.3).T[::-1])
+    # the mean of a single point at the corner may be rounded to just below it
+    order = np.lexsort(np.floor(((want.positions - low).numpy() / 1.3).clip(min=0)).T[::-1])
     expected = want.positions.numpy()[order][enough]
     assert_allclose(got.positions.numpy(), expected, rtol=0, atol=1e-12)
     colours = want.colours.numpy()[order][enough]
