@@ -64,6 +64,6 @@ def test_what_killed_writers_left_is_removed_and_nothing_else(tmp_path):
     left = tmp_path / "inner" / "a.png.17.partial"
     for path in (left, tmp_path / "a.png"):
         path.write_text("x")
-    remove_partial_files(tmp_path)
+    files.remove_partial_files(tmp_path)
     assert not left.exists()
     assert (tmp_path / "a.png").exists()
