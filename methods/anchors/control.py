@@ -231,7 +231,6 @@ class AnchorControl:
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take over what `state` returned."""
-        device = self.gradient.device
         self.gradient, self.drawn, self.opacity, self.visits = (
-            state[name].clone().to(device) for name in ("gradient", "drawn", "opacity", "visits")
+            state[name].clone() for name in ("gradient", "drawn", "opacity", "visits")
         )

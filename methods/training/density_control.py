@@ -173,10 +173,9 @@ class DensityControl:
 
     def restore(self, state: dict[str, Tensor]) -> None:
         """Take over what `state` returned."""
-        device = self.gradient_sum.device
-        self.gradient_sum = state["gradient_sum"].clone().to(device)
-        self.absolute_sum = state["absolute_sum"].clone().to(device)
-        self.seen = state["seen"].clone().to(device)
+        self.gradient_sum = state["gradient_sum"].clone()
+        self.absolute_sum = state["absolute_sum"].clone()
+        self.seen = state["seen"].clone()
 
 
 def _shapes(parameters: Parameters) -> Gaussians:

@@ -275,7 +275,8 @@ class Trainer:
             )
         self.model.parameters.restore(_part(tensors, "parameters."))
         self.optimizer.restore(_part(tensors, "optimizer."))
-        self.plan.density.restore(_part(tensors, "density."))
+        counted = _part(tensors, "density.")
+        self.plan.density.restore({n: value.to(self.device) for n, value in counted.items()})
         self.generator.set_state(tensors["generator"])
         self.step, self.seconds = facts["step"], facts["seconds"]
         self.order.restore(facts["order"], self.step * self.plan.views_per_step)
