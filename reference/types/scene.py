@@ -26,6 +26,16 @@ class Sweep:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class DepthPrior:
+    """What something else than the photos' own geometry says of the depth of one view."""
+
+    disparity: Float[Tensor, "h w"]
+    """Float32, larger where nearer; scale and zero point are unknown, as a monocular network's are."""
+    valid: Bool[Tensor, "h w"]
+    """Pixels of which it says anything."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class View:
     """One image and the camera that took it. Images are read when asked for, never all at once."""
 
@@ -40,6 +50,8 @@ class View:
     """Reads the mask of the sky (True: sky) where it is known; None: unknown."""
     load_sweep: Callable[[], Sweep] | None = None
     """Reads the LiDAR sweep that belongs to this view; None: there is none."""
+    load_prior: Callable[[], DepthPrior] | None = None
+    """Reads the depth prior that a case was given; None: it has none."""
     time: float | None = None
     """Seconds since the scene's first view; None: static."""
     sensor: str = ""
@@ -145,7 +157,7 @@ class Scene:
     def for_training(self) -> "Scene":
         """The scene as a method gets it: no truth, and of what does not train no image.
 
-        Training views keep image, mask, sky and sweep; the others keep camera, time and sensor.
+        Training views keep image, mask, sky, sweep and prior; the others keep camera, time and sensor.
         Folder and files are left out, so that nothing hidden is found through them.
         """
         train = set(self.train)
