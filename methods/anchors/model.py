@@ -1,13 +1,13 @@
 """A model of voxel anchors: those in view are decoded by networks into k Gaussians each."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from splatproof.methods.anchors.decoding import decode_some
 from splatproof.methods.anchors.networks import network
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
@@ -86,21 +86,17 @@ class AnchorModel(Model):
         """
         del moment
         seen = self.in_view(view.camera)
-        anchors, shared = self.anchors(seen), self.parameters.shared
+        shared, centre = self.parameters.shared, view.camera.centre
+        features = None
         if f"{BANK}.weight0" in shared:
-            code = scaffold.view_code(anchors.centres, view.camera.centre)
-            blended = scaffold.blend_bank(anchors.features, network(BANK, shared), *code)
-            anchors = replace(anchors, features=blended)
+            anchors = self.anchors(seen)
+            code = scaffold.view_code(anchors.centres, centre)
+            features = scaffold.blend_bank(anchors.features, network(BANK, shared), *code)
         decoder = scaffold.Decoder(**{name: network(name, shared) for name in NETWORKS})
-        splats = scaffold.decode(
-            anchors, decoder, view.camera.centre, with_distance=self.with_distance
-        )
-        assert splats.rows is not None
-        assert splats.slots is not None
-        k = anchors.offsets.shape[1]
-        rows = seen[splats.rows]
-        slots = rows * k + splats.slots % k
-        return replace(splats, rows=rows, slots=slots, decoded=seen)
+        return decode_some(
+            self.anchors(), decoder, centre, seen, with_distance=self.with_distance,
+            features=features,
+        )  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
         """What `restored` needs beside the tensors."""
