@@ -107,9 +107,10 @@ class AnchorControl:
         if len(self.visits) != seen.count:
             self._clear(seen.count, seen.radii.device)
         drawn = seen.radii > 0
-        slots = seen.slots[drawn]
-        self.gradient.index_add_(0, slots, seen.gradient_norm("signed")[drawn])
-        self.drawn.index_add_(0, slots, torch.ones_like(seen.radii[drawn]))
+        # adding 0 for the others is far cheaper than picking those that were drawn
+        norms = seen.gradient_norm("signed").where(drawn, 0)
+        self.gradient.index_add_(0, seen.slots, norms)
+        self.drawn.index_add_(0, seen.slots, drawn.to(norms))
         self.opacity += seen.by_row(seen.opacities)
         if seen.decoded is None:
             self.visits += 1
