@@ -63,7 +63,8 @@ class _Attend(torch.autograd.Function):
 
 def _products(left: Tensor, right: Tensor, neighbours: Neighbours) -> Tensor:
     """Inner product of the source's row and the target's, for every pair."""
-    return (left[neighbours.sources] * right[neighbours.targets]).sum(dim=1)
+    rows = left.index_select(0, neighbours.sources)
+    return rows.mul_(right.index_select(0, neighbours.targets)).sum(dim=1)
 
 
 def _sums(values: Tensor, neighbours: Neighbours) -> Tensor:

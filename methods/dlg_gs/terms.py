@@ -1,5 +1,7 @@
 """What method dlg-gs minimises, term by term."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -13,7 +15,6 @@ from splatproof.methods.scaffold.fit import mean_volume
 from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
 from splatproof.reference.anchors import lighting_appearance
 from splatproof.reference.supervision import depth_constraint
-from splatproof.reference.types.splats import Splats
 
 
 def terms(settings: Settings, run: Run) -> tuple[ImageTerm, ...]:
@@ -161,14 +162,11 @@ class Dropout:
         assert splats.colours is not None
         assert generator is not None
         shown = lighting_appearance.dropout_mask(len(splats), self.share, generator)
-        index = torch.where(shown)[0].to(splats.means.device)
-        left = Splats(
-            means=splats.means[index], quaternions=splats.quaternions[index],
-            scales=splats.scales[index], opacities=splats.opacities[index],
-            colours=splats.colours[index, :3],
+        left = replace(
+            splats, colours=splats.colours[:, :3], opacities=splats.opacities * shown.to(splats.means)
         )  # fmt: skip
         output = self.backend.draw(
-            frame.view.camera, left, background=self.background.to(left.means.device),
+            frame.view.camera, left, background=self.background.to(left.means),
             mode=frame.model.mode,
         )  # fmt: skip
         image = frame.model.finish_image(frame.view.without_truth(), output)

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -20,7 +21,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.cost import cost
 from splatproof.methods.dlg_gs.fit import fit
 from splatproof.methods.dlg_gs.settings import Rates, Settings
-from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.decoded import AdaptingModel, DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
 from splatproof.methods.scaffold import fit as scaffold
@@ -92,12 +93,9 @@ def error(model: DecodedModel, scene: Scene) -> float:
 
 def test_with_everything_off_it_is_scaffold_gs_to_the_bit():
     own = fit(tiny_scene(), OFF, RUN)
-    given = {name: getattr(OFF, name) for name in vars(scaffold_settings.Settings())}
-    other = scaffold.fit(
-        tiny_scene(),
-        scaffold_settings.Settings(**given | {"rates": scaffold_settings.Rates()}),
-        RUN,
-    )
+    given: dict[str, Any] = {n: getattr(OFF, n) for n in vars(scaffold_settings.Settings())}
+    given["rates"] = scaffold_settings.Rates()
+    other = scaffold.fit(tiny_scene(), scaffold_settings.Settings(**given), RUN)
     want, found = (m.model.parameters.state() for m in (other, own))
     assert want.keys() == found.keys()
     assert all(torch.equal(want[name], found[name]) for name in want)
@@ -186,7 +184,7 @@ def test_a_view_is_shown_in_the_light_that_is_asked_for(lit):
 def test_light_is_fitted_to_half_an_image(lit):
     scene = lit_scene()
     view = scene.views[4]
-    assert isinstance(lit, Adapts)
+    assert isinstance(lit, AdaptingModel)
     code = lit.fit_appearance(view.without_truth(), view.load()[:, :12], slice(0, 12))
     named = replace(view.without_truth(), name="unknown")
 
