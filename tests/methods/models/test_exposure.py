@@ -142,6 +142,7 @@ def test_a_view_is_shown_in_its_own_exposure_the_named_one_the_given_one_or_none
 @pytest.mark.parametrize("kind", ["gain", "affine"])
 def test_an_exposure_is_fitted_to_half_an_image(models, kind):
     model = models[kind]
+    assert isinstance(model, ExposedGaussians)
     assert isinstance(model, Adapts)
     view = lit(GAINS).views[1]
     shown = model.render(replace(view, appearance="5.png")).colour
@@ -157,6 +158,7 @@ def test_it_is_stored_and_its_gaussians_are_exported_in_neutral_exposure(models,
     model, view = models[kind], lit(GAINS).views[2]
     save_model(model, tmp_path / "model", Origin())
     again = load_reconstruction(tmp_path / "model")
+    assert isinstance(again, ExposedGaussians)
     assert torch.equal(model.render(view).colour, again.render(view).colour)
     other = replace(view, appearance="4.png")
     assert torch.equal(model.render(other).colour, again.render(other).colour)
