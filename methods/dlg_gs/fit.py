@@ -10,13 +10,14 @@ from splatproof.methods.anchors import networks
 from splatproof.methods.anchors.control import AnchorControl
 from splatproof.methods.anchors.model import AnchorModel
 from splatproof.methods.anchors.start import started, voxel_size
-from splatproof.methods.contracts.model import Schedule
+from splatproof.methods.contracts.model import Model, Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.light import STATISTICS, drawn_light
 from splatproof.methods.dlg_gs.model import GATES, HEAD, INPUTS, MIXING, DlgModel, Lighting
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.dlg_gs.terms import terms
 from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.scaffold import fit as scaffold
 from splatproof.methods.training.initialise import extent, require_points, with_points
 from splatproof.methods.training.plan import Plan
@@ -51,8 +52,10 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
     """
     require_priors(scene, settings)
 
-    def prepared() -> tuple[AnchorModel, Plan]:
-        return prepare(with_points(scene, run, random_points=settings.random_points), settings, run)
+    def prepared() -> tuple[Model, Plan]:
+        start = with_points(scene, run, random_points=settings.random_points)
+        model, plan = prepare(start, settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
 
     return DecodedModel.of(KIND, train(run, prepared), scene, run.backend)
 

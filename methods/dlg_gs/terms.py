@@ -57,8 +57,9 @@ def colour_terms(settings: Settings) -> list[ImageTerm]:
 
 def original_dssim(frame: Frame) -> Float[Tensor, ""]:
     """1 - SSIM of the render with original colours."""
-    original = frame.output.colour[..., 3:]
-    return photometric_loss(original, frame.truth, dssim=1.0, mask=frame.mask)
+    original = replace(frame.output, colour=frame.output.colour[..., 3:])
+    image = frame.model.finish_image(frame.view.without_truth(), original)
+    return photometric_loss(image, frame.truth, dssim=1.0, mask=frame.mask)
 
 
 def summed_volume(frame: Frame) -> Float[Tensor, ""]:

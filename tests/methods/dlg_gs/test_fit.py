@@ -154,7 +154,7 @@ def test_saved_and_rendered_in_another_process(trained, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "chosen", [OFF, replace(SHORT, dlaam="gates", factor="learnt"), replace(SHORT, vdjc="ec")]
+    "chosen", [OFF, replace(SHORT, dlaam="gates", factor="learnt"), replace(SHORT, exposure="gain")]
 )
 def test_every_kind_is_loaded_as_it_was_saved(tmp_path, chosen):
     model = fit(lit_scene(), replace(chosen, iterations=5), RUN)
