@@ -7,7 +7,7 @@ from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.cost import cost as scaffold_cost
 from splatproof.reference.types.scene import Scene
 
-COLOURS, ATTENTION, DROPOUT, DEPTH = 0.5, 0.4, 0.45, 0.5
+COLOURS, ATTENTION, DROPOUT, DEPTH = 0.5, 0.4, 0.45, 0.65
 """What a step takes more, in steps of scaffold-gs: gates, colour head and three more channels; pairs of
 anchors; the render without dropped Gaussians; each depth term. Measured on tunnel at 224 px, 600 steps."""
 

@@ -88,7 +88,7 @@ class Depth:
         """EC, by the Gaussians' distances: it moves and fades them, and leaves their shape alone.
 
         Args:
-            frame: Of a view with a depth prior.
+            frame: A rendered view that has a depth prior.
         """
         splats = frame.splats
         disparity = depth_constraint.gaussian_disparity(
@@ -101,7 +101,7 @@ class Depth:
         """MC, by the anchors' distances at a fixed opacity: it moves anchors only.
 
         Args:
-            frame: Of a view with a depth prior.
+            frame: A rendered view that has a depth prior.
         """
         splats = frame.splats
         assert splats.rows is not None
