@@ -8,7 +8,7 @@ from pathlib import Path
 from splatproof.base.errors import MissingError, UsageError
 from splatproof.base.files import sha256
 from splatproof.base.names import unknown
-from splatproof.methods.priors import lidar, noisy, oracle
+from splatproof.methods.priors import depth_anything, lidar, noisy, oracle, sweep
 from splatproof.reference.types.result import NO_PRIOR
 from splatproof.reference.types.scene import DepthPrior, Scene
 
@@ -39,6 +39,11 @@ KINDS = {
         prepare=noisy.prepare, truth=True, draws=True,
     ),
     "lidar": Kind(description="the view's LiDAR sweep, completed", prepare=lidar.prepare),
+    "sweep": Kind(description="matching with neighbouring photos", prepare=sweep.prepare),
+    "depth-anything": Kind(
+        description="a monocular network of transformers, from a local folder",
+        prepare=depth_anything.prepare, weights=True,
+    ),
 }  # fmt: skip
 """All kinds."""
 
