@@ -27,9 +27,9 @@ def scene_terms(
 
     Args:
         scene: What is trained on.
-        lidar: Of a weight above 0: the LiDAR term is among them.
-        sky: Of a weight and a resolution above 0: the sky term is among them.
-        steps: Of the run.
+        lidar: The LiDAR term is among them if its weight is above 0.
+        sky: The sky term is among them if its weight and resolution are above 0.
+        steps: Number of steps of the run.
         extent: Size of the scene in scene units, which depths are counted in.
 
     Raises: DataError if the scene lacks what a term reads, with the setting that does without.
@@ -53,7 +53,7 @@ def lidar_term(settings: LidarSettings, *, steps: int, extent: float) -> Term:
 
     Args:
         settings: What is compared, and with which weight.
-        steps: Of the run; a short one sheds the weight sooner.
+        steps: Number of steps of the run; a short one sheds the weight sooner.
         extent: Size of the scene in scene units.
     """
     images = TensorCache(KEPT_BYTES)
