@@ -20,6 +20,7 @@ def points(count: int, moved: int) -> TimedPoints:
         colours=torch.arange(3 * count).reshape(-1, 3).byte(),
         seconds=torch.tensor([0.1 * (i % 3) for i in range(count)]).double(),
         moved=torch.arange(count) < moved,
+        velocities=torch.arange(count)[:, None] * torch.tensor([1.0, 0.0, -2.0]),
     )
 
 
@@ -47,7 +48,7 @@ def test_groups_are_moments_of_what_moved_and_the_rest():
 def test_sparse_points_stay_and_returns_that_moved_have_their_moment(monkeypatch):
     scene, settings = tiny_drive(), Settings(start=Start(sweep_points=40))
     found = points(60, 9)
-    monkeypatch.setattr(start, "timed_points", lambda scene: found)
+    monkeypatch.setattr(start, "in_motion", lambda points: found)
     clock = clock_of(scene)
     rows = started(scene, settings, clock, seed=0).rows
     sparse = len(scene.points)
@@ -56,12 +57,17 @@ def test_sparse_points_stay_and_returns_that_moved_have_their_moment(monkeypatch
     stays, moves = slice(0, sparse + 31), slice(sparse + 31, None)
     assert not peaks[stays].any()
     torch.testing.assert_close(spans[stays], torch.full((sparse + 31,), clock.duration))
-    torch.testing.assert_close(spans[moves], torch.full((9,), 0.02))
+    torch.testing.assert_close(spans[moves], torch.full((9,), 0.04))
     wanted = torch.tensor([clock.at(t) for t in (0.0, 0.1, 0.2) for _ in range(3)])
     torch.testing.assert_close(peaks[moves], wanted)
     means = rows["means"][moves].double()
     assert set(map(tuple, means.tolist())) == set(map(tuple, found.positions[:9].tolist()))
-    assert not rows["velocities"].any()
+    # 0.1 s between moments are 0.02 of model time: 1 unit a second is 5 a unit of it
+    by_time = [0, 3, 6, 1, 4, 7, 2, 5, 8]
+    torch.testing.assert_close(rows["velocities"][moves], 5 * found.velocities[by_time])
+    assert not rows["velocities"][stays].any()
+    resting = replace(settings, start=Start(sweep_points=40, velocities=False))
+    assert not started(scene, resting, clock, seed=0).rows["velocities"].any()
 
 
 def test_without_returns_no_sweep_is_read():
