@@ -1,6 +1,7 @@
 """A drive small enough to train on in a test: blobs that stay, blobs that move, sweeps and a sky."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -9,11 +10,13 @@ import torch
 from torch import Tensor
 
 from helpers.tiny_scene import camera, random_gaussians, sparse_points
+from splatproof.methods.dynamic.sweep_points import TimedPoints, joined
 from splatproof.reference.rasterizer import rasterize as rasterizer
+from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, Sweep, View
 
-SPEED = 3.0
+SPEED = 2.0
 """Units a second at which blobs move along x."""
 MOVING = 4
 """Blobs that move, the last of all."""
@@ -26,9 +29,10 @@ def truth_at(seconds: float, *, count: int = 30, speed: float = SPEED) -> Gaussi
     means, sizes, opaque = (
         value.clone() for value in (blobs.means, blobs.log_scales, blobs.opacity_logits)
     )
+    means[-MOVING:] *= 0.5
     means[-MOVING:, 0] += speed * (seconds - 0.35)
-    means[-MOVING:, 2] -= 1.5
-    sizes[-MOVING:] = math.log(0.2)
+    means[-MOVING:, 2] -= 0.5
+    sizes[-MOVING:] = math.log(0.12)
     opaque[-MOVING:] = 4.0
     return replace(blobs, means=means, log_scales=sizes, opacity_logits=opaque)
 
@@ -63,6 +67,24 @@ def tiny_drive(*, moments: int = 8, count: int = 30, speed: float = SPEED) -> Sc
         up=torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64), units="metres",
         shift=torch.zeros(3, dtype=torch.float64),
     )  # fmt: skip
+
+
+def moving_returns(views: Sequence[View]) -> TimedPoints:
+    """What perfect sweeps of some views would say of the blobs that move."""
+    parts = []
+    for view in views:
+        assert view.time is not None
+        blobs = truth_at(view.time)
+        colours = (0.5 + C0 * blobs.sh[-MOVING:, 0]).clamp(0, 1)
+        parts.append(
+            TimedPoints(
+                positions=blobs.means[-MOVING:].double(), colours=(255 * colours).byte(),
+                seconds=torch.full((MOVING,), view.time).double(),
+                moved=torch.ones(MOVING, dtype=torch.bool),
+                velocities=torch.tensor([[SPEED, 0.0, 0.0]]).repeat(MOVING, 1),
+            )
+        )  # fmt: skip
+    return joined(parts)
 
 
 def moving_pixels(view: View, *, count: int = 30) -> Tensor:

@@ -20,7 +20,8 @@ def points(count: int, moved: int) -> TimedPoints:
         colours=torch.arange(3 * count).reshape(-1, 3).byte(),
         seconds=torch.tensor([0.1 * (i % 3) for i in range(count)]).double(),
         moved=torch.arange(count) < moved,
-        velocities=torch.arange(count)[:, None] * torch.tensor([1.0, 0.0, -2.0]),
+        velocities=(torch.arange(count) * (torch.arange(count) < moved))[:, None]
+        * torch.tensor([1.0, 0.0, -2.0]),
     )
 
 
