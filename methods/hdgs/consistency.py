@@ -1,5 +1,6 @@
 """Inter-anchor consistency (ICE): anchors of neighbouring voxels support one another's features."""
 
+import itertools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,9 +38,7 @@ class Pairs:
         keep = wanted[self.sites]
         before = torch.nn.functional.pad(keep.cumsum(0), (1, 0))
         ends = before[torch.tensor(self.ends, device=keep.device)].tolist()
-        return Pairs(
-            sites=self.sites[keep], neighbours=self.neighbours[keep], ends=tuple(ends)
-        )
+        return Pairs(sites=self.sites[keep], neighbours=self.neighbours[keep], ends=tuple(ends))
 
 
 def pairs(centres: Float[Tensor, "n 3"], voxel: float) -> Pairs:
@@ -107,13 +106,10 @@ def supported(
     wanted = torch.zeros(count, dtype=torch.bool, device=features.device)
     wanted[seen] = True
     near = near.of(wanted)
-    starts = (0, *near.ends[:-1])
-    given = features.index_select(0, near.neighbours)
+    counts = [end - start for start, end in itertools.pairwise((0, *near.ends))]
+    given = features.index_select(0, near.neighbours).split(counts)  # its gradient is one copy
     added = torch.cat(
-        [
-            given[start:end] @ weight
-            for start, end, weight in zip(starts, near.ends, network.convolution, strict=True)
-        ]
+        [part @ weight for part, weight in zip(given, network.convolution.unbind(), strict=True)]
     )
     place = torch.empty(count, dtype=torch.long, device=features.device)
     place[seen] = torch.arange(len(seen), device=features.device)
@@ -145,7 +141,7 @@ def directions(
         scales: Standard deviations of the base covariance, > 0.
         receives: Which of these sites receives, a number a pair.
     """
-    values = scales.square().sort(dim=1, descending=True).values
+    values = descending(scales.square())
     rows = torch.arange(len(scales), device=scales.device)
     axes = rotation.rotation_matrix(quaternions)[rows, :, scales.argmax(dim=1)]
     # A disc or a sphere has no axis: its direction fades out.
@@ -155,3 +151,11 @@ def directions(
     apart = offsets.square().sum(dim=1)
     cosine = (offsets * mine[:, :3]).sum(dim=1).square() / torch.where(apart > 0, apart, 1)
     return torch.cat([(cosine * mine[:, 3])[:, None], mine[:, 4:]], dim=1)
+
+
+def descending(values: Float[Tensor, "v 3"]) -> Float[Tensor, "v 3"]:
+    """Each row's three values, largest first (sorting rows of three takes ten times as long)."""
+    a, b, c = values.unbind(dim=1)
+    low, high = torch.minimum(a, b), torch.maximum(a, b)
+    middle = torch.maximum(low, torch.minimum(high, c))
+    return torch.stack([torch.maximum(high, c), middle, torch.minimum(low, c)], dim=1)

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -14,12 +15,11 @@ from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dynamic.sky import Sky
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
+from splatproof.methods.hdgs.decode import decoded, placed
 from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
-from splatproof.methods.hdgs.places import placed
 from splatproof.reference.anchors.motion_hierarchy import (
     HierarchySettings,
     MotionAnchors,
-    decode,
 )
 from splatproof.reference.anchors.vibration import life
 from splatproof.reference.partition.frustum import frustum
@@ -126,7 +126,9 @@ class HdgsModel(Model):
         """Rows of the anchors that are alive and of whose Gaussians an image may show one.
 
         All of them are put in their places, residuals and vibration included, by the small networks
-        of positions and scales alone; the others run on what is left.
+        of positions and scales alone; the larger ones run on what is left. An anchor counts if a
+        ball around one of its last descendants, which holds all that one's Gaussians with all their
+        pixels, meets the pyramid that the image opens.
 
         Args:
             camera: Camera of the image.
@@ -137,15 +139,19 @@ class HdgsModel(Model):
         (index,) = torch.where(alive)
         networks = hierarchy(self.parameters.shared, self.sizes.layers)
         times = rows["peaks"].new_full((len(index),), time)
-        means, scales = placed(self.anchors(index), networks, self.sizes, times)
-        local = transform_points(camera, self.frame.outwards(means).reshape(-1, 3))
+        last = placed(self.anchors(index), networks, self.sizes, times)
+        # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
+        away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
+        radius = away + REACH * last.base.amax(dim=1)
+        local = transform_points(camera, self.frame.outwards(last.at)) / self.frame.unit
         depth = local[:, 2]
-        sides = torch.from_numpy(frustum(camera)[1:, :3])  # all pass through the camera
-        inwards = torch.nn.functional.normalize(sides, dim=1).T.to(local)
         focal = float(camera.K.diagonal()[:2].min())
-        radius = REACH * self.frame.unit * scales.reshape(-1) + BLUR / focal * depth.abs()
-        seen = (depth > camera.near) & ((local @ inwards).amin(dim=1) > -radius)
-        return index[seen.reshape(len(index), -1).any(dim=1)]
+        radius = radius + BLUR / focal * (depth.abs() + away)
+        seen = depth + away > camera.near / self.frame.unit
+        for side in frustum(camera)[1:, :3]:  # all pass through the camera
+            inwards = torch.from_numpy(side / np.linalg.norm(side)).to(local)
+            seen &= local @ inwards > -radius
+        return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
 
     def splats(self, view: View, moment: Moment) -> Splats:
         """What the anchors alive and in view decode to.
@@ -167,7 +173,7 @@ class HdgsModel(Model):
             )  # fmt: skip
             anchors = replace(anchors, features=features)
         centre = self.frame.inwards(view.camera.centre)
-        splats = decode(anchors, hierarchy(shared, layers), self.sizes, time, centre)
+        splats = decoded(anchors, hierarchy(shared, layers), self.sizes, time, centre)
         k = self.sizes.gaussians
         places = torch.arange(k, device=seen.device)
         return replace(
