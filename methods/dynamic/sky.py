@@ -132,7 +132,7 @@ def around(
     at a corner, where three faces meet, those three share what a fourth would have.
 
     Args:
-        directions: Of any length but zero, in the scene's frame.
+        directions: Vectors of any length but zero, in the scene's frame.
         side: Texels along an edge of a face.
 
     Source: ours, as graphics hardware does it ("seamless cube maps").
@@ -161,7 +161,7 @@ def on_cube(directions: Float[Tensor, "p 3"]) -> tuple[Int[Tensor, " p"], Float[
     """Face that each direction meets (+x, -x, +y, -y, +z, -z) and where, in [-1, 1]^2.
 
     Args:
-        directions: Of any length but zero.
+        directions: Vectors of any length but zero.
     """
     axis = directions.abs().argmax(dim=1)
     along = directions.gather(1, axis[:, None])
