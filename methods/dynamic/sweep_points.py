@@ -1,6 +1,7 @@
 """Points from LiDAR sweeps: when they were hit, in what colour, and whether something moved there."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,8 @@ class TimedPoints:
     """Float64, since the scene's first view: when each was hit."""
     moved: Bool[Tensor, " n"]
     """Whether other sweeps looked through where it was."""
+    velocities: Float[Tensor, "n 3"]
+    """Float32, scene units a second; 0 until `sweep_motion.in_motion` looks for them."""
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -76,14 +79,20 @@ def timed_points(scene: Scene) -> TimedPoints:
                 colours=colours[seen],
                 seconds=torch.full((len(positions),), time, dtype=torch.float64),
                 moved=looked_through(positions, others) >= VOTES,
+                velocities=torch.zeros(len(positions), 3),
             )
         )
-    return TimedPoints(
-        positions=torch.cat([torch.zeros(0, 3).double(), *(part.positions for part in found)]),
-        colours=torch.cat([torch.zeros(0, 3).byte(), *(part.colours for part in found)]),
-        seconds=torch.cat([torch.zeros(0).double(), *(part.seconds for part in found)]),
-        moved=torch.cat([torch.zeros(0).bool(), *(part.moved for part in found)]),
-    )
+    return joined(found)
+
+
+def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
+    """The points of all parts, one part after the other; no part: no points."""
+    none = TimedPoints(
+        positions=torch.zeros(0, 3).double(), colours=torch.zeros(0, 3).byte(),
+        seconds=torch.zeros(0).double(), moved=torch.zeros(0).bool(), velocities=torch.zeros(0, 3),
+    )  # fmt: skip
+    names = vars(none)
+    return TimedPoints(**{n: torch.cat([getattr(p, n) for p in (none, *parts)]) for n in names})
 
 
 def _sweep(views: list[View]) -> Sweep:

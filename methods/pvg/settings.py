@@ -43,8 +43,11 @@ class Start:
     sweep_points: int = 20_000
     """Most LiDAR returns that Gaussians start from, those of moving things first (the release: 600,000 of
     any); 0: none, and sweeps are not read."""
-    moving_span: float = 0.02
-    """Span of life in model time at the start of what sweeps found to be moving: a frame."""
+    velocities: bool = True
+    """Whether what moves starts with the velocity that brings its returns onto those of the next sweep;
+    False: at rest, as in the release."""
+    moving_span: float = 0.04
+    """Span of life in model time at the start of what sweeps found to be moving: two frames."""
     still_span: float = 1.0
     """Span of life at the start of everything else, in durations of the drive (the release: everything
     starts at the root of 0.1 to 0.2 durations in model time, 0.32 for fifty frames)."""

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dynamic import sky
+from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import TimedPoints, timed_points
 from splatproof.methods.dynamic.terms import require_sweeps
 from splatproof.methods.dynamic.times import Clock
@@ -31,12 +32,15 @@ def started(scene: Scene, settings: Settings, clock: Clock, seed: int) -> Parame
     parts = [_rows(scene, settings, torch.zeros(len(scene.points)), still(settings, clock))]
     if settings.start.sweep_points:
         require_sweeps(scene, "lidar.weight = 0 and start.sweep_points = 0")
-        chosen = choose(timed_points(scene), settings.start.sweep_points, seed)
+        chosen = choose(in_motion(timed_points(scene)), settings.start.sweep_points, seed)
         for points in by_moment(chosen):
             moved = bool(points.moved[0])
             span = settings.start.moving_span if moved else still(settings, clock)
             peaks = torch.tensor([clock.at(t) if moved else 0.0 for t in points.seconds.tolist()])
-            parts.append(_rows(_with(scene, points), settings, peaks, span))
+            rows = _rows(_with(scene, points), settings, peaks, span)
+            if settings.start.velocities:
+                rows["velocities"] = points.velocities / clock.second
+            parts.append(rows)
     rows = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     return Parameters(rows, shared=sky.started(settings.sky))
 
