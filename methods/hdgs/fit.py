@@ -1,11 +1,14 @@
 """Training of method hdgs."""
 
+from dataclasses import replace
+
 import torch
 
 from splatproof.methods.contracts.model import Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic import sky
-from splatproof.methods.dynamic.sweep_points import TimedPoints, timed_points
+from splatproof.methods.dynamic.sweep_motion import in_motion
+from splatproof.methods.dynamic.sweep_points import TimedPoints, joined, timed_points
 from splatproof.methods.dynamic.terms import scene_terms
 from splatproof.methods.dynamic.times import Clock, clock_of
 from splatproof.methods.hdgs import networks
@@ -62,16 +65,11 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[HdgsModel, Plan
     """
     clock, size = clock_of(scene), extent(scene)
     points = measured(scene, run.seed)
-    frame = frame_of(points.positions)
-    places = frame.inwards(points.positions)
-    near = places.norm(dim=1) < FAR
-    points, places = points.take(near), places[near]
-    voxel = settings.voxel / frame.unit or voxel_for(places[~points.moved], settings.anchors)
-    times = (points.seconds - clock.middle) * (clock.second / CYCLE)
-    moves = settings.motion == "vibration"
-    at = sites(
-        places, points.colours.double() / 255, times, points.moved & moves, voxel, middle=0.0
-    )
+    frame, moves = frame_of(points.positions), settings.motion == "vibration"
+    points = in_model(points, frame, clock, moves=moves)
+    voxel = settings.voxel / frame.unit
+    voxel = voxel or voxel_for(points.positions[~points.moved], settings.anchors)
+    at = sites(points, voxel, middle=0.0)
     sizes, duration = settings.sizes, clock.duration / CYCLE
     spans = torch.full((len(at.times),), duration * (settings.still_span if moves else ALWAYS))
     parameters = started(
@@ -113,15 +111,35 @@ def measured(scene: Scene, seed: int) -> TimedPoints:
     """
     if not scene.train or not any(view.load_sweep for view in scene.train_views):
         require_points(scene)
-    swept, count = timed_points(scene), len(scene.points)
-    points = TimedPoints(
-        positions=torch.cat([scene.points.positions.double(), swept.positions]),
-        colours=torch.cat([scene.points.colours, swept.colours]),
-        seconds=torch.cat([torch.zeros(count).double(), swept.seconds]),
-        moved=torch.cat([torch.zeros(count).bool(), swept.moved]),
-    )
+    count = len(scene.points)
+    sparse = TimedPoints(
+        positions=scene.points.positions.double(), colours=scene.points.colours,
+        seconds=torch.zeros(count).double(), moved=torch.zeros(count).bool(),
+        velocities=torch.zeros(count, 3),
+    )  # fmt: skip
+    points = joined([sparse, in_motion(timed_points(scene))])
     generator = torch.Generator().manual_seed(seed)
     return points.take(torch.randperm(len(points), generator=generator))
+
+
+def in_model(points: TimedPoints, frame: Frame, clock: Clock, *, moves: bool) -> TimedPoints:
+    """The points as the model counts lengths and times, without those left to the sky.
+
+    Args:
+        points: In scene units and seconds.
+        frame: The model's coordinates.
+        clock: What turns seconds into model time.
+        moves: Whether anything may move.
+    """
+    second = clock.second / CYCLE
+    places = frame.inwards(points.positions)
+    return replace(
+        points,
+        positions=places,
+        seconds=(points.seconds - clock.middle) * second,
+        moved=points.moved & moves,
+        velocities=points.velocities / (frame.unit * second),
+    ).take(places.norm(dim=1) < FAR)
 
 
 def frame_of(positions: torch.Tensor) -> Frame:

@@ -129,8 +129,8 @@ class Settings:
     """How layer 0 moves; residual networks of deeper layers read the time in any case."""
     still_span: float = 1.0
     """Life span at the start of anchors that stand still, in durations of the drive (pvg: 1)."""
-    moving_span: float = 0.1
-    """Life span at the start of anchors on what sweeps found to be moving, in tens of frames (pvg: 0.1)."""
+    moving_span: float = 0.2
+    """Life span at the start of anchors on what sweeps found to be moving, in tens of frames (pvg: 0.2)."""
     ice: Ice = "full"
     """Which parts of the consistency step between anchors run."""
     voxel: float = 0.0

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from splatproof.methods.contracts.parameters import Parameters
+from splatproof.methods.dynamic.sweep_points import TimedPoints
 from splatproof.methods.training.initialise import neighbour_distance
 from splatproof.reference.anchors.motion_hierarchy import HierarchySettings
 
@@ -30,55 +31,43 @@ class Sites:
     """Mean colour of the points in each, in [0, 1]."""
     times: Float[Tensor, " n"]
     """Peaks."""
+    velocities: Float[Tensor, "n 3"]
+    """Mean velocity of the points in each."""
     moves: Bool[Tensor, " n"]
     """Whether points in it were seen to move."""
 
 
-def sites(
-    positions: Float[Tensor, "m 3"],
-    colours: Float[Tensor, "m 3"],
-    times: Float[Tensor, " m"],
-    moved: Bool[Tensor, " m"],
-    voxel: float,
-    middle: float,
-) -> Sites:
+def sites(points: TimedPoints, voxel: float, middle: float) -> Sites:
     """One anchor in each voxel that holds a point of what stands still; what moves has finer voxels.
 
     What stands still peaks in the middle of the drive. A finer voxel that something moved through
     belongs to one of the moments at which a point was measured in it.
 
     Args:
-        positions: Points in one unit with the voxels, in any order: the first moving one of a voxel
-            decides on its moment.
-        colours: Of the points, in [0, 1].
-        times: When each was measured.
-        moved: Whether it was on something that moved.
+        points: In the units of voxel, peaks and velocities, in any order: the first moving one of a
+            voxel decides on its moment.
         voxel: Edge of the voxels; the finer ones are half as wide.
         middle: Peak of what stands still.
     """
-    cells = cells_of(positions, voxel / 2)
-    kinds, which = torch.unique(cells, dim=0, return_inverse=True)
-    moment = torch.full((len(kinds),), torch.nan).to(times)
-    index = torch.where(moved)[0].flip(0)
-    for one in index.tolist():  # few: what moves is a small part of any drive
-        moment[which[one]] = times[one]
-    mine = moved & (times == moment[which])
-    still = ~moved & moment[which].isnan()
-    moving, standing = (
-        _means(positions[part], colours[part], edge)
-        for part, edge in ((mine, voxel / 2), (still, voxel))
-    )
+    fine = cells_of(points.positions, voxel / 2)
+    kinds, which = torch.unique(fine, dim=0, return_inverse=True)
+    (moving,) = torch.where(points.moved)
+    order = torch.full((len(kinds),), len(points)).scatter_reduce_(0, which[moving], moving, "amin")
+    owner = order[which]
+    claimed = owner < len(points)
+    mine = points.moved & claimed
+    mine &= points.seconds == points.seconds[owner.clamp(max=len(points) - 1)]
+    there, passing = _means(points.take(mine), voxel / 2)
+    here, standing = _means(points.take(~points.moved & ~claimed), voxel)
     # An anchor that stands, put at the mean of its points, may be in a voxel of one that moves.
-    taken = cells_of(moving[0], voxel / 2)
-    free = free_of(cells_of(standing[0], voxel / 2), taken)
-    when = times.new_full((int(free.sum()),), middle)
-    first = {tuple(c): t for c, t in zip(cells[mine].tolist(), times[mine].tolist(), strict=True)}
-    peaks = times.new_tensor([first[tuple(c)] for c in taken.tolist()])
+    free = free_of(cells_of(here, voxel / 2), cells_of(there, voxel / 2))
+    rest = torch.full((int(free.sum()),), middle, dtype=torch.float64)
     return Sites(
-        centres=torch.cat([standing[0][free], moving[0]]),
-        colours=torch.cat([standing[1][free], moving[1]]),
-        times=torch.cat([when, peaks]),
-        moves=torch.cat([torch.zeros_like(when, dtype=torch.bool), torch.ones_like(peaks).bool()]),
+        centres=torch.cat([here[free], there]),
+        colours=torch.cat([standing[free, :3], passing[:, :3]]),
+        times=torch.cat([rest, passing[:, 6]]),
+        velocities=torch.cat([torch.zeros_like(here[free]), passing[:, 3:6]]),
+        moves=torch.arange(len(rest) + len(there)) >= len(rest),
     )
 
 
@@ -105,17 +94,17 @@ def free_of(cells: Int[Tensor, "m 3"], taken: Int[Tensor, "n 3"]) -> Bool[Tensor
     return ~held[which[len(taken) :]]
 
 
-def _means(
-    positions: Float[Tensor, "m 3"], colours: Float[Tensor, "m 3"], edge: float
-) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
-    """Mean place and colour of the points of each voxel, well inside of it."""
-    cells, which = torch.unique(cells_of(positions, edge), dim=0, return_inverse=True)
-    count = torch.bincount(which, minlength=len(cells)).to(positions)[:, None]
-    middle = (cells + 0.5).to(positions) * edge
-    # Summed about the voxel's middle: coordinates may be large.
-    off = torch.zeros_like(middle).index_add_(0, which, positions - middle[which]) / count
-    shade = colours.new_zeros(len(cells), 3).index_add_(0, which, colours) / count
-    return middle + off.clamp(-INSIDE * edge, INSIDE * edge), shade
+def _means(points: TimedPoints, edge: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 7"]]:
+    """Mean place of each voxel's points, well inside of it, and their mean colour, velocity, time."""
+    cells, which = torch.unique(cells_of(points.positions, edge), dim=0, return_inverse=True)
+    count = torch.bincount(which, minlength=len(cells)).double()[:, None]
+    middle = (cells + 0.5) * edge
+    told = [points.colours / 255, points.velocities, points.seconds[:, None]]
+    # Places are summed about the voxel's middle: coordinates may be large.
+    values = torch.cat([points.positions - middle[which], *told], dim=1).double()
+    sums = values.new_zeros(len(cells), values.shape[1]).index_add_(0, which, values)
+    off, rest = (sums / count).split([3, 7], dim=1)
+    return middle + off.clamp(-INSIDE * edge, INSIDE * edge), rest
 
 
 def voxel_for(positions: Float[Tensor, "m 3"], anchors: int) -> float:
@@ -143,7 +132,7 @@ def started(
     shared: dict[str, Tensor],
     generator: torch.Generator,
 ) -> Parameters:
-    """Anchors that stand still: scales by neighbours of the same moment, features that hold colours.
+    """Anchors at their start: scales by neighbours of the same moment, features that hold colours.
 
     Args:
         at: Where and when.
@@ -167,7 +156,7 @@ def started(
             "quaternions": torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
             "log_scales": apart.log().float()[:, None].repeat(1, 3),
             "peaks": at.times.float(),
-            "velocities": torch.zeros(count, 3),
+            "velocities": at.velocities.float(),
             "log_spans": spans.log().float(),
             **drawn_offsets(sizes, count, generator),
         },

@@ -24,7 +24,7 @@ from splatproof.methods.registry import get_method
 from splatproof.methods.storage.ply import read_ply, write_ply
 
 SHORT = Settings(
-    iterations=40, gaussians=6, features=8, instance=4, anchors=60, sky=SkySettings(resolution=8),
+    iterations=24, gaussians=6, features=8, instance=4, anchors=40, sky=SkySettings(resolution=8),
     depth=DepthSettings(crop=9),
     density=HdgsDensity(least_interval=5, gradient=1e-4, temporal_gradient=1e-5),
 )  # fmt: skip
@@ -57,7 +57,7 @@ def error(model: DecodedModel, view, pixels=...) -> float:
 
 
 def test_it_learns_what_moves_and_static_anchors_without_time_do_not():
-    scene, longer = tiny_drive(), replace(SHORT, iterations=150)
+    scene, longer = tiny_drive(), replace(SHORT, iterations=80)
     moving = fit(scene, longer, RUN)
     start = fit(scene, replace(longer, iterations=1), RUN)
     view = scene.views[3]  # held out
@@ -72,10 +72,10 @@ def test_anchors_grew(trained):
     assert trained.primitives != start.primitives
 
 
-@pytest.mark.parametrize("step", [1, 11, 30])
+@pytest.mark.parametrize("step", [10])
 def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
-        if now >= step:
+        if now >= step:  # reports come every 10 steps
             raise Killed
 
     cut = replace(RUN, folder=tmp_path, checkpoint_seconds=0.0)
@@ -88,8 +88,8 @@ def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
 
 
 VARIANTS = [
-    {"layers": 2}, {"layers": 4, "k_rule": "leaf", "leaf": 2}, {"ice": "off"},
-    {"motion": "static", "sky": SkySettings(resolution=0), "lidar": LidarSettings(weight=0.0)},
+    {"layers": 4, "k_rule": "leaf", "leaf": 2},
+    {"layers": 2, "ice": "off", "motion": "static", "sky": SkySettings(resolution=0), "lidar": LidarSettings(weight=0.0)},
 ]  # fmt: skip
 
 
