@@ -118,7 +118,6 @@ class HdgsControl:
 
         Source: HDGS, Sec. 3.5.
         """
-        count = len(parameters)
         (keep,) = torch.where(self.kept())
         anchors = stored_anchors(parameters, self.sizes.layers)
         networks = hierarchy(parameters.shared, self.sizes.layers)
@@ -144,8 +143,6 @@ class HdgsControl:
         self._clear(len(origin), record.device)
         self.unvisited = record
         fresh = torch.arange(len(origin), device=origin.device) >= len(keep)
-        assert len(fresh) == len(keep) + made
-        assert count >= len(keep)
         return Edit(parents=origin, fresh=fresh, values=values)
 
     def kept(self) -> Bool[Tensor, " n"]:

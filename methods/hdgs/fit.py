@@ -29,6 +29,8 @@ KIND = "hdgs"
 """What its models are loaded as."""
 ALWAYS = 1e4
 """Life span of anchors that are always there, in durations of the drive."""
+WITHIN = 0.9
+"""Share of the points that lie within one unit of the model's origin."""
 FAR = 10.0
 """Distance in the model's unit from which points are left to the sky: networks read positions."""
 
@@ -68,7 +70,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[HdgsModel, Plan
     frame, moves = frame_of(points.positions), settings.motion == "vibration"
     points = in_model(points, frame, clock, moves=moves)
     voxel = settings.voxel / frame.unit
-    voxel = voxel or voxel_for(points.positions[~points.moved], settings.anchors)
+    voxel = voxel or voxel_for(points.positions, settings.anchors)
     at = sites(points, voxel, middle=0.0)
     sizes, duration = settings.sizes, clock.duration / CYCLE
     spans = torch.full((len(at.times),), duration * (settings.still_span if moves else ALWAYS))
@@ -149,8 +151,9 @@ def frame_of(positions: torch.Tensor) -> Frame:
         positions: Points in the scene's frame.
     """
     middle = positions.median(dim=0).values
-    reach = float((positions - middle).norm(dim=1).quantile(0.9)) if len(positions) < 10**6 else 1.0
-    return Frame(middle=tuple(middle.tolist()), unit=reach or 1.0)
+    x, y, z = middle.tolist()
+    away = (positions - middle).norm(dim=1).sort().values
+    return Frame(middle=(x, y, z), unit=float(away[round(WITHIN * (len(away) - 1))]) or 1.0)
 
 
 def moments(scene: Scene, clock: Clock) -> tuple[float, float]:

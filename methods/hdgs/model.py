@@ -88,7 +88,8 @@ class HdgsModel(Model):
         """
         super().__init__(parameters, schedules)
         self.sizes, self.frame, self.clock = sizes, frame, clock
-        self.voxel, self.ice = voxel, ice
+        self.voxel = voxel
+        self.ice: Ice = ice
         self.sky = Sky()
         self._near: tuple[Tensor, Pairs] | None = None
 
@@ -236,9 +237,8 @@ def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> HdgsMod
         raise ValueError(f"ice {facts['ice']!r}")
     if CONVOLUTION in parameters.shared:
         support(parameters.shared)
-    frame = Frame(
-        middle=tuple(float(x) for x in facts["frame"]["middle"]), unit=float(facts["frame"]["unit"])
-    )
+    x, y, z = (float(value) for value in facts["frame"]["middle"])
+    frame = Frame(middle=(x, y, z), unit=float(facts["frame"]["unit"]))
     return HdgsModel(
         parameters, {}, sizes=sizes, frame=frame, clock=Clock.read(facts["clock"]),
         voxel=float(facts["voxel"]), ice=facts["ice"],

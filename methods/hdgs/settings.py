@@ -84,7 +84,7 @@ class DepthSettings:
     """Weight of the depth's steps between neighbouring pixels where the photo has no edge; 0: off."""
     outlier: float = 0.001
     """Weight of soft ranks far from their neighbourhood's; 0: off."""
-    crop: int = 24
+    crop: int = 16
     """Edge in pixels of the crop, drawn at each step, whose ranks are looked at."""
     beta: float = 10.0
     """How fast both local weights fall with the strength of an edge of the photo."""

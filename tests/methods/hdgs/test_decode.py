@@ -55,6 +55,7 @@ def test_all_five_outputs_and_their_gradients_are_the_references(layers):
     pulls = torch.Generator().manual_seed(9)
     totals = []
     for splats in (found, want):
+        assert splats.colours is not None
         parts = (splats.means, rotation.normalise(splats.quaternions), splats.scales,
                  splats.opacities, splats.colours)  # fmt: skip
         pulls.manual_seed(9)
