@@ -1,6 +1,7 @@
 """What verdicts and pages need of a finished case, as plain data that can be committed."""
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ class Measured:
 
     scene: str
     row: str
-    """What tables call the method with its settings: method@variant."""
+    """What tables call the method with its settings: method@variant~axes, see `row_name`."""
     protocol: str
     seed: int
     steps: int
@@ -47,10 +48,11 @@ class Measured:
     images: dict[str, dict[str, float]] = field(default_factory=dict)
     """Metrics of each scored image by name; what is undefined is left out."""
 
-    @property
-    def method(self) -> str:
-        """Name of the method, without its variant."""
-        return self.row.partition("@")[0]
+    def named(self, variant: str = "") -> str:
+        """The row of this method, noise and prior with another variant, or with none."""
+        name, tilde, axes = self.row.partition("~")
+        method = name.partition("@")[0]
+        return (f"{method}@{variant}" if variant else method) + tilde + axes
 
 
 def measured(result: Result) -> Measured:
@@ -91,7 +93,7 @@ def data_digest(result: Result) -> str:
 def times_grown(curve: Curve) -> int:
     """How often the number of primitives went up from one point of a curve to the next."""
     counts = [values[COUNT] for _, values in curve if COUNT in values]
-    return sum(after > before for before, after in zip(counts, counts[1:], strict=False))
+    return sum(after > before for before, after in itertools.pairwise(counts))
 
 
 def late_gain(curve: Curve) -> float:

@@ -37,7 +37,7 @@ class Judged:
     claim: Claim
     verdict: Verdict
     difference: Difference | None
-    """Of `row` - `other`, of their logarithms where the claim is of a ratio; None: not measured."""
+    """The difference `row` - `other`, for a ratio that of their logarithms; None: not measured."""
     seeds: int
     """Fewest seeds behind either row."""
     reason: str
@@ -68,7 +68,9 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     every = [run for pair in pairs for side in pair for run in side]
     seeds = min(len(side) for pair in pairs for side in pair)
     if seeds < MIN_SEEDS:
-        return _without(claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds)
+        return _without(
+            claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds
+        )
     if still := still_rising(every, claim.metric, runs):
         return _without(claim, "too short to judge", still, seeds)
     tables = [_tables(claim, *pair) for pair in pairs]
@@ -99,7 +101,9 @@ def _pairs(claim: Claim, runs: Sequence[Measured]) -> tuple[list[Pair], str]:
         return [], "the rows were run under several protocols, and the claim names none"
     pairs = []
     for scene in scenes:
-        both = tuple([run for run in done if (run.row, run.scene) == (name, scene)] for name in sides)
+        both = tuple(
+            [run for run in done if (run.row, run.scene) == (name, scene)] for name in sides
+        )
         for name, side in zip(sides, both, strict=True):
             if not side:
                 return [], f"{name} has not been run on {scene}"
@@ -134,7 +138,9 @@ def still_rising(chosen: Sequence[Measured], metric: str, runs: Sequence[Measure
             if gain > SETTLED:
                 late.append(f"{row}: its last fifth still gained {gain:.2f} dB of training loss")
         elif gain > SETTLED:
-            late.append(f"{row}: the second half of its steps still gained {gain:.2f} dB of {held_out}")
+            late.append(
+                f"{row}: the second half of its steps still gained {gain:.2f} dB of {held_out}"
+            )
     return "; ".join(late)
 
 
@@ -151,7 +157,7 @@ def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
     whole, half = (
         {r.seed: r.values[metric] for r in alike if r.row == name and metric in r.values}
-        for name in (run.method, f"{run.method}@{HALF}")
+        for name in (run.named(), run.named(HALF))
     )
     seeds = whole.keys() & half.keys()
     return float(np.mean([whole[s] - half[s] for s in seeds])) if seeds else math.nan

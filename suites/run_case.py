@@ -31,6 +31,7 @@ from splatproof.suites.held_out import score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.scene_scores.city_scores import city_scores
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
+from splatproof.suites.shared_training import taken_over, training_key
 from splatproof.suites.suite_files import Case, case_key
 from splatproof.suites.training_curve import Curve
 
@@ -90,7 +91,8 @@ class Job:
     unscored: bool = False
     """True: a scene without held-out views is trained and not scored. False: it is refused."""
     cache: Path | None = None
-    """Where cases of one suite and the same data share trained blocks; None: they do not."""
+    """Where cases of one suite and the same data share trained blocks; None: they do not, nor do they
+    share whole trainings that differ in how they are scored alone."""
     data: dict[str, str] = field(default_factory=dict)
     """Facts of the scene's files, for the record; nothing that was made of other files is
     continued."""
@@ -169,7 +171,8 @@ def _prepare(job: Job) -> None:
     """Leave in the folder only what belongs to this very case, and no record."""
     job.folder.mkdir(parents=True, exist_ok=True)
     path = job.folder / CASE_NAME
-    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
+    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data,
+               "training": training_key(job.case, job.backend)}  # fmt: skip
     text = json.dumps(made_of) + "\n"
     same = path.exists() and path.read_text(encoding="utf-8") == text
     if not (same and job.resume):
@@ -177,6 +180,8 @@ def _prepare(job: Job) -> None:
         write_text(path, text)
     for name in (RECORD_NAME, "failure.txt"):
         (job.folder / name).unlink(missing_ok=True)
+    if job.cache and job.resume and job.data and not (job.folder / "trained.json").exists():
+        taken_over(job.folder, CASE_NAME)
 
 
 def _run(job: Job, tell: Tell) -> None:

@@ -14,24 +14,51 @@ from splatproof.reports.measured import Measured, late_gain, measured, times_gro
 
 
 def test_a_result_as_plain_data():
-    found = measured(result_of(seed=2, variant="x", metrics={"psnr": 20.123456789, "lpips": math.nan},
-        environment={"cores": "2", "simd": "avx2", "python": "3"}, bytes_on_disk=2**21, render_ms=20.0))
-    assert (found.scene, found.row, found.method, found.seed) == ("town", "3dgs@x", "3dgs", 2)
+    found = measured(
+        result_of(
+            seed=2,
+            variant="x",
+            metrics={"psnr": 20.123456789, "lpips": math.nan},
+            environment={"cores": "2", "simd": "avx2", "python": "3"},
+            bytes_on_disk=2**21,
+            render_ms=20.0,
+        )
+    )
+    assert (found.scene, found.row, found.seed) == ("town", "3dgs@x", 2)
     assert (found.steps, found.machine) == (2000, "cores 2, simd avx2")
-    assert (found.values["psnr"], found.values["disk_mb"], found.values["render_ms"]) == (20.1235, 2.0, 20.0)
+    assert (found.values["psnr"], found.values["disk_mb"], found.values["render_ms"]) == (
+        20.1235,
+        2.0,
+        20.0,
+    )
     assert (found.values["train_seconds"], found.values["cpu_seconds"]) == (33.0, 70.0)
     assert "lpips" not in found.values
     assert set(found.images) == set(NAMES)
     assert Measured(**json.loads(json.dumps(dataclasses.asdict(found)))) == found
 
 
+@pytest.mark.parametrize(
+    ("row", "plain", "half"),
+    [
+        ("a", "a", "a@half"), ("a@x", "a", "a@half"),
+        ("a@x~depth-oracle+noise", "a~depth-oracle+noise", "a@half~depth-oracle+noise"),
+    ],
+)  # fmt: skip
+def test_rows_of_the_same_method(row: str, plain: str, half: str):
+    one = Measured(scene="s", row=row, protocol="p", seed=0, steps=1)
+    assert (one.named(), one.named("half")) == (plain, half)
+
+
 def test_other_pixels_or_another_split_are_other_data():
     one = result_of()
     image = one.images[0]
-    pixels = dataclasses.replace(one, images=(dataclasses.replace(image, truth_sha256="0"), *one.images[1:]))
+    pixels = dataclasses.replace(
+        one, images=(dataclasses.replace(image, truth_sha256="0"), *one.images[1:])
+    )
     split = dataclasses.replace(one, split_sha256="0")
-    scores = dataclasses.replace(one, images=tuple(
-        dataclasses.replace(image, metrics={"psnr": 1.0}) for image in one.images))
+    scores = dataclasses.replace(
+        one, images=tuple(dataclasses.replace(image, metrics={"psnr": 1.0}) for image in one.images)
+    )
     digests = [measured(each).data for each in (one, pixels, split, scores)]
     assert len(set(digests[:3])) == 3
     assert digests[3] == digests[0]
@@ -39,8 +66,10 @@ def test_other_pixels_or_another_split_are_other_data():
 
 def curve(losses: list[float], counts: list[float] | None = None):
     counts = counts or [1.0] * len(losses)
-    return [(10 * (i + 1), {"loss": x, "gaussians": n})
-            for i, (x, n) in enumerate(zip(losses, counts, strict=True))]
+    return [
+        (10 * (i + 1), {"loss": x, "gaussians": n})
+        for i, (x, n) in enumerate(zip(losses, counts, strict=True))
+    ]
 
 
 def test_growth_is_counted_and_pruning_is_not():

@@ -173,7 +173,8 @@ def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_set
     assert verdict(found=with_halves(-1.0)).verdict == "holds"
     # a variant needs as many steps as its method, a size as many as the PSNR
     variant = [
-        dataclasses.replace(one, row="b@no-x") if one.row == "a" else one for one in with_halves(0.4)
+        dataclasses.replace(one, row="b@no-x") if one.row == "a" else one
+        for one in with_halves(0.4)
     ]
     claim = dataclasses.replace(CLAIM, row="b@no-x")
     assert "b@no-x: the second half" in too_short(variant, claim)
