@@ -12,8 +12,11 @@ from splatproof.reference.types.result import Result
 
 LATE = 0.2
 """Share of a run's steps that is its end, and that is compared with the same share before it."""
-COUNT, LOSS = "gaussians", "loss"
-"""What the training loop calls the number of primitives and the loss in a curve."""
+COUNT = "gaussians"
+"""What the training loop calls the number of primitives in a curve."""
+LOSSES = ("photometric", "loss")
+"""What it calls the difference between render and photo, and the sum with all other terms, which counts
+where a method has no plain difference."""
 MB = 2**20
 DIGITS = 6
 """Significant digits that are kept of each number."""
@@ -96,6 +99,14 @@ def times_grown(curve: Curve) -> int:
     return sum(after > before for before, after in itertools.pairwise(counts))
 
 
+def loss_points(curve: Curve) -> list[tuple[int, float]]:
+    """Pairs (step, loss) of a curve: of the first of LOSSES that it has."""
+    for name in LOSSES:
+        if points := [(step, values[name]) for step, values in curve if name in values]:
+            return points
+    return []
+
+
 def late_gain(curve: Curve) -> float:
     """dB by which the loss of the last LATE of a run's steps lies below that of as many before them.
 
@@ -108,12 +119,13 @@ def late_gain(curve: Curve) -> float:
     Returns: Infinity where one of the two parts has no point.
     Source: ours.
     """
-    end = curve[-1][0] if curve else 0
+    losses = loss_points(curve)
+    end = losses[-1][0] if losses else 0
     parts: tuple[list[float], list[float]] = ([], [])
-    for step, values in curve:
+    for step, loss in losses:
         back = (end - step) / end if end else math.inf
-        if LOSS in values and back < 2 * LATE:
-            parts[back < LATE].append(values[LOSS])
+        if back < 2 * LATE:
+            parts[back < LATE].append(loss)
     before, last = parts
     if not before or not last or fmean(last) <= 0:
         return math.inf

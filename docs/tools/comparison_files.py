@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import fmean
 
 from comparison_page import Page, Picture, is_half, render_page
 from matplotlib.axes import Axes
@@ -15,7 +16,7 @@ from strips import crops, save_strips
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.result import Result
 from splatproof.reports.claims.claim import load_claims
-from splatproof.reports.measured import COUNT, LOSS, Measured, measured
+from splatproof.reports.measured import COUNT, Measured, loss_points, measured
 from splatproof.suites.gallery.drawing import COLOURS, panels, save
 from splatproof.suites.held_out import scored_views
 from splatproof.suites.records import read_record
@@ -125,18 +126,17 @@ def _curves(shown: Shown, name: str, docs: Path) -> list[Picture]:
     drawn = [(case.row, result.curve) for case, _, result in shown if result.curve]
     if not drawn:
         return []
-    figure, (losses, counts) = panels(2, width=11.0, ratio=0.7)
+    figure, (losses, counts) = panels(2, width=12.0, ratio=0.65)
     for number, (row, curve) in enumerate(drawn):
         line = {"color": COLOURS[number % len(COLOURS)], "linewidth": 1.0,
                 "linestyle": ("-", "--", ":")[number // len(COLOURS) % 3], "label": row}  # fmt: skip
-        points = [(step, values[LOSS]) for step, values in curve if LOSS in values]
-        steps = [step for step, _ in points]
-        losses.plot(steps, _smooth([loss for _, loss in points]), **line)
+        points = loss_points(curve)
+        losses.plot([step for step, _ in points], _smooth([loss for _, loss in points]), **line)
         grown = [(step, values[COUNT]) for step, values in curve if COUNT in values]
         counts.plot([step for step, _ in grown], [count for _, count in grown], **line)
     _titled(losses, "training loss, mean of 10 points")
     _titled(counts, "Gaussians")
-    counts.legend(fontsize=6)
+    counts.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     path = docs / "images" / name / "curves.png"
     save(figure, path)
     return [Picture(path=path.relative_to(docs).as_posix(),
@@ -152,5 +152,4 @@ def _titled(axes: Axes, title: str) -> None:
 
 def _smooth(values: Sequence[float], over: int = 10) -> list[float]:
     """Mean of each value and the `over` - 1 before it, as far as there are any."""
-    return [sum(values[max(0, i + 1 - over) : i + 1]) / len(values[max(0, i + 1 - over) : i + 1])
-            for i in range(len(values))]  # fmt: skip
+    return [fmean(values[max(0, i + 1 - over) : i + 1]) for i in range(len(values))]

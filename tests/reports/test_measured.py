@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from helpers.case_folders import NAMES
 from helpers.case_folders import result as result_of
-from splatproof.reports.measured import Measured, late_gain, measured, times_grown
+from splatproof.reports.measured import Measured, late_gain, loss_points, measured, times_grown
 
 
 def test_a_result_as_plain_data():
@@ -85,6 +85,13 @@ def test_the_late_gain_is_of_the_last_fifth_over_the_one_before():
     assert late_gain(curve([1.0] * 8 + [2.0] * 2)) < 0
     for short in ([], curve([1.0]), [(10, {"gaussians": 3.0})]):
         assert late_gain(short) == math.inf
+
+
+def test_the_difference_from_photos_counts_alone_where_it_is_known():
+    both = [(step, {**values, "loss": 1.0, "photometric": values["loss"]})
+            for step, values in curve([1.0] * 8 + [0.5] * 2)]
+    assert late_gain(both) == pytest.approx(20 * math.log10(2))
+    assert loss_points(both) == loss_points(curve([1.0] * 8 + [0.5] * 2))
 
 
 @given(st.lists(st.floats(0.01, 1), min_size=10, max_size=40), st.floats(0.1, 10))
