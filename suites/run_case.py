@@ -29,18 +29,16 @@ from splatproof.suites import case_costs as measure
 from splatproof.suites.environment import environment
 from splatproof.suites.held_out import score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
+from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
-from splatproof.suites.shared_training import taken_over, training_key
 from splatproof.suites.suite_files import Case, case_key
 from splatproof.suites.training_curve import Curve
 
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
-CASE_NAME = "case.json"
-"""File that says what the case in its folder is made of."""
 OURS = (
-    RECORD_NAME, CASE_NAME, "trained.json", "curve.jsonl", "failure.txt",
+    RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
     "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
@@ -91,8 +89,9 @@ class Job:
     unscored: bool = False
     """True: a scene without held-out views is trained and not scored. False: it is refused."""
     cache: Path | None = None
-    """Where cases of one suite and the same data share trained blocks; None: they do not, nor do they
-    share whole trainings that differ in how they are scored alone."""
+    """Where cases of one suite and the same data share trained blocks; None: they do not."""
+    same_model: tuple[Path, ...] = ()
+    """Folders of cases whose model is this one's too: one that is there is taken, not trained."""
     data: dict[str, str] = field(default_factory=dict)
     """Facts of the scene's files, for the record; nothing that was made of other files is
     continued."""
@@ -171,8 +170,7 @@ def _prepare(job: Job) -> None:
     """Leave in the folder only what belongs to this very case, and no record."""
     job.folder.mkdir(parents=True, exist_ok=True)
     path = job.folder / CASE_NAME
-    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data,
-               "training": training_key(job.case, job.backend)}  # fmt: skip
+    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
     text = json.dumps(made_of) + "\n"
     same = path.exists() and path.read_text(encoding="utf-8") == text
     if not (same and job.resume):
@@ -180,20 +178,21 @@ def _prepare(job: Job) -> None:
         write_text(path, text)
     for name in (RECORD_NAME, "failure.txt"):
         (job.folder / name).unlink(missing_ok=True)
-    if job.cache and job.resume and job.data and not (job.folder / "trained.json").exists():
-        taken_over(job.folder, CASE_NAME)
 
 
 def _run(job: Job, tell: Tell) -> None:
     weights = load_weights(job.case.protocol.metrics)
-    curve, spent = Curve(job.folder / "curve.jsonl"), Spent()
+    spent = Spent()
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
             scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
         given = disturbed(scene, job.case.pose_noise, job.case.seed)  # scores are of the true scene
-    done = job.folder / "trained.json"
+    done = job.folder / TRAINED
+    if not done.exists():
+        take_model(job.folder, job.same_model, job.data, origin_of_case(job.case))
+    curve = Curve(job.folder / CURVE)
     if not done.exists():
         _train(job, given, curve, spent, tell)
         spent.cpu_seconds, spent.peak_memory_mb = curve.spent()
