@@ -9,6 +9,7 @@ from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.pvg.method import PVG
+from splatproof.methods.dlg_gs.method import DLG_GS
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
@@ -33,6 +34,7 @@ METHODS: dict[str, Method] = {
         MIP_SPLATTING,
         SCAFFOLD_GS,
         PVG,
+        DLG_GS,
         _city(
             "citygaussian",
             city.CityGaussian,

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.training.schedules import require, shrink
@@ -128,7 +129,8 @@ class AnchorControl:
 
         Args:
             step: From 1.
-            parameters: Rows offsets, features and log_scales; labels centres and levels.
+            parameters: Rows offsets, features and log_scales; labels levels and, unless they move and
+                are rows, centres.
             generator: Decides which of the Gaussians that ask are heard.
         """
         if self.adjusts(step):
@@ -147,7 +149,7 @@ class AnchorControl:
         """
         settings, count = self.settings, len(parameters)
         if len(self.visits) != count:  # no view was observed since
-            self._clear(count, parameters.labels["centres"].device)
+            self._clear(count, centres_of(parameters).device)
         anchors, levels = self.grown(parameters, generator)
         added = len(anchors.centres) - count
         enough = self.drawn > settings.drawn_share * settings.interval
@@ -187,7 +189,7 @@ class AnchorControl:
         """
         settings, levels = self.settings, parameters.labels["levels"]
         rows = {name: value.detach() for name, value in parameters.rows.items()}
-        anchors = scaffold.Anchors(centres=parameters.labels["centres"], **rows)
+        anchors = scaffold.Anchors(**{"centres": centres_of(parameters)} | rows)
         reach = anchors.log_scales[:, None, :3].exp()
         positions = (anchors.centres[:, None] + anchors.offsets * reach).flatten(0, 1)
         least = int(settings.drawn_share * settings.interval)

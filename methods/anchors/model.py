@@ -9,6 +9,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from splatproof.methods.anchors.networks import network
+from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.reference.anchors import scaffold
@@ -27,10 +28,10 @@ REACH = 3.0
 
 
 class AnchorModel(Model):
-    """Anchors that stay where they are; offsets, features, scales and networks are trained.
+    """Anchors whose offsets, features, scales and networks are trained; most stay where they are.
 
-    Rows: offsets, features, log_scales. Labels: centres, and levels, at which level of growing an
-    anchor was made (-1: from a point). Shared: the networks.
+    Rows: offsets, features, log_scales. Labels: centres (a row where they move), and levels, at which
+    level of growing an anchor was made (-1: from a point). Shared: the networks.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class AnchorModel(Model):
         Args:
             index: Rows of those that are wanted; None: all.
         """
-        parts = {"centres": self.parameters.labels["centres"], **self.parameters.rows}
+        parts = {"centres": centres_of(self.parameters), **self.parameters.rows}
         if index is not None:
             parts = {name: value.index_select(0, index) for name, value in parts.items()}
         return scaffold.Anchors(**parts)
@@ -71,7 +72,7 @@ class AnchorModel(Model):
             deviations on the image, which lie within the ball.
         """
         radius = REACH * self.parameters.rows["log_scales"][:, :3].amax(dim=1).exp()
-        local = transform_points(camera, self.parameters.labels["centres"])
+        local = transform_points(camera, centres_of(self.parameters))
         sides = torch.from_numpy(frustum(camera)[1:, :3])  # all pass through the camera
         inwards = torch.nn.functional.normalize(sides, dim=1).T.to(local)
         inside = (local @ inwards).amin(dim=1)
