@@ -51,11 +51,17 @@ class Measured:
     images: dict[str, dict[str, float]] = field(default_factory=dict)
     """Metrics of each scored image by name; what is undefined is left out."""
 
-    def named(self, variant: str = "") -> str:
-        """The row of this method, noise and prior with another variant, or with none."""
-        name, tilde, axes = self.row.partition("~")
+    def named(self, variant: str = "", *, axes: str | None = None) -> str:
+        """The row of this method with another variant.
+
+        Args:
+            variant: Name of the variant; empty: none.
+            axes: Noise and prior, as they stand behind the variant; None: this row's own.
+        """
+        name, tilde, own = self.row.partition("~")
         method = name.partition("@")[0]
-        return (f"{method}@{variant}" if variant else method) + tilde + axes
+        ending = tilde + own if axes is None else axes
+        return (f"{method}@{variant}" if variant else method) + ending
 
 
 def measured(result: Result) -> Measured:

@@ -7,7 +7,7 @@ and a score that no longer rises.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,9 +25,10 @@ Verdict = Literal[
 HALF = "half"
 """Variant that is its method with half the steps: what the second half of a run still gains."""
 SETTLED = 0.3
-"""dB of a held-out PSNR that the second half of the steps may gain in a run that is long enough; also dB
-of training loss that the last fifth may gain where there is no row of half the steps. A third of the
-papers' usual effects, and above what seeds move."""
+"""dB that the second half of a run's steps may gain whatever the difference: a third of the papers' usual
+effects, and above what seeds move."""
+SETTLED_SHARE = 0.1
+"""The same of values that are no dB, as a share of the value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +49,12 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     """The verdict on a claim.
 
     In this order: *not testable here* where something is missing or rows are not comparable; *too
-    short to judge* below three seeds, where nothing was ever densified, or where a run's score was
-    still rising; else by the 95 % interval of the difference. *holds*: it lies on the claimed side of 0
-    and reaches half the printed effect; *direction only*: it does not reach that; *contradicted*: it
-    lies on the other side; *no difference*: it contains 0. With a bar: *holds* on its better side,
-    *contradicted* on its other side, else *undecided*.
+    short to judge* below three seeds, where nothing was ever densified, or where a row still changed by
+    more than it differs from the other, see `still_changing`; else by the 95 % interval of the
+    difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
+    only*: it does not reach that; *contradicted*: it lies on the other side; *no difference*: it
+    contains 0. With a bar: *holds* on its better side, *contradicted* on its other side, else
+    *undecided*.
 
     Args:
         claim: What is judged.
@@ -71,13 +73,15 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(
             claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds
         )
-    if still := still_rising(every, claim.metric, runs):
-        return _without(claim, "too short to judge", still, seeds)
+    if never := sorted({run.row for run in every if not run.grown}):
+        return _without(claim, "too short to judge", f"{', '.join(never)}: never densified", seeds)
     tables = [_tables(claim, *pair) for pair in pairs]
     if any(table.size == 0 for pair in tables for table in pair):
         fault = f"no image has {claim.metric} in all runs of both rows"
         return _without(claim, "not testable here", fault, seeds)
     found = paired_difference(tables, generator)
+    if still := still_changing(claim, every, found.mean, runs):
+        return replace(_without(claim, "too short to judge", still, seeds), difference=found)
     verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
 
@@ -113,34 +117,39 @@ def _pairs(claim: Claim, runs: Sequence[Measured]) -> tuple[list[Pair], str]:
     return pairs, ""
 
 
-def still_rising(chosen: Sequence[Measured], metric: str, runs: Sequence[Measured]) -> str:
-    """Why runs were too short to show an effect; empty where they were not.
+def still_changing(
+    claim: Claim, chosen: Sequence[Measured], difference: float, runs: Sequence[Measured]
+) -> str:
+    """Why runs were too short to bear a difference; empty where they were not.
 
-    A run is long enough if something was densified in it and its score has settled: the row of half
-    the steps of its method (method@half) is at most SETTLED worse in the held-out metric, or, where
-    there is no such row or the metric is no PSNR, the training loss gained at most SETTLED at its end.
+    What the second half of the steps changed (against the row method@half) is about what all further
+    steps could change, where each doubling changes half as much as the one before. A run is long enough
+    if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself, which then keeps its
+    sign. A PSNR that falls has settled. Where there is no row of half the steps, what the last fifth of
+    the run gained in training loss stands in for a gain in PSNR.
 
     Args:
-        chosen: Runs that are to be judged.
-        metric: What they are compared in; a PSNR or anything else, for which "psnr" has to be settled.
+        claim: What is judged.
+        chosen: Runs of its rows.
+        difference: What they differ by, as it is compared.
         runs: All cases of the suite, those of half the steps among them.
     """
-    never = sorted({run.row for run in chosen if not run.grown})
-    if never:
-        return f"{', '.join(never)}: never densified"
-    held_out = metric if metric.endswith("psnr") else "psnr"
+    decibels = claim.metric.endswith("psnr")
     late = []
     for row in dict.fromkeys(run.row for run in chosen):
         own = [run for run in chosen if run.row == row]
-        gain = half_gain(own[0], held_out, runs)
-        if math.isnan(gain):
-            gain = float(np.mean([run.late_gain for run in own]))
-            if gain > SETTLED:
-                late.append(f"{row}: its last fifth still gained {gain:.2f} dB of training loss")
-        elif gain > SETTLED:
-            late.append(
-                f"{row}: the second half of its steps still gained {gain:.2f} dB of {held_out}"
-            )
+        change = half_gain(own[0], claim.metric, runs)
+        value = float(np.mean([abs(run.values.get(claim.metric, math.nan)) for run in own]))
+        told = f"the second half of its steps changed {claim.metric} by {change:+.2g}"
+        bound = max(abs(difference), SETTLED if decibels else SETTLED_SHARE * value)
+        if math.isnan(change):
+            change = float(np.mean([run.late_gain for run in own]))
+            told = f"its last fifth still gained {change:.2f} dB of training loss"
+            bound = max(abs(difference), SETTLED) if decibels else SETTLED
+        elif claim.relative:
+            change, bound = change / value, max(math.expm1(abs(difference)), SETTLED_SHARE)
+        if (change if decibels else abs(change)) > bound:
+            late.append(f"{row}: {told}")
     return "; ".join(late)
 
 
@@ -149,18 +158,29 @@ def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
-            as its method.
+            as its method, and a row whose own depth prior has no row of half the steps as many as with
+            another.
         metric: Name of a value of cases.
         runs: All cases of the suite.
-    Returns: Mean difference; nan where one of the two rows is not there.
+    Returns: Mean difference; nan where there are no two such rows.
     """
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    whole, half = (
-        {r.seed: r.values[metric] for r in alike if r.row == name and metric in r.values}
-        for name in (run.named(), run.named(HALF))
-    )
-    seeds = whole.keys() & half.keys()
-    return float(np.mean([whole[s] - half[s] for s in seeds])) if seeds else math.nan
+    halves = [r for r in alike if r.row == r.named(HALF) and r.named() == run.named(axes=_axes(r))]
+    halves = [r for r in halves if _axes(r) == _axes(run)] or halves
+    gains = [
+        whole.values[metric] - half.values[metric]
+        for half in halves
+        for whole in alike
+        if (whole.row, whole.seed) == (half.named(), half.seed)
+        and metric in whole.values and metric in half.values
+    ]  # fmt: skip
+    return float(np.mean(gains)) if gains else math.nan
+
+
+def _axes(run: Measured) -> str:
+    """What stands behind a row's method and variant: noise and prior."""
+    _, tilde, axes = run.row.partition("~")
+    return tilde + axes
 
 
 def _tables(claim: Claim, row: list[Measured], other: list[Measured]) -> tuple[Scores, Scores]:

@@ -219,7 +219,7 @@ How a claim is judged (`reports/verdicts.py`): paired bootstrap over images and 
 excludes 0 on the claimed side and reaches half the printed effect; *direction only*: excludes 0, ends below that;
 *no difference*: contains 0 (with the effect that would have shown in four of five such experiments); *contradicted*:
 excludes 0 on the other side. A claim with a bar *holds* where the whole interval reaches it and is *undecided* where
-the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or the
-score still rose: the second half of the steps gained more than {settled} dB against the row `@half`, or, without
-such a row, the last fifth of the steps gained more than that in training loss.
+the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or a row
+still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
+the other: by the row `@half`, which has half the steps, or, without one, by the training loss of the last fifth.
 """

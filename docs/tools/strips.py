@@ -121,7 +121,9 @@ def _line(text: str, width: int) -> Image:
     return bar
 
 
-def save_strips(folders: Mapping[str, Path], chosen: Sequence[Crop], images: Path) -> dict[str, Path]:
+def save_strips(
+    folders: Mapping[str, Path], chosen: Sequence[Crop], images: Path
+) -> dict[str, Path]:
     """A JPEG for each row.
 
     Args:

@@ -142,7 +142,10 @@ def test_a_page_shows_verdicts_tables_and_lengths():
 def test_an_incomplete_suite_says_what_is_missing_and_why():
     rows = [row("a"), row("b", error="it broke")]
     text = render_page(small_page(rows), [])
-    assert "**Incomplete**: 3 of 3 rows lack seeds: a (s, p: 1 of 3), a@half (s, p: 0 of 1), b (" in text
+    assert (
+        "**Incomplete**: 3 of 3 rows lack seeds: a (s, p: 1 of 3), a@half (s, p: 0 of 1), b ("
+        in text
+    )
     assert "- b seed 0: it broke" in text
     assert "**not testable here**" in text
     assert "b failed: it broke" in text
@@ -222,7 +225,9 @@ def test_a_strip_holds_photo_render_and_error(tmp_path):
     for kind, value in (("truth", 50), ("renders", 100), ("errors", 200)):
         (tmp_path / kind).mkdir()
         for crop in chosen:
-            cv2.imwrite(str(tmp_path / kind / crop.view), np.full((height, width, 3), value, np.uint8))
+            cv2.imwrite(
+                str(tmp_path / kind / crop.view), np.full((height, width, 3), value, np.uint8)
+            )
     found = strip(tmp_path, chosen, "a row")
     tile = round(WIDTH * chosen[0].height / chosen[0].width)
     assert found.shape[1] == 2 * WIDTH + 4

@@ -47,6 +47,7 @@ def test_a_result_as_plain_data():
 def test_rows_of_the_same_method(row: str, plain: str, half: str):
     one = Measured(scene="s", row=row, protocol="p", seed=0, steps=1)
     assert (one.named(), one.named("half")) == (plain, half)
+    assert one.named("x", axes="") == "a@x"
 
 
 def test_other_pixels_or_another_split_are_other_data():
@@ -88,8 +89,10 @@ def test_the_late_gain_is_of_the_last_fifth_over_the_one_before():
 
 
 def test_the_difference_from_photos_counts_alone_where_it_is_known():
-    both = [(step, {**values, "loss": 1.0, "photometric": values["loss"]})
-            for step, values in curve([1.0] * 8 + [0.5] * 2)]
+    both = [
+        (step, {**values, "loss": 1.0, "photometric": values["loss"]})
+        for step, values in curve([1.0] * 8 + [0.5] * 2)
+    ]
     assert late_gain(both) == pytest.approx(20 * math.log10(2))
     assert loss_points(both) == loss_points(curve([1.0] * 8 + [0.5] * 2))
 

@@ -139,8 +139,7 @@ def test_scores_that_are_not_finite_are_not_judged(odd: float):
 
 def too_short(found: list[Measured], claim: Claim = CLAIM) -> str:
     got = verdict(claim, found)
-    assert got.verdict == "too short to judge"
-    assert got.difference is None
+    assert got.verdict == "too short to judge", got
     return got.reason
 
 
@@ -148,18 +147,17 @@ def test_too_short_to_judge():
     assert "2 seeds" in too_short(runs(1.0, seeds=2))
     assert "1 seed;" in too_short(runs(1.0, seeds=1))
     assert "never densified" in too_short(runs(1.0, grown=0))
-    assert "training loss" in too_short(runs(1.0, late_gain=SETTLED + 0.1))
+    assert "training loss" in too_short(runs(0.1, late_gain=SETTLED + 0.1))
     failed = [dataclasses.replace(one, error="broke") if one.seed else one for one in runs(1.0)]
     assert "1 seed;" in too_short(failed)
 
 
-def with_halves(gain: float, **changed) -> list[Measured]:
-    """Rows a and b, and theirs with half the steps, which are `gain` worse."""
-    found = runs(1.0, late_gain=9.0, noise=0.0)
+def with_halves(gain: float, effect: float = 0.1, metric: str = "psnr") -> list[Measured]:
+    """Rows a and b, `effect` apart, and theirs with half the steps, which are `gain` worse."""
+    found = runs(effect, late_gain=9.0, noise=0.0)
     halves = [
         dataclasses.replace(one, row=f"{one.row}@half", late_gain=0.0, values={
-            name: value - (gain if name == changed.get("metric", "psnr") else 0)
-            for name, value in one.values.items()
+            name: value - (gain if name == metric else 0) for name, value in one.values.items()
         })
         for one in found if one.seed == 0
     ]  # fmt: skip
@@ -167,19 +165,44 @@ def with_halves(gain: float, **changed) -> list[Measured]:
 
 
 def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_settled():
-    assert verdict(found=with_halves(SETTLED - 0.1)).verdict == "holds"
-    assert "the second half of its steps still gained 0.40 dB" in too_short(with_halves(0.4))
+    assert verdict(found=with_halves(SETTLED - 0.1)).verdict == "direction only"
+    assert "the second half of its steps changed psnr by +0.4" in too_short(with_halves(0.4))
+    # what is still to come cannot turn a difference that is larger
+    assert verdict(found=with_halves(0.4, effect=0.6)).verdict == "holds"
+    assert verdict(found=with_halves(0.4, effect=-0.6)).verdict == "contradicted"
     # that scores fell says the run was long enough
-    assert verdict(found=with_halves(-1.0)).verdict == "holds"
-    # a variant needs as many steps as its method, a size as many as the PSNR
-    variant = [
-        dataclasses.replace(one, row="b@no-x") if one.row == "a" else one
-        for one in with_halves(0.4)
+    assert verdict(found=with_halves(-1.0)).verdict == "direction only"
+
+
+def test_sizes_have_to_have_settled_too():
+    claim = dataclasses.replace(
+        CLAIM, metric="disk_mb", better="lower", printed=-0.5, relative=True
+    )
+    assert verdict(claim, with_halves(0.9, metric="disk_mb")).verdict == "no difference"
+    for gain in (2.0, -2.0):
+        assert "disk_mb by" in too_short(with_halves(gain, metric="disk_mb"), claim)
+    smaller = [
+        dataclasses.replace(one, values={**one.values, "disk_mb": 5.0}) if one.row == "a" else one
+        for one in with_halves(2.0, metric="disk_mb")
     ]
-    claim = dataclasses.replace(CLAIM, row="b@no-x")
-    assert "b@no-x: the second half" in too_short(variant, claim)
-    size = dataclasses.replace(CLAIM, metric="disk_mb")
-    assert "dB of psnr" in too_short(with_halves(0.4), size)
+    assert "b: the second half" not in verdict(claim, smaller).reason
+    assert "training loss" in too_short(runs(0.0, late_gain=9.0), claim)
+
+
+def test_a_variant_needs_as_many_steps_as_its_method():
+    def renamed(row: str) -> list[Measured]:
+        return [
+            dataclasses.replace(one, row=row) if one.row == "a" else one for one in with_halves(0.4)
+        ]
+
+    for row in ("b@no-x", "b~depth-oracle"):
+        claim = dataclasses.replace(CLAIM, row=row)
+        assert f"{row}: the second half" in too_short(renamed(row), claim)
+    # a row of half the steps with the same prior says more than one without
+    found = renamed("b~depth-oracle")
+    own = [dataclasses.replace(one, row="b@half~depth-oracle", values=found[0].values)
+           for one in found if one.row == "b@half"]  # fmt: skip
+    assert "b~depth-oracle" not in too_short([*found, *own], claim)
 
 
 def test_not_testable_here():
@@ -245,5 +268,5 @@ def test_claims_that_cannot_be_meant_are_refused():
         dataclasses.replace(CLAIM, printed=-1.0)
     with pytest.raises(UsageError, match="bar -2.0: a ratio is above -1"):
         dataclasses.replace(CLAIM, printed=None, relative=True, bar=-2.0)
-    with pytest.raises(UsageError, match="claims: 'stret'.*street"):
+    with pytest.raises(UsageError, match="claims: unknown 'stret', did you mean 'street'"):
         load_claims("stret")
