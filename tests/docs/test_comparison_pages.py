@@ -194,7 +194,7 @@ def views(moving: dict[int, tuple[int, int]]):
         if index in moving:
             top, left = moving[index]
             mask[top : top + 4 + index, left : left + 4] = True
-        load = lambda mask=mask: {"vehicles": mask, "people": torch.zeros_like(mask)}  # noqa: E731
+        load = lambda mask=mask: {"vehicles": mask, "people": torch.zeros_like(mask)}
         made.append(replace(scene.views[0], name=f"v{index}.png", load_moving=load))
     return made
 
