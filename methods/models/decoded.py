@@ -14,6 +14,7 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Loader
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.models import exposure
 from splatproof.methods.models.adapting import HasCode, fit_code
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0
@@ -182,7 +183,7 @@ def loader(kind: str, build: Build) -> Loader:
 
     def load(folder: Path, stored: Stored, backend: str) -> DecodedModel:
         try:
-            model = build(stored.facts["model"], stored.tensors)
+            model = exposure.restored(build, stored.facts["model"], stored.tensors)
             model.parameters.restore(stored.tensors)
             shift = torch.tensor(stored.facts["shift"], dtype=torch.float64)
             units = str(stored.facts["units"])
