@@ -8,11 +8,12 @@ from torch import Tensor
 from splatproof.base.errors import UsageError
 from splatproof.methods.anchors import networks
 from splatproof.methods.anchors.control import AnchorControl
+from splatproof.methods.anchors.model import AnchorModel
 from splatproof.methods.anchors.start import started, voxel_size
 from splatproof.methods.contracts.model import Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.light import STATISTICS, drawn_light
-from splatproof.methods.dlg_gs.model import GATES, HEAD, INPUTS, DlgModel, Lighting
+from splatproof.methods.dlg_gs.model import GATES, HEAD, INPUTS, MIXING, DlgModel, Lighting
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.dlg_gs.terms import terms
 from splatproof.methods.models.decoded import DecodedModel
@@ -29,6 +30,8 @@ KIND = "dlg-gs"
 """What its models are loaded as."""
 MARGIN = 0.05
 """Share of the points' largest extent by which the scene's box is larger on each side."""
+START = 2.0
+"""Bias of the share that original colours have in adapted ones: 0.88 of them at the start."""
 OTHER_DRAWS = 2**32
 """Added to the seed for what scaffold-gs does not draw, so that it draws the same without."""
 
@@ -48,7 +51,7 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
     """
     require_priors(scene, settings)
 
-    def prepared() -> tuple[DlgModel, Plan]:
+    def prepared() -> tuple[AnchorModel, Plan]:
         return prepare(with_points(scene, run, random_points=settings.random_points), settings, run)
 
     return DecodedModel.of(KIND, train(run, prepared), scene, run.backend)
@@ -73,7 +76,7 @@ def require_priors(scene: Scene, settings: Settings) -> None:
             )
 
 
-def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[DlgModel, Plan]:
+def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[AnchorModel, Plan]:
     """The model at its start, and the plan of its training.
 
     Args:
@@ -93,13 +96,15 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[DlgModel, Plan]
         scene, voxel=voxel, k=settings.k, features=settings.features,
         shared=decoding | lit, moving=settings.moves,
     )  # fmt: skip
-    lighting = None
-    if settings.dlaam != "off":
-        lighting = placed(scene, radius=settings.radius * density.coarsest * voxel, extent=size)
-    model = DlgModel(
-        parameters, schedules(settings, decoding, lit, size),
-        with_distance=settings.distance, lighting=lighting,
-    )  # fmt: skip
+    rates = schedules(settings, decoding, lit, size)
+    if settings.dlaam == "off":
+        model = AnchorModel(parameters, rates, with_distance=settings.distance)
+    else:
+        radius = settings.radius * density.coarsest * voxel
+        model = DlgModel(
+            parameters, rates, with_distance=settings.distance,
+            lighting=placed(scene, radius=radius, extent=size),
+        )  # fmt: skip
     return model, Plan(
         steps=settings.iterations,
         views=scene.train_views,
@@ -146,10 +151,15 @@ def drawn_lighting(scene: Scene, settings: Settings, seed: int) -> dict[str, Ten
     generator = torch.Generator().manual_seed(seed + OTHER_DRAWS)
     light = drawn_light(scene.train_views, settings.factor, settings.factor_width, generator)
     weights = attention.create(INPUTS, INPUTS, generator)
-    names = (*GATES, "query", "key") if settings.dlaam == "full" else GATES
+    names = (*GATES, *MIXING) if settings.dlaam == "full" else GATES
     sizes = (3 + settings.factor_width + INPUTS, settings.head, settings.head, 4)
-    head = networks.named({HEAD: mlp.create(sizes, generator)})
-    return light | head | {f"attention.{name}": getattr(weights, name) for name in names}
+    head = mlp.create(sizes, generator)
+    head.biases[-1][3] = START
+    return (
+        light
+        | networks.named({HEAD: head})
+        | {f"attention.{name}": getattr(weights, name) for name in names}
+    )
 
 
 def schedules(

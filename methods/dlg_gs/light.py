@@ -6,13 +6,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.base.errors import UsageError
 from splatproof.methods.dlg_gs.settings import Factor
 from splatproof.reference.anchors import hvi
 from splatproof.reference.types.scene import View
 
 STATISTICS, LAYER, EMBEDDING = "light.statistics", "light.layer", "light.embedding"
 """Shared tensors: of each training view's photo (frozen), the layer on them; or what is learnt."""
+LEAST_SPREAD = 1e-6
+"""Deviation of a statistic below which all views count as alike: what rounding leaves."""
 
 
 def drawn_light(
@@ -27,10 +28,26 @@ def drawn_light(
         generator: Source of the learnt layer, or of the embeddings.
     """
     if kind == "learnt":
-        return {EMBEDDING: torch.randn(len(views), width, generator=generator) * 0.1}
-    described = torch.stack([statistics(view, kind) for view in views])
+        return {EMBEDDING: torch.randn(len(views), width, generator=generator)}
+    described = standardised(torch.stack([statistics(view, kind) for view in views]))
     layer = torch.randn(described.shape[1], width, generator=generator)
     return {STATISTICS: described, LAYER: layer * described.shape[1] ** -0.5}
+
+
+def standardised(described: Float[Tensor, "v 12"]) -> Float[Tensor, "v 12"]:
+    """Each statistic with mean 0 and deviation 1 over the training views; 0 where all are alike.
+
+    Photos of one scene have statistics that differ by a few hundredths: as they are, a layer that
+    starts small makes nearly the same factor of all of them, and training does not find out.
+
+    Args:
+        described: Statistics of each training view.
+
+    Source: ours.
+    """
+    off = described - described.mean(dim=0)
+    spread = off.square().mean(dim=0).sqrt()
+    return torch.where(spread > LEAST_SPREAD, off / spread.clamp(min=LEAST_SPREAD), 0)
 
 
 def statistics(view: View, kind: Factor) -> Float[Tensor, "12"]:
@@ -58,37 +75,3 @@ def factors(tensors: Mapping[str, Tensor]) -> Float[Tensor, "v e"]:
     if EMBEDDING in tensors:
         return torch.tanh(tensors[EMBEDDING])
     return torch.tanh(tensors[STATISTICS] @ tensors[LAYER])
-
-
-def factor_of(
-    view: View, names: Sequence[str], tensors: Mapping[str, Tensor]
-) -> Float[Tensor, " e"]:
-    """eps_s that a view is shown in.
-
-    Its appearance, where it is a code; that of the training view which its appearance names; without
-    an appearance its own, if it was trained on, and else the neutral one: the mean of all.
-
-    Args:
-        view: Its name and appearance count.
-        names: Names of the training views, in the order of the tensors' rows.
-        tensors: Those that `drawn_light` named.
-
-    Raises: UsageError for an appearance that is no training view's name, or a code of another width.
-    """
-    known, asked = factors(tensors), view.appearance
-    if isinstance(asked, Tensor):
-        if asked.shape != known.shape[1:]:
-            raise UsageError(
-                f"view {view.name}: its appearance has shape {tuple(asked.shape)}, expected a code "
-                f"of {known.shape[1]} numbers, as fit_appearance gives it"
-            )
-        return asked.to(known)
-    name = view.name if asked is None else asked
-    if name in names:
-        return known[names.index(name)]
-    if asked is not None:
-        raise UsageError(
-            f"view {view.name}: its appearance is {asked!r}, expected the name of a training view, "
-            f"such as {names[0]!r}"
-        )
-    return known.mean(dim=0)

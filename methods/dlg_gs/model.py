@@ -1,21 +1,23 @@
 """Anchors whose Gaussians' colours adapt to the light of a view."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from splatproof.methods.anchors import model as anchors
 from splatproof.methods.anchors.model import NETWORKS, AnchorModel
 from splatproof.methods.anchors.networks import network
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.model import Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dlg_gs.attention import local_attention
-from splatproof.methods.dlg_gs.light import factor_of
+from splatproof.methods.dlg_gs.light import factors
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
+from splatproof.methods.models.adapting import chosen_code
 from splatproof.reference.anchors import attention, scaffold
 from splatproof.reference.anchors.lighting_appearance import mix_colours
 from splatproof.reference.types import mlp
@@ -28,6 +30,8 @@ HEAD = "head"
 """Name of the colour head among the networks."""
 GATES = ("anchor_kernel", "feature_kernel", "value")
 """Weights of the attention where an anchor sees none but itself."""
+MIXING = ("query", "key")
+"""Weights that it has besides where anchors see one another."""
 INPUTS = 28
 """Numbers of the attention's inputs: 24 of the Fourier code, direction, distance."""
 SLACK = 0.2
@@ -54,9 +58,10 @@ class Lighting:
 class DlgModel(AnchorModel):
     """An AnchorModel whose splats have two colours while it trains: adapted c~ and original c.
 
-    Once trained it shows c~ alone. A view is shown in the light that `light.factor_of` says: in that
-    of its own photo if it was trained on, else in the one that its appearance names, else in the mean.
-    Shared tensors of the colour head and of the attention, frozen statistics of the training photos.
+    Once trained it shows c~ alone. A view's light is the code that its appearance is, or that of the
+    training view which its appearance names; without an appearance its own if it was trained on, else
+    the neutral one, the mean over the training views. More shared tensors: those of the colour head
+    and of the attention, and what factors are made of.
     """
 
     def __init__(
@@ -65,7 +70,7 @@ class DlgModel(AnchorModel):
         schedules: Mapping[str, Schedule],
         *,
         with_distance: bool,
-        lighting: Lighting | None,
+        lighting: Lighting,
     ) -> None:
         """Take the tensors.
 
@@ -73,7 +78,7 @@ class DlgModel(AnchorModel):
             parameters: As `start.started` makes them, with those of the lighting.
             schedules: Rate of each trained tensor.
             with_distance: Whether the decoding networks also read the distance to the camera.
-            lighting: How colours adapt; None: they do not, and the model is an AnchorModel.
+            lighting: Where and among whom colours adapt.
         """
         super().__init__(parameters, schedules, with_distance=with_distance)
         self.lighting = lighting
@@ -87,19 +92,34 @@ class DlgModel(AnchorModel):
             moment: While it trains, the original colours follow the adapted ones as channels 4 to 6.
         """
         splats = super().splats(view, moment)
-        if self.lighting is None:
-            return splats
         original, seen, rows = splats.colours, splats.decoded, splats.rows
         assert original is not None
         assert seen is not None
         assert rows is not None
-        shared = self.parameters.shared
         adapted = adapted_colours(
-            network(HEAD, shared), original, factor_of(view, self.lighting.views, shared),
+            network(HEAD, self.parameters.shared), original, self.factor(view),
             self.attended(view.camera, seen), torch.searchsorted(seen, rows),
         )  # fmt: skip
         both = torch.cat([adapted, original], dim=1) if moment.trains else adapted
         return replace(splats, colours=both)
+
+    def factor(self, view: View) -> Float[Tensor, " e"]:
+        """eps_s that a view is shown in, see `chosen_code`.
+
+        Args:
+            view: Its name and appearance count.
+        """
+        every = factors(self.parameters.shared)
+        return chosen_code(view, self.lighting.views, every, every.mean(dim=0))
+
+    def neutral_code(self, view: View) -> Float[Tensor, " e"]:
+        """The mean factor of the training views.
+
+        Args:
+            view: Not looked at.
+        """
+        del view
+        return factors(self.parameters.shared).mean(dim=0)
 
     def finish_image(self, view: View, output: RenderOutput) -> Float[Tensor, "h w 3"]:
         """The image in the view's light.
@@ -120,26 +140,50 @@ class DlgModel(AnchorModel):
             camera: From where they are seen.
             seen: Their rows.
         """
-        lighting, shared = self.lighting, self.parameters.shared
-        assert lighting is not None
         every = centres_of(self.parameters).detach()
-        centres = every[seen]
         if not len(seen):
             return every.new_zeros(0, INPUTS)
-        low, high = centres.new_tensor(lighting.low), centres.new_tensor(lighting.high)
-        code = attention.fourier_code(attention.in_box(centres, low, high))
-        direction, distance = scaffold.view_code(centres, camera.centre)
-        inputs = torch.cat([code, direction, distance / lighting.extent], dim=1)
-        given = {name: shared.get(f"attention.{name}") for name in (*GATES, "query", "key")}
-        if given["query"] is None:
-            empty = centres.new_zeros(INPUTS, 0)
-            weights = attention.AttentionWeights(**{**given, "query": empty, "key": empty})
-            return attention.pooled_gates(inputs, weights) @ weights.value
-        weights = attention.AttentionWeights(**given)
+        centres = every[seen]
+        weights = self.attention_weights()
+        gated = attention.pooled_gates(self.attention_inputs(camera, centres), weights)
+        if not self.mixes:
+            return gated @ weights.value
         near = self._neighbours(every).among(seen)
         if self.moves:
-            near = near.within(centres, lighting.radius)
-        return local_attention(attention.pooled_gates(inputs, weights), near, weights)
+            near = near.within(centres, self.lighting.radius)
+        return local_attention(gated, near, weights)
+
+    def attention_inputs(
+        self, camera: Camera, centres: Float[Tensor, "v 3"]
+    ) -> Float[Tensor, "v 28"]:
+        """x_attn: Fourier code of where an anchor stands, direction to it, distance in extents.
+
+        Args:
+            camera: From where it is seen.
+            centres: Where it stands.
+        """
+        low, high = (centres.new_tensor(each) for each in (self.lighting.low, self.lighting.high))
+        code = attention.fourier_code(attention.in_box(centres, low, high))
+        direction, distance = scaffold.view_code(centres, camera.centre)
+        return torch.cat([code, direction, distance / self.lighting.extent], dim=1)
+
+    def attention_weights(self) -> attention.AttentionWeights:
+        """Gates and projections; without query and key where anchors see none but themselves."""
+        shared = self.parameters.shared
+        value = shared["attention.value"]
+        query, key = (
+            shared[f"attention.{name}"] if self.mixes else value.new_zeros(len(value), 0)
+            for name in MIXING
+        )
+        return attention.AttentionWeights(
+            anchor_kernel=shared["attention.anchor_kernel"],
+            feature_kernel=shared["attention.feature_kernel"], query=query, key=key, value=value,
+        )  # fmt: skip
+
+    @property
+    def mixes(self) -> bool:
+        """Whether anchors see one another."""
+        return f"attention.{MIXING[0]}" in self.parameters.shared
 
     @property
     def moves(self) -> bool:
@@ -148,7 +192,6 @@ class DlgModel(AnchorModel):
 
     def _neighbours(self, centres: Float[Tensor, "n 3"]) -> Neighbours:
         """Lists of all anchors, made again when anchors came, went or moved too far."""
-        assert self.lighting is not None
         slack = SLACK * self.lighting.radius if self.moves else 0.0
         if self._kept is not None:
             kept, then, lists = self._kept
@@ -162,7 +205,7 @@ class DlgModel(AnchorModel):
 
     def facts(self) -> dict[str, Any]:
         """What `restored` needs beside the tensors."""
-        return super().facts() | {"lighting": self.lighting and vars(self.lighting)}
+        return super().facts() | {"lighting": asdict(self.lighting)}
 
 
 def _farthest(centres: Tensor, then: Tensor) -> float:
@@ -199,17 +242,23 @@ def adapted_colours(
     return mix_colours(colours, out[:, :3], out[:, 3:])
 
 
-def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> DlgModel:
+def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> AnchorModel:
     """The model that was stored; it is not trained on.
 
     Args:
-        facts: What `DlgModel.facts` said.
+        facts: What `facts` of the model said; without "lighting" its colours do not adapt.
         tensors: As `Parameters.state` names them.
 
     Raises: KeyError, TypeError or ValueError if something is missing or does not fit.
     """
-    parameters, told = Parameters.of(tensors), facts["lighting"]
-    for name in NETWORKS if told is None else (*NETWORKS, HEAD):
+    if "lighting" not in facts:
+        return anchors.restored(facts, tensors)
+    parameters = Parameters.of(tensors)
+    for name in (*NETWORKS, HEAD):
         network(name, parameters.shared)
-    lighting = told and Lighting(**{**told, "views": tuple(told["views"])})
+    told = facts["lighting"]
+    lighting = Lighting(
+        views=tuple(told["views"]), low=tuple(told["low"]), high=tuple(told["high"]),
+        radius=float(told["radius"]), extent=float(told["extent"]),
+    )  # fmt: skip
     return DlgModel(parameters, {}, with_distance=bool(facts["with_distance"]), lighting=lighting)

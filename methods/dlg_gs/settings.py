@@ -16,9 +16,10 @@ Factor = Literal["hvi", "rgb", "learnt"]
 class Rates(scaffold.Rates):
     """Those of scaffold-gs, and of what dlg-gs adds; log-linear from first to last step."""
 
-    light: float = 2e-3
-    """Rate at the first step of everything that lighting adds: factor, gates, attention, colour head."""
-    light_final: float = 2e-5
+    light: float = 8e-3
+    """Rate at the first step of all that lighting adds, factor, gates, attention and colour head: that of
+    the colour network (the paper gives none)."""
+    light_final: float = 5e-5
     """The same at the last step."""
     centres: float = 1.6e-4
     """Rate of anchors' centres at the first step, in extents of the scene, where `vdjc` has the

@@ -1,7 +1,5 @@
 """What method dlg-gs minimises, term by term."""
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -12,7 +10,7 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.fit import mean_volume
-from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term
+from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
 from splatproof.reference.anchors import lighting_appearance
 from splatproof.reference.supervision import depth_constraint
 from splatproof.reference.types.splats import Splats
@@ -58,7 +56,8 @@ def colour_terms(settings: Settings) -> list[ImageTerm]:
 
 def original_dssim(frame: Frame) -> Float[Tensor, ""]:
     """1 - SSIM of the render with original colours."""
-    return Photometric(dssim=1.0).loss(replace(frame, image=frame.output.colour[..., 3:]))
+    original = frame.output.colour[..., 3:]
+    return photometric_loss(original, frame.truth, dssim=1.0, mask=frame.mask)
 
 
 def summed_volume(frame: Frame) -> Float[Tensor, ""]:
@@ -173,5 +172,5 @@ class Dropout:
             mode=frame.model.mode,
         )  # fmt: skip
         image = frame.model.finish_image(frame.view.without_truth(), output)
-        full = replace(frame, image=image, truth=frame.image.detach())
-        return Photometric(dssim=self.dssim).loss(full)
+        full = frame.image.detach()
+        return photometric_loss(image, full, dssim=self.dssim, mask=frame.mask)
