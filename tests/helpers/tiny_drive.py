@@ -1,5 +1,6 @@
 """A drive small enough to train on in a test: blobs that stay, blobs that move, sweeps and a sky."""
 
+import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,11 +21,16 @@ SKY_COLOUR = (0.4, 0.6, 0.9)
 
 
 def truth_at(seconds: float, *, count: int = 30, speed: float = SPEED) -> Gaussians:
-    """The blobs at a moment."""
+    """The blobs at a moment; those that move are in front of the others, large and opaque."""
     blobs = random_gaussians(count)
-    moved = blobs.means.clone()
-    moved[-MOVING:, 0] += speed * seconds
-    return replace(blobs, means=moved)
+    means, sizes, opaque = (
+        value.clone() for value in (blobs.means, blobs.log_scales, blobs.opacity_logits)
+    )
+    means[-MOVING:, 0] += speed * (seconds - 0.35)
+    means[-MOVING:, 2] -= 1.5
+    sizes[-MOVING:] = math.log(0.2)
+    opaque[-MOVING:] = 4.0
+    return replace(blobs, means=means, log_scales=sizes, opacity_logits=opaque)
 
 
 def tiny_drive(*, moments: int = 8, count: int = 30, speed: float = SPEED) -> Scene:

@@ -44,7 +44,7 @@ def observe(of: MovingControl, by_peak: list[float], by_place: float = 0.0) -> N
             rows=None,
             slots=None,
             count=count,
-        )  # fmt: skip
+        )
     )
 
 
