@@ -62,7 +62,8 @@ def placed(
         at = (at[:, None] + change[0].reshape(-1, k, 3) + steps).reshape(-1, 3)
         scales = (scales[:, None] + change[1].reshape(-1, k, 3)).reshape(-1, 3)
         if held is not None:
-            held = (held[:, None] + change[2].reshape(len(held), k, -1)).reshape(len(at), -1)
+            width = held.shape[1]
+            held = (held[:, None] + change[2].reshape(-1, k, width)).reshape(-1, width)
         told = [value.repeat_interleave(k, dim=0) for value in told]
     count, base = sizes.gaussians // sizes.leaves, scales.exp()
     (moved,) = together([networks.leaf_position], torch.cat([told[0], code(at), told[1]], dim=1))
@@ -97,7 +98,7 @@ def decoded(
     count = sizes.gaussians // sizes.leaves
     grown, turned = shape.reshape(-1, count, 7).split([3, 4], dim=2)
     alive = torch.exp(-0.5 * ((time - anchors.peaks) * torch.exp(-anchors.log_spans)).square())
-    opacities = torch.sigmoid(opacity).reshape(len(alive), -1) * alive[:, None]
+    opacities = torch.sigmoid(opacity).reshape(len(alive), sizes.gaussians) * alive[:, None]
     return Splats(
         means=(last.at[:, None] + last.away).reshape(-1, 3),
         quaternions=turned.reshape(-1, 4),

@@ -26,14 +26,14 @@ class HdgsDensity:
     """Fewest steps between adjustments in a short run: statistics need several views."""
     growing: Growing = "adaptive"
     """Whether dense voxels grow in their finer parts (GDG), or all alike."""
-    gradient: float = 2e-4
+    gradient: float = 5e-4
     """Mean norm of the loss's gradient by the 2D position, in units of half the image, from which a
     voxel of Gaussians grows."""
     density: float = 5.0
     """Gaussians in a voxel from which its finer parts grow."""
     drawn_share: float = 0.05
     """Share of an interval's views that a Gaussian must have been drawn in before it is counted."""
-    temporal_gradient: float = 2e-3
+    temporal_gradient: float = 2e-4
     """Mean |d loss / d peak time| of a voxel's anchors from which it may grow in time; 0: none does."""
     temporal_share: float = 0.25
     """Share of the voxels that may grow in time that do, drawn at random."""

@@ -3,12 +3,13 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.hdgs.settings import DepthSettings
 from splatproof.methods.training.terms import Frame, Term
-from splatproof.reference.supervision.depth_supervision import outlier_loss, smoothness_loss
+from splatproof.reference.supervision.depth_supervision import edge_weight
 from splatproof.reference.supervision.soft_rank import (
     global_depth_loss,
     soft_rank,
@@ -36,11 +37,7 @@ def depth_terms(scene: Scene, settings: DepthSettings, unit: float) -> tuple[Ter
     if settings.global_weight:
         require_prior(scene)
         terms.append(order_term(settings))
-    if settings.smooth:
-        terms.append(smooth_term(settings, unit))
-    if settings.outlier:
-        terms.append(outlier_term(settings))
-    return tuple(terms)
+    return (*terms, *local_terms(settings, unit))
 
 
 def require_prior(scene: Scene) -> None:
@@ -87,37 +84,60 @@ def order_term(settings: DepthSettings) -> Term:
     return Term(name="depth order", loss=loss, weight=settings.global_weight)
 
 
-def smooth_term(settings: DepthSettings, unit: float) -> Term:
-    """Steps of depth between neighbours where the photo has no edge.
+def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
+    """Steps of depth between neighbours, and soft ranks off their neighbourhood's, away from edges.
+
+    Twins of `depth_supervision.smoothness_loss`, on the whole image, and of `outlier_loss`, on a crop
+    drawn at random, since ranking is quadratic in the pixels. A photo's edges are found once.
 
     Args:
-        settings: Weight, and how fast edges of the photo excuse edges of depth.
+        settings: Weights, edge of the crop, threshold, temperature.
         unit: Unit of length that depths are divided by, in scene units.
+
+    Source: HDGS, Eqs. 12 and 13.
     """
+    edges = TensorCache(KEPT_BYTES)
 
-    def loss(frame: Frame) -> Float[Tensor, ""]:
-        return smoothness_loss(frame.output.depth / unit, frame.truth, settings.beta)
+    def weights(frame: Frame) -> Float[Tensor, "h w"]:
+        return edges.get(frame.view, lambda: edge_weight(frame.truth, settings.beta))
 
-    return Term(name="depth smooth", loss=loss, weight=settings.smooth)
+    def smooth(frame: Frame) -> Float[Tensor, ""]:
+        weight, depth = weights(frame), frame.output.depth
+        across = weight[:, :-1] * (depth[:, 1:] - depth[:, :-1]).abs()
+        down = weight[:-1] * (depth[1:] - depth[:-1]).abs()
+        return (across.sum() + down.sum()) / (depth.numel() * unit)
+
+    def outliers(frame: Frame) -> Float[Tensor, ""]:
+        depth, side = frame.output.depth, settings.crop
+        draw = torch.rand(2, generator=frame.moment.generator).tolist()
+        row, column = (
+            int(share * max(1, size - side + 1))
+            for share, size in zip(draw, depth.shape, strict=True)
+        )
+        part = depth[row : row + side, column : column + side]
+        weight = weights(frame)[row : row + side, column : column + side]
+        ranks = soft_rank(standardised(part.flatten()), settings.temperature) / part.numel()
+        return weighted_outliers(ranks.reshape(part.shape), weight, settings.delta)
+
+    made = (
+        Term(name="depth steps", loss=smooth, weight=settings.smooth),
+        Term(name="depth outliers", loss=outliers, weight=settings.outlier),
+    )
+    return tuple(term for term in made if term.weight)
 
 
-def outlier_term(settings: DepthSettings) -> Term:
-    """Soft ranks of depth far from their neighbourhood's, in a crop drawn at random.
+def weighted_outliers(
+    ranks: Float[Tensor, "h w"], weight: Float[Tensor, "h w"], delta: float
+) -> Float[Tensor, ""]:
+    """1/N sum w e over the pixels where e, the rank's distance to its neighbourhood's mean, is large.
 
     Args:
-        settings: Edge of the crop, threshold, temperature, weight.
-
-    Source: HDGS, Eq. 13; on a crop, since the direct form is quadratic in it.
+        ranks: Soft ranks, divided by the number of pixels.
+        weight: Of each pixel, from `edge_weight`.
+        delta: What e must be above.
     """
-
-    def loss(frame: Frame) -> Float[Tensor, ""]:
-        depth, side = frame.output.depth, settings.crop
-        low = [max(1, size - side + 1) for size in depth.shape]
-        draw = torch.rand(2, generator=frame.moment.generator).tolist()
-        row, column = (int(share * most) for share, most in zip(draw, low, strict=True))
-        part = depth[row : row + side, column : column + side]
-        photo = frame.truth[row : row + side, column : column + side]
-        ranks = soft_rank(standardised(part.flatten()), settings.temperature) / part.numel()
-        return outlier_loss(ranks.reshape(part.shape), photo, settings.beta, settings.delta)
-
-    return Term(name="depth outliers", loss=loss, weight=settings.outlier)
+    mean = functional.avg_pool2d(
+        ranks[None, None], 3, stride=1, padding=1, count_include_pad=False
+    )[0, 0]
+    off = (ranks - mean).abs()
+    return (weight * torch.where(off > delta, off, 0)).mean()
