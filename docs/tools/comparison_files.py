@@ -4,7 +4,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
@@ -89,7 +89,8 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         if (runs / name / case.folder / "record.json").exists()
     ]
     found = [(case, folder, read_record(folder)) for case, folder in cases]
-    rows = [asdict(measured(result)) for _, _, result in found]
+    judged = {claim.metric for claim in load_claims(name)}
+    rows = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
     text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
@@ -100,6 +101,15 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     pictures = [*_curves(shown, name, docs), *_strips(shown, name, docs)]
     listing = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
     (docs / f"{name}_pictures.json").write_text(listing, encoding="utf-8")
+
+
+def _with_images_of(row: Measured, judged: set[str]) -> Measured:
+    """The row with those metrics of images alone that a claim is judged by."""
+    images = {
+        name: {metric: value for metric, value in scores.items() if metric in judged}
+        for name, scores in row.images.items()
+    }
+    return replace(row, images=images)
 
 
 Shown = Sequence[tuple[Case, Path, Result]]
