@@ -16,7 +16,7 @@ TUNNEL = Comparison(
 The scene is `tunnel`: a rock tunnel that a rig of six cameras drives through, lit by the rig's own lamps alone. One
 stop of eight is held out with all its cameras. Protocols `tunnel`, `tunnel_half` and `tunnel_oracle` are one training,
 shown in the light of the nearest training view, in one fitted to the left half of each photo (the right half is
-scored), or in one fitted to all of it (never ranked). `tunnel_relit` shows views under lamps that stand elsewhere.
+scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` shows views under lamps that stand elsewhere.
 
 - `3dgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
   networks must beat.
