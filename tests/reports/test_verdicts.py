@@ -10,7 +10,7 @@ import pytest
 from splatproof.base.errors import UsageError
 from splatproof.reports.claims.claim import Claim, load_claims
 from splatproof.reports.measured import Measured
-from splatproof.reports.statistics import Difference
+from splatproof.reports.statistics import POWER, Difference
 from splatproof.reports.verdicts import SETTLED, Judged, judge
 
 CLAIM = Claim(paper="ours", text="a is better", row="a", other="b", metric="psnr", printed=1.0)
@@ -248,19 +248,18 @@ def simulate(effect: float, repeats: int) -> tuple[Counter, list[Difference]]:
 
 
 def test_false_alarms_are_as_rare_as_stated_and_planted_effects_as_often_seen():
-    repeats = 1000
-    deviations = 3 / math.sqrt(repeats)
+    repeats, fewer = 1000, 400
     nothing, differences = simulate(0.0, repeats)
-    assert nothing["no difference"] / repeats >= 0.95 - deviations * math.sqrt(0.05 * 0.95)
     assert sum(nothing.values()) == repeats
+    assert nothing["no difference"] / repeats >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / repeats)
     # the root of the mean square: an interval's width scatters, and so does what it promises
     planted = math.sqrt(np.mean([one.detectable**2 for one in differences]))
-    seen, _ = simulate(planted, repeats)
-    power = (seen["holds"] + seen["direction only"]) / repeats
-    assert power == pytest.approx(0.8, abs=0.05 + deviations * math.sqrt(0.8 * 0.2))
+    seen, _ = simulate(planted, fewer)
+    power = (seen["holds"] + seen["direction only"]) / fewer
+    assert power == pytest.approx(POWER, abs=0.05 + 3 * math.sqrt(0.8 * 0.2 / fewer))
     assert not seen["contradicted"]
-    weak, _ = simulate(planted / 3, repeats // 4)  # a control: less is seen less often
-    assert (weak["holds"] + weak["direction only"]) / (repeats // 4) < 0.4
+    weak, _ = simulate(planted / 3, fewer)  # a control: less is seen less often
+    assert (weak["holds"] + weak["direction only"]) / fewer < 0.4
 
 
 def test_claims_that_cannot_be_meant_are_refused():
