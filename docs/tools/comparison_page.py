@@ -69,6 +69,7 @@ def render_page(page: Page, pictures: Sequence[Picture]) -> str:
         "## Claims\n",
         _claims(found),
         *([page.findings.rstrip() + "\n"] if page.findings.strip() else []),
+        *(_side_by_side(page, scene) for scene in dict.fromkeys(scene for scene, _ in places)),
         *(_place(page, scene, protocol) for scene, protocol in places),
         *printed_tables(page.printed, page.rows),
         "## Pictures\n" if pictures else "",
@@ -132,6 +133,23 @@ def _claim(one: Judged) -> str:
 
 def _effect(claim: Claim, value: float) -> str:
     return f"{100 * value:+.{RELATIVE_DIGITS}f} %" if claim.relative else f"{value:+.3g}"
+
+
+def _side_by_side(page: Page, scene: str) -> str:
+    """PSNR of each row under each protocol of a scene; nothing where there is one protocol."""
+    done = [row for row in page.rows if row.scene == scene and not row.error]
+    protocols = list(dict.fromkeys(p for s, p, _ in page.planned if s == scene))
+    named = list(dict.fromkeys(row for s, _, row in page.planned if s == scene))
+    if len(protocols) < 2:
+        return ""
+    lines = [f"## {scene}, PSNR by protocol\n", "| row | " + " | ".join(protocols) + " |",
+             "|---" + "|---:" * len(protocols) + "|"]  # fmt: skip
+    for name in named:
+        own = [[r.values.get("psnr") for r in done if (r.row, r.protocol) == (name, p)]
+               for p in protocols]  # fmt: skip
+        if any(own) and not is_half(name):
+            lines.append(f"| {name} | " + " | ".join(number(values, 2) for values in own) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def _place(page: Page, scene: str, protocol: str) -> str:

@@ -139,6 +139,14 @@ def test_a_page_shows_verdicts_tables_and_lengths():
     assert "Failed" not in text
 
 
+def test_protocols_of_a_scene_stand_side_by_side():
+    planned = {("s", "p", "a"): 3, ("s", "q", "a"): 1, ("s", "q", "a@half"): 1}
+    rows = [*some_rows(), row("a", protocol="q"), row("a@half", protocol="q")]
+    text = render_page(small_page(rows, planned=planned), [])
+    assert "| row | p | q |\n|---|---:|---:|\n| a | 21.00 ± 2.48 | 20.00 |\n\n" in text
+    assert "by protocol" not in render_page(small_page(rows), [])
+
+
 def test_an_incomplete_suite_says_what_is_missing_and_why():
     rows = [row("a"), row("b", error="it broke")]
     text = render_page(small_page(rows), [])
