@@ -29,6 +29,7 @@ from splatproof.suites.case_keys import case_key
 from splatproof.suites.environment import environment
 from splatproof.suites.held_out import score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
+from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
 from splatproof.suites.suite_files import Case
@@ -37,10 +38,8 @@ from splatproof.suites.training_scene import training_scene
 
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
-CASE_NAME = "case.json"
-"""File that says what the case in its folder is made of."""
 OURS = (
-    RECORD_NAME, CASE_NAME, "trained.json", "curve.jsonl", "failure.txt",
+    RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
     "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
@@ -92,6 +91,8 @@ class Job:
     """True: a scene without held-out views is trained and not scored. False: it is refused."""
     cache: Path | None = None
     """Where cases of one suite and the same data share trained blocks; None: they do not."""
+    same_model: tuple[Path, ...] = ()
+    """Folders of cases whose model is this one's too: one that is there is taken, not trained."""
     data: dict[str, str] = field(default_factory=dict)
     """Facts of the scene's files, for the record; nothing that was made of other files is
     continued."""
@@ -182,7 +183,7 @@ def _prepare(job: Job) -> None:
 
 def _run(job: Job, tell: Tell) -> None:
     weights = load_weights(job.case.protocol.metrics)
-    curve, spent = Curve(job.folder / "curve.jsonl"), Spent()
+    spent = Spent()
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
@@ -192,7 +193,10 @@ def _run(job: Job, tell: Tell) -> None:
         given = training_scene(
             scene, job.case, job.data, lambda done, total: tell("priors", done, total, {})
         )
-    done = job.folder / "trained.json"
+    done = job.folder / TRAINED
+    if not done.exists():
+        take_model(job.folder, job.same_model, job.data, job.case.origin)
+    curve = Curve(job.folder / CURVE)
     if not done.exists():
         _train(job, given, curve, spent, tell)
         spent.cpu_seconds, spent.peak_memory_mb = curve.spent()

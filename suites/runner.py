@@ -14,7 +14,8 @@ from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
 from splatproof.suites.records import RECORD_NAME, read_record
-from splatproof.suites.run_case import CASE_NAME, CHECKPOINT_SECONDS, Job, reason_of
+from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
+from splatproof.suites.same_model import CASE_NAME, training_key
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import Case, Suite
 from splatproof.suites.workers import Launch, in_worker
@@ -109,7 +110,8 @@ def run_suite(
 ) -> tuple[Outcome, ...]:
     """Run all cases that are not finished yet, one after the other.
 
-    A case is finished if its record was made of these settings, protocol, backend and data. Where
+    Cases that differ in the rules of scoring alone are trained once, see `training_key`. A case is
+    finished if its record was made of these settings, protocol, backend and data. Where
     the data behind the scene's name have changed it runs again, and what it had goes to
     <folder>/<suite>/.replaced/.../seed<k>/<n>.
 
@@ -138,12 +140,16 @@ def run_suite(
     with locked(root / ".lock", busy=_busy(root)):
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
+        trained: dict[str, list[Path]] = {}
         for index, case in enumerate(cases):
+            same = trained.setdefault(training_key(case, backend), [])
             job = Job(
                 case=case, suite=suite.name, suite_scenes=suite.scenes, folder=root / case.folder,
                 backend=backend, threads=threads, resume=resume,
                 checkpoint_seconds=checkpoint_seconds, workers=workers, engine=engine,
+                same_model=tuple(same),
             )  # fmt: skip
+            same.append(job.folder)
             here = Progress(case=case, index=index, count=len(cases), stage="start")
             job, unread = _with_data(job, scenes, here, on_progress)
             job = replace(job, cache=blocks / ("unread" if unread else digest(job.data)))

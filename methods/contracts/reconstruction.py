@@ -112,8 +112,8 @@ class Adapts(Protocol):
 
         Args:
             view: Camera, time and sensor of the image.
-            image: The image, in [0, 1].
-            columns: Columns of its pixels that may be looked at; no others may.
+            image: The columns of the image that may be looked at, in [0, 1].
+            columns: Which columns of the whole image they are.
         """
         ...
 
