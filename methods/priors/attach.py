@@ -118,4 +118,5 @@ def _key(
                 b"" if view.load_sweep is None else view.load_sweep().positions.numpy().tobytes()
             )
     digest.update(scene.points.positions.numpy().tobytes())
+    digest.update(scene.points.track_views.numpy().tobytes())
     return digest.hexdigest()[:32]

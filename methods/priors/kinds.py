@@ -8,7 +8,7 @@ from pathlib import Path
 from splatproof.base.errors import MissingError, UsageError
 from splatproof.base.files import sha256
 from splatproof.base.names import unknown
-from splatproof.methods.priors import depth_anything, lidar, noisy, oracle, sweep
+from splatproof.methods.priors import depth_anything, lidar, network, noisy, oracle, sweep
 from splatproof.reference.types.result import NO_PRIOR
 from splatproof.reference.types.scene import DepthPrior, Scene
 
@@ -40,6 +40,10 @@ KINDS = {
     ),
     "lidar": Kind(description="the view's LiDAR sweep, completed", prepare=lidar.prepare),
     "sweep": Kind(description="matching with neighbouring photos", prepare=sweep.prepare),
+    "network": Kind(
+        description="our own small network, from photo and sparse points",
+        prepare=network.prepare, weights=True,
+    ),
     "depth-anything": Kind(
         description="a monocular network of transformers, from a local folder",
         prepare=depth_anything.prepare, weights=True,

@@ -47,8 +47,9 @@ def disturbed(truth: DepthPrior, rng: np.random.Generator) -> DepthPrior:
     """Disparity with soft edges, a smooth error, a monotone warp, and a scale and zero of its own.
 
     d' = a ((G * d) / m)^g exp(w) + b with a Gaussian blur G, m the 95th percentile of d, log g, w,
-    log a and b normal. After the best scale and zero are put back, AbsRel on the worlds street and
-    tunnel is about 0.1, as that of monocular networks on driving scenes.
+    log a and b normal. After the best scale and zero are put back, AbsRel is 0.118 on the
+    world street and 0.073 in the tunnel (`bench study priors`), as that of monocular networks on
+    driving scenes.
 
     Args:
         truth: True disparity.

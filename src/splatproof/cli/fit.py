@@ -74,8 +74,9 @@ def fit(
         pose_noise: Level of the noise on the poses of training views, drawn with the seed: L1 turns
             each by 0.5 degrees and shifts it by 0.001 of the scene's extent (standard deviations),
             L2 by 1 and 0.002, L3 by 2 and 0.005. Held-out views and sparse points stay true.
-        depth_prior: Depth prior that the method may read of each training view: oracle (true depth),
-            oracle+noise, lidar (sweeps, completed) or none.
+        depth_prior: Depth prior that the method may read of each training view: oracle (true depth
+            of a made world), oracle+noise, lidar (sweeps, completed), sweep (matched photos),
+            network:FILE (our own network's weights), depth-anything:FOLDER, or none.
         running: How it is run.
         blocks: How blocks of a city are trained.
     """
