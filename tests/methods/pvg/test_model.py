@@ -103,8 +103,10 @@ def test_without_motion_life_and_sky_it_trains_as_3dgs_does_to_the_bit():
     scene, count = tiny_scene(), 20
     views = tuple(replace(v, time=0.1 * i) for i, v in enumerate(scene.train_views))
     frozen = MovingRates(velocities=0.0, peaks=0.0, log_spans=0.0)
-    rows = {"velocities": torch.zeros(count, 3), "log_spans": torch.full((count,), math.inf)}
-    ours = model(count, rates=frozen, **rows)
+    ours = model(
+        count, rates=frozen, velocities=torch.zeros(count, 3),
+        log_spans=torch.full((count,), math.inf),
+    )  # fmt: skip
     theirs = GaussianModel(random_gaussians(count), Rates(), extent=1.0)
     density = Density(start=0, interval=5, least_interval=5, gradient=1e-6, reset_interval=12)
     for one in (ours, theirs):
