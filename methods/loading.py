@@ -17,13 +17,16 @@ from splatproof.methods.models.explicit import (
     check_gaussians,
     load_explicit,
 )
+from splatproof.methods.models.exposure import EXPOSED, load_exposed
 from splatproof.methods.registry import methods
 from splatproof.methods.storage.packed.reader import read_packed
 
 
 def loaders() -> dict[str, Loader]:
     """How each kind of model is loaded: the built-in kinds and those of every method."""
-    known: dict[str, Loader] = {EXPLICIT: load_explicit, CITY: load_city}
+    known: dict[str, Loader] = {
+        EXPLICIT: load_explicit, EXPOSED: load_exposed, CITY: load_city,
+    }  # fmt: skip
     for method in methods().values():
         known |= dict(method.loaders)
     return known

@@ -109,7 +109,7 @@ def _make_views(plan: Plan, work: Path, report: Report) -> None:
         )  # fmt: skip
         if shot.group in own:
             _write_corners(work, shot, _corners(plan, shot, frame))
-        if plan.driven:
+        if plan.movable:
             _write_masks(plan, work, shot, frame)
         _write_frame(work / shot.group, shot.name, frame)
 

@@ -58,10 +58,9 @@ class Plan:
     """Corners looked for in a view when the sparse points are drawn."""
     movable: Mapping[str, str] = field(default_factory=dict)
     """Kinds of objects that move and so never carry sparse points, each with the mask that shows it
-    (splatproof.datasets.moving_masks.KINDS)."""
+    (splatproof.datasets.moving_masks.KINDS). Where there are any, sky/ has masks of the sky too."""
     driven: bool = False
-    """Whether time passes: views.json says when and by which camera each view was taken, and sky/
-    has masks of the sky."""
+    """Whether time passes: views.json says when and by which camera each view was taken."""
     facts: Mapping[str, str] = field(default_factory=dict)
     """Further facts for scene.toml."""
     kinds: Mapping[str, tuple[str, ...]]

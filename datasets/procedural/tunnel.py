@@ -1,6 +1,6 @@
 """A rock tunnel that a rig of six cameras drives through; its own LED array is the only light."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from threading import Lock
 
 import numpy as np
@@ -35,6 +35,8 @@ RIG = ((0.0, 0.0), (65.0, 5.0), (-65.0, 5.0), (0.0, 55.0), (100.0, 38.0), (-100.
 """Yaw to the left and pitch upwards of the six cameras, degrees."""
 EYE = 1.55
 """Height of the rig in metres."""
+SECONDS = 1.0
+"""Time from one stop to the next."""
 RELIT = "relit"
 """Group of test views under lamps that stand elsewhere."""
 
@@ -257,13 +259,15 @@ def plan(seed: int, settings: Settings) -> Plan:
             way = _direction(float(s), yaw, pitch)
             camera = looking(eye + 0.15 * way, eye + way, size, focal)
             name = f"stop_{stop:04d}_camera_{index}.png"
-            found.append(Shot(name=name, camera=camera, time=float(stop)))
+            found.append(
+                Shot(name=name, camera=camera, time=SECONDS * stop, sensor=f"camera_{index}")
+            )
             lights["", name] = (float(s), np.zeros(3))
     tests = found[::8]
     for index in range(min(settings.relit, len(tests))):
         shot = tests[index * len(tests) // settings.relit]
         name = shot.name.replace(".png", "_relit.png")
-        found.append(Shot(name=name, camera=shot.camera, group=RELIT))
+        found.append(replace(shot, name=name, group=RELIT))
         lights[RELIT, name] = (lights["", shot.name][0], _relit_offset(index))
     lock, made = Lock(), []
 
@@ -284,7 +288,7 @@ def plan(seed: int, settings: Settings) -> Plan:
     }
     return Plan(
         world="tunnel", settings=asdict(settings), seed=seed, shots=tuple(found), stage=stage,
-        samples=settings.samples, features=500, kinds={"": world.kinds},
+        samples=settings.samples, features=500, kinds={"": world.kinds}, driven=True,
         facts={"relit": "views in the folder relit: the same cameras, lamps moved by lamps_<view> "
                "metres (ahead, left, up)", **relit},
     )  # fmt: skip

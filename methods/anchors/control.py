@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.training.schedules import require, shrink
@@ -107,9 +108,10 @@ class AnchorControl:
         if len(self.visits) != seen.count:
             self._clear(seen.count, seen.radii.device)
         drawn = seen.radii > 0
-        slots = seen.slots[drawn]
-        self.gradient.index_add_(0, slots, seen.gradient_norm("signed")[drawn])
-        self.drawn.index_add_(0, slots, torch.ones_like(seen.radii[drawn]))
+        # adding 0 for the others is far cheaper than picking those that were drawn
+        norms = seen.gradient_norm("signed").where(drawn, 0)
+        self.gradient.index_add_(0, seen.slots, norms)
+        self.drawn.index_add_(0, seen.slots, drawn.to(norms))
         self.opacity += seen.by_row(seen.opacities)
         if seen.decoded is None:
             self.visits += 1
@@ -128,7 +130,8 @@ class AnchorControl:
 
         Args:
             step: From 1.
-            parameters: Rows offsets, features and log_scales; labels centres and levels.
+            parameters: Rows offsets, features and log_scales; labels levels and, unless they move and
+                are rows, centres.
             generator: Decides which of the Gaussians that ask are heard.
         """
         if self.adjusts(step):
@@ -147,7 +150,7 @@ class AnchorControl:
         """
         settings, count = self.settings, len(parameters)
         if len(self.visits) != count:  # no view was observed since
-            self._clear(count, parameters.labels["centres"].device)
+            self._clear(count, centres_of(parameters).device)
         anchors, levels = self.grown(parameters, generator)
         added = len(anchors.centres) - count
         enough = self.drawn > settings.drawn_share * settings.interval
@@ -187,7 +190,7 @@ class AnchorControl:
         """
         settings, levels = self.settings, parameters.labels["levels"]
         rows = {name: value.detach() for name, value in parameters.rows.items()}
-        anchors = scaffold.Anchors(centres=parameters.labels["centres"], **rows)
+        anchors = scaffold.Anchors(**{"centres": centres_of(parameters)} | rows)
         reach = anchors.log_scales[:, None, :3].exp()
         positions = (anchors.centres[:, None] + anchors.offsets * reach).flatten(0, 1)
         least = int(settings.drawn_share * settings.interval)

@@ -1,14 +1,15 @@
 """A model of voxel anchors: those in view are decoded by networks into k Gaussians each."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from splatproof.methods.anchors.decoding import decode_some
 from splatproof.methods.anchors.networks import network
+from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.reference.anchors import scaffold
@@ -27,10 +28,10 @@ REACH = 3.0
 
 
 class AnchorModel(Model):
-    """Anchors that stay where they are; offsets, features, scales and networks are trained.
+    """Anchors whose offsets, features, scales and networks are trained; most stay where they are.
 
-    Rows: offsets, features, log_scales. Labels: centres, and levels, at which level of growing an
-    anchor was made (-1: from a point). Shared: the networks.
+    Rows: offsets, features, log_scales. Labels: centres (a row where they move), and levels, at which
+    level of growing an anchor was made (-1: from a point). Shared: the networks.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class AnchorModel(Model):
         Args:
             index: Rows of those that are wanted; None: all.
         """
-        parts = {"centres": self.parameters.labels["centres"], **self.parameters.rows}
+        parts = {"centres": centres_of(self.parameters), **self.parameters.rows}
         if index is not None:
             parts = {name: value.index_select(0, index) for name, value in parts.items()}
         return scaffold.Anchors(**parts)
@@ -71,7 +72,7 @@ class AnchorModel(Model):
             deviations on the image, which lie within the ball.
         """
         radius = REACH * self.parameters.rows["log_scales"][:, :3].amax(dim=1).exp()
-        local = transform_points(camera, self.parameters.labels["centres"])
+        local = transform_points(camera, centres_of(self.parameters))
         sides = torch.from_numpy(frustum(camera)[1:, :3])  # all pass through the camera
         inwards = torch.nn.functional.normalize(sides, dim=1).T.to(local)
         inside = (local @ inwards).amin(dim=1)
@@ -86,21 +87,17 @@ class AnchorModel(Model):
         """
         del moment
         seen = self.in_view(view.camera)
-        anchors, shared = self.anchors(seen), self.parameters.shared
+        shared, centre = self.parameters.shared, view.camera.centre
+        features = None
         if f"{BANK}.weight0" in shared:
-            code = scaffold.view_code(anchors.centres, view.camera.centre)
-            blended = scaffold.blend_bank(anchors.features, network(BANK, shared), *code)
-            anchors = replace(anchors, features=blended)
+            anchors = self.anchors(seen)
+            code = scaffold.view_code(anchors.centres, centre)
+            features = scaffold.blend_bank(anchors.features, network(BANK, shared), *code)
         decoder = scaffold.Decoder(**{name: network(name, shared) for name in NETWORKS})
-        splats = scaffold.decode(
-            anchors, decoder, view.camera.centre, with_distance=self.with_distance
-        )
-        assert splats.rows is not None
-        assert splats.slots is not None
-        k = anchors.offsets.shape[1]
-        rows = seen[splats.rows]
-        slots = rows * k + splats.slots % k
-        return replace(splats, rows=rows, slots=slots, decoded=seen)
+        return decode_some(
+            self.anchors(), decoder, centre, seen, with_distance=self.with_distance,
+            features=features,
+        )  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
         """What `restored` needs beside the tensors."""

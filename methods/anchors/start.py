@@ -3,6 +3,7 @@
 from typing import Literal
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.methods.contracts.parameters import Parameters
@@ -37,7 +38,13 @@ def voxel_size(scene: Scene, rule: VoxelRule, coarsest: int) -> float:
 
 
 def started(
-    scene: Scene, *, voxel: float, k: int, features: int, shared: dict[str, Tensor]
+    scene: Scene,
+    *,
+    voxel: float,
+    k: int,
+    features: int,
+    shared: dict[str, Tensor],
+    moving: bool = False,
 ) -> Parameters:
     """One anchor in each voxel that holds a point: zero features and offsets, scales by neighbours.
 
@@ -47,6 +54,7 @@ def started(
         k: Gaussians an anchor.
         features: Numbers of an anchor's feature.
         shared: Tensors of the networks.
+        moving: Whether centres are trained: then they are rows, else labels.
 
     Raises: DataError if there is no point or no training view.
 
@@ -56,12 +64,17 @@ def started(
     centres = scaffold.anchor_voxels(scene.points.positions.double(), voxel)
     apart = neighbour_distance(centres, lone=0.01 * extent(scene))
     count = len(centres)
-    return Parameters(
-        {
-            "offsets": torch.zeros(count, k, 3),
-            "features": torch.zeros(count, features),
-            "log_scales": apart.log().float()[:, None].repeat(1, 6),
-        },
-        shared=shared,
-        labels={"centres": centres.float(), "levels": torch.full((count,), -1)},
-    )
+    rows = {
+        "offsets": torch.zeros(count, k, 3),
+        "features": torch.zeros(count, features),
+        "log_scales": apart.log().float()[:, None].repeat(1, 6),
+    }
+    labels = {"levels": torch.full((count,), -1)}
+    (rows if moving else labels)["centres"] = centres.float()
+    return Parameters(rows, shared=shared, labels=labels)
+
+
+def centres_of(parameters: Parameters) -> Float[Tensor, "n 3"]:
+    """Where the anchors of a model stand: a trained row where they move, a label where they do not."""
+    rows = parameters.rows
+    return rows["centres"] if "centres" in rows else parameters.labels["centres"]

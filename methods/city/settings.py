@@ -25,6 +25,8 @@ LOAD_WIDE = PartitionSettings(method="odbp", margin=0.15)
 class CitySettings(Settings):
     """A scene in blocks that are trained apart and merged. `iterations` are those of each block."""
 
+    exposure: Literal["off"] = "off"
+    """Exposures are not learnt: blocks are trained apart, and each would find others for a photo."""
     blocks: int = 4
     """Number of blocks (K) that the scene is cut into; 1: the whole scene is one block."""
     partition: PartitionSettings = field(default_factory=PartitionSettings)

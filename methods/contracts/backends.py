@@ -39,11 +39,15 @@ class Backend:
         Args:
             camera: Where it is taken from.
             splats: On any device; the result is on the same.
-            asked: background, mode, probe and the further outputs of `rasterize`.
+            asked: background, mode, probe and the further outputs of `rasterize`. Where splats have
+                the channels of several images, the background is that of each.
         """
+        background, colours = asked.get("background"), splats.colours
+        if background is not None and colours is not None:
+            asked["background"] = background.repeat(colours.shape[1] // len(background))
         return self.rasterize(
             camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
-            sh=splats.sh, colours=splats.colours, **asked,
+            sh=splats.sh, colours=colours, **asked,
         )  # fmt: skip
 
 

@@ -14,6 +14,8 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Loader
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
+from splatproof.methods.models import exposure
+from splatproof.methods.models.adapting import HasCode, fit_code
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.types.gaussians import Gaussians
@@ -43,7 +45,7 @@ class DecodedModel:
 
     @staticmethod
     def of(kind: str, model: Model, scene: Scene, backend: str) -> "DecodedModel":
-        """What a fit returns.
+        """What a fit returns; one that adapts (`AdaptingModel`) where the model has a code.
 
         Args:
             kind: Name of the kind of model.
@@ -51,7 +53,7 @@ class DecodedModel:
             scene: What it was trained on; its shift and units count.
             backend: Name of the rasterizer.
         """
-        return DecodedModel(
+        return _reconstruction(
             kind=kind, model=model, shift=scene.shift, units=scene.units, backend=backend
         )
 
@@ -73,15 +75,21 @@ class DecodedModel:
             view: What is looked at; its image is not.
             background: Colour behind everything; None is black.
         """
-        backend = get_backend(self.backend)
-        device = torch.device(backend.device)
-        self.model.parameters.to(device)
-        asked = view.without_truth()
-        output = backend.draw(
-            view.camera, self.model.splats(asked, TRAINED), mode=self.mode,
-            background=None if background is None else background.to(device),
+        self.model.parameters.to(self.device)
+        return self._drawn(view.without_truth(), background).to("cpu")
+
+    @property
+    def device(self) -> torch.device:
+        """Where it is drawn."""
+        return torch.device(get_backend(self.backend).device)
+
+    def _drawn(self, view: View, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
+        """The image of a view, with gradients, where its parameters are."""
+        output = get_backend(self.backend).draw(
+            view.camera, self.model.splats(view, TRAINED), mode=self.mode,
+            background=None if background is None else background.to(self.device),
         )  # fmt: skip
-        return replace(output, colour=self.model.finish_image(asked, output)).to("cpu")
+        return replace(output, colour=self.model.finish_image(view, output))
 
     @torch.no_grad()
     def bake(self, view: View | None = None) -> Gaussians:
@@ -111,6 +119,34 @@ class DecodedModel:
             "primitives": self.primitives, "model": self.model.facts(),
         }  # fmt: skip
         return Stored(tensors=self.model.parameters.state(), facts=facts)
+
+
+class AdaptingModel(DecodedModel):
+    """A decoded model whose Model has an appearance code (`HasCode`), which can be fitted."""
+
+    def fit_appearance(
+        self, view: View, image: Float[Tensor, "h w 3"], columns: slice
+    ) -> Float[Tensor, " c"]:
+        """Code that shows a view over black in the light of an image, see `fit_code`.
+
+        Args:
+            view: Camera, time and sensor of the image.
+            image: The columns that may be looked at, in [0, 1].
+            columns: Which columns of the whole image they are.
+        """
+        model, asked = self.model, view.without_truth()
+        assert isinstance(model, HasCode)
+        model.parameters.to(self.device)  # moved tensors are new ones: none asks for a gradient
+
+        def show(code: Tensor) -> Tensor:
+            return self._drawn(replace(asked, appearance=code)).colour
+
+        return fit_code(show, model.neutral_code(asked), image, columns).cpu()
+
+
+def _reconstruction(*, model: Model, **about: Any) -> DecodedModel:
+    made = AdaptingModel if isinstance(model, HasCode) else DecodedModel
+    return made(model=model, **about)
 
 
 def gaussians_of(splats: Splats) -> Gaussians:
@@ -147,7 +183,7 @@ def loader(kind: str, build: Build) -> Loader:
 
     def load(folder: Path, stored: Stored, backend: str) -> DecodedModel:
         try:
-            model = build(stored.facts["model"], stored.tensors)
+            model = exposure.restored(build, stored.facts["model"], stored.tensors)
             model.parameters.restore(stored.tensors)
             shift = torch.tensor(stored.facts["shift"], dtype=torch.float64)
             units = str(stored.facts["units"])
@@ -156,6 +192,6 @@ def loader(kind: str, build: Build) -> Loader:
         for name, value in stored.tensors.items():
             if value.is_floating_point() and not bool(value.isfinite().all()):
                 raise DataError(f"{folder / ARRAYS}: {name} is not finite")
-        return DecodedModel(kind=kind, model=model, shift=shift, units=units, backend=backend)
+        return _reconstruction(kind=kind, model=model, shift=shift, units=units, backend=backend)
 
     return load

@@ -6,9 +6,10 @@ from splatproof.methods.anchors import networks
 from splatproof.methods.anchors.control import AnchorControl
 from splatproof.methods.anchors.model import BANK, NETWORKS, AnchorModel
 from splatproof.methods.anchors.start import started, voxel_size
-from splatproof.methods.contracts.model import Schedule
+from splatproof.methods.contracts.model import Model, Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.scaffold.settings import Rates, Settings
 from splatproof.methods.training.initialise import extent, with_points
 from splatproof.methods.training.plan import Plan
@@ -37,8 +38,10 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
     Source: Lu et al. 2024, "Scaffold-GS", Sec. 3 and its release.
     """
 
-    def prepared() -> tuple[AnchorModel, Plan]:
-        return prepare(with_points(scene, run, random_points=settings.random_points), settings, run)
+    def prepared() -> tuple[Model, Plan]:
+        start = with_points(scene, run, random_points=settings.random_points)
+        model, plan = prepare(start, settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
 
     return DecodedModel.of(KIND, train(run, prepared), scene, run.backend)
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from splatproof.methods.anchors.control import AnchorDensity
 from splatproof.methods.anchors.start import VoxelRule
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.schedules import require
 
 
@@ -72,6 +73,9 @@ class Settings:
     """Weight of 1 - SSIM; L1 has the rest."""
     volume: float = 0.01
     """Weight of the mean volume of the decoded Gaussians (0.001 in the paper, 0.01 in its release)."""
+    exposure: Exposure = "off"
+    """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
+    gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
     rates: Rates = field(default_factory=Rates)
     density: AnchorDensity = field(default_factory=AnchorDensity)
 

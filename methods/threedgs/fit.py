@@ -1,7 +1,9 @@
 """Training of method 3dgs, and the parts of it that blocks and refinements share."""
 
+from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
@@ -28,11 +30,12 @@ def fit(scene: Scene, settings: Settings, run: Run) -> ExplicitModel:
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5 and Alg. 1.
     """
-    model = train(run, lambda: prepare(started(scene, settings, run), settings, run))
-    return ExplicitModel(
-        model=model.gaussians(), shift=scene.shift, units=scene.units, backend=run.backend,
-        mode=settings.mode,
-    )  # fmt: skip
+
+    def prepared() -> tuple[Model, Plan]:
+        model, plan = prepare(started(scene, settings, run), settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
+
+    return explicit(train(run, prepared), scene, run.backend)
 
 
 def started(scene: Scene, settings: Settings, run: Run) -> Scene:

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from splatproof.methods.contracts.method import Method
-from splatproof.methods.contracts.model import TRAINED, Moment
+from splatproof.methods.contracts.model import TRAINED, Model, Moment
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.models.gaussian_model import GaussianModel, assemble
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import cost
@@ -140,13 +141,11 @@ def fit(scene: Scene, settings: MipSettings, run: Run) -> ExplicitModel:
         paper's numbers.
     """
 
-    def prepared() -> tuple[MipModel, Plan]:
-        return prepare(threedgs.started(scene, settings, run), settings, run)
+    def prepared() -> tuple[Model, Plan]:
+        model, plan = prepare(threedgs.started(scene, settings, run), settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
 
-    return ExplicitModel(
-        model=train(run, prepared).gaussians(), shift=scene.shift, units=scene.units,
-        backend=run.backend, mode=settings.mode,
-    )  # fmt: skip
+    return explicit(train(run, prepared), scene, run.backend)
 
 
 def prepare(scene: Scene, settings: MipSettings, run: Run) -> tuple[MipModel, Plan]:

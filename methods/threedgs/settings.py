@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, field
 
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.reference.rasterizer.rasterize import Mode
@@ -47,6 +48,9 @@ class Settings:
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
     0.01). 0: none."""
+    exposure: Exposure = "off"
+    """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
+    gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
     dense: DenseSettings = field(default_factory=DenseSettings)
     """Which photos are matched, and which matches become points, where `dense_cell` is not 0."""
     rates: Rates = field(default_factory=Rates)

@@ -64,8 +64,26 @@ class Photometric:
         Args:
             frame: The view, rendered.
         """
-        loss = photometric if frame.image.device.type == "cpu" else losses.photometric
-        return loss(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
+        return photometric_loss(frame.image, frame.truth, dssim=self.dssim, mask=frame.mask)
+
+
+def photometric_loss(
+    image: Float[Tensor, "h w 3"],
+    truth: Float[Tensor, "h w 3"],
+    *,
+    dssim: float = 0.2,
+    mask: Bool[Tensor, "h w"] | None = None,
+) -> Float[Tensor, ""]:
+    """(1 - l) L1 + l (1 - SSIM) of two images, by the kernels on the CPU and by torch elsewhere.
+
+    Args:
+        image: Render; it alone gets a gradient.
+        truth: Photo in [0, 1].
+        dssim: Weight l in [0, 1].
+        mask: Pixels that count; None: all.
+    """
+    loss = photometric if image.device.type == "cpu" else losses.photometric
+    return loss(image, truth, dssim=dssim, mask=mask)
 
 
 ImageTerm = Term | Photometric

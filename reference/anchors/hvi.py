@@ -42,18 +42,41 @@ def to_hvi(
     return torch.stack([radius * angle.cos(), radius * angle.sin(), high], dim=-1)
 
 
-def descriptor(image: Float[Tensor, "h w 3"]) -> Float[Tensor, "12"]:
+def descriptor(image: Float[Tensor, "*n 3"]) -> Float[Tensor, "12"]:
     """What a view's light is like: mean, spread and the 10 and 90 % quantiles of H, V and I.
 
     Twelve numbers, in the order H, V, I within each statistic. The paper leaves f_HVI open; a
     learnt layer on top of these fixed statistics is enough to tell lights apart (our choice).
 
+    Args:
+        image: The view's image or those of its pixels that count, sRGB in [0, 1].
+
     Source: DLG-GS, Eq. 7; statistics: ours.
     """
-    pixels = to_hvi(image).reshape(-1, 3)
-    ends = torch.quantile(pixels, pixels.new_tensor([0.1, 0.9]), dim=0)
+    return statistics(to_hvi(image).reshape(-1, 3))
+
+
+def statistics(pixels: Float[Tensor, "n 3"]) -> Float[Tensor, "12"]:
+    """Mean, spread and the 10 and 90 % quantiles of each channel, the channels within each.
+
+    Args:
+        pixels: At least one, in any colour space.
+
+    Source: ours.
+    """
+    # By columns: torch's quantile takes no more than 2^24 numbers at once.
+    ends = torch.stack([_quantiles(column) for column in pixels.T], dim=1)
     spread = pixels.std(dim=0, correction=0)
     return torch.cat([pixels.mean(dim=0), spread, ends[0], ends[1]])
+
+
+def _quantiles(values: Float[Tensor, " n"]) -> Float[Tensor, "2"]:
+    """The 10 and 90 % quantiles, linear between the two nearest values."""
+    ordered = values.sort().values
+    places = values.new_tensor([0.1, 0.9], dtype=torch.float64) * (len(values) - 1)
+    low = places.floor().long()
+    high = (low + 1).clamp(max=len(values) - 1)
+    return torch.lerp(ordered[low], ordered[high], (places - low).to(values))
 
 
 def illumination_factor(

@@ -162,7 +162,8 @@ def volume_loss(scales: Float[Tensor, "m 3"]) -> Float[Tensor, ""]:
 
     Source: Lu et al. 2024, "Scaffold-GS", Eq. 9 (a sum there, a mean in its release).
     """
-    return scales.prod(dim=1).sum() / max(1, len(scales))
+    x, y, z = scales.unbind(dim=1)
+    return (x * y * z).sum() / max(1, len(scales))
 
 
 def candidates(

@@ -6,6 +6,7 @@ renders blend inverse distances, which a robust affine map can bring to the netw
 which what nothing covers is infinitely far instead of at the camera (ours).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -14,10 +15,13 @@ from torch import Tensor
 
 from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
 
 ANCHOR_OPACITY = 0.95
 """tau: fixed opacity of the anchor-level render."""
 QUANTILES = (0.02, 0.98)
+Rasterizer = Callable[..., RenderOutput]
+"""Anything with the signature and meaning of the reference's `rasterize`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,9 +43,10 @@ def _blend(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     carried: Float[Tensor, " n"],
+    rasterizer: Rasterizer,
 ) -> Float[Tensor, "h w"]:
     """Sum of w_i d_i over each pixel; not divided by the weights."""
-    return rasterize(
+    return rasterizer(
         camera, means, quaternions, scales, opacities, colours=carried[:, None]
     ).colour[..., 0]
 
@@ -57,6 +62,8 @@ def gaussian_disparity(
     quaternions: Float[Tensor, "n 4"],
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
+    *,
+    rasterizer: Rasterizer = rasterize,
 ) -> Float[Tensor, "h w"]:
     """D_ng = sum w_i / delta_i, delta = |u_i - x_c|; gradients reach position and opacity only.
 
@@ -68,13 +75,15 @@ def gaussian_disparity(
         quaternions: (w, x, y, z), any norm; no gradient flows to them.
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
         opacities: Opacity of each Gaussian, in [0, 1].
+        rasterizer: What draws it; a backend's keeps to the same signature.
 
     Returns: Blended inverse distance to the camera centre, one over scene units.
 
     Source: DLG-GS, Eqs. 1 and 2, with 1 / delta for delta.
     """
     carried = _inverse_distances(camera, means)
-    return _blend(camera, means, quaternions.detach(), scales.detach(), opacities, carried)
+    fixed = quaternions.detach(), scales.detach()
+    return _blend(camera, means, *fixed, opacities, carried, rasterizer)
 
 
 def anchor_disparity(
@@ -83,6 +92,8 @@ def anchor_disparity(
     means: Float[Tensor, "n 3"],
     quaternions: Float[Tensor, "n 4"],
     scales: Float[Tensor, "n 3"],
+    *,
+    rasterizer: Rasterizer = rasterize,
 ) -> Float[Tensor, "h w"]:
     """D_va: as D_ng with the anchors' distances and tau G(p), tau = 0.95; gradients reach anchors.
 
@@ -94,12 +105,14 @@ def anchor_disparity(
         means: World positions of the Gaussians, scene units; no gradient flows to them.
         quaternions: (w, x, y, z), any norm; no gradient flows to them.
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
+        rasterizer: What draws it; a backend's keeps to the same signature.
 
     Source: DLG-GS, Eq. 3, with 1 / delta for delta.
     """
     carried = _inverse_distances(camera, anchors)
     opacities = torch.full_like(carried, ANCHOR_OPACITY).detach()
-    return _blend(camera, means.detach(), quaternions.detach(), scales.detach(), opacities, carried)
+    fixed = means.detach(), quaternions.detach(), scales.detach()
+    return _blend(camera, *fixed, opacities, carried, rasterizer)
 
 
 def normalise_disparity(
@@ -140,6 +153,25 @@ def appearance_weight(
     return 1 - (adapted - original).detach().abs().mean(dim=-1).clamp(0, 1)
 
 
+def disparity_error(
+    disparity: Float[Tensor, "h w"],
+    target: Float[Tensor, "h w"],
+    valid: Bool[Tensor, "h w"],
+    weight: Float[Tensor, "h w"],
+) -> Float[Tensor, ""]:
+    """Mean over all pixels of w |D - D_r|, D brought to the range of the target.
+
+    Args:
+        disparity: D_ng or D_va.
+        target: D_r, from `normalise_disparity` with the same valid pixels.
+        valid: Pixels where D_r is known.
+        weight: w in [0, 1], from `appearance_weight`.
+
+    Source: DLG-GS, Eq. 4.
+    """
+    return (weight * (normalise_disparity(disparity, valid) - target).abs()).mean()
+
+
 def depth_loss(
     gaussian: Float[Tensor, "h w"],
     anchor: Float[Tensor, "h w"],
@@ -161,8 +193,5 @@ def depth_loss(
     Source: DLG-GS, Eqs. 4 and 5.
     """
     target = normalise_disparity(reference, valid)
-    terms = [
-        (weight * (normalise_disparity(disparity, valid) - target).abs()).mean()
-        for disparity in (gaussian, anchor)
-    ]
+    terms = [disparity_error(each, target, valid, weight) for each in (gaussian, anchor)]
     return strength.gaussian * terms[0] + strength.anchor * terms[1]

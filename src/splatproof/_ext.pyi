@@ -178,3 +178,65 @@ def render_blocks(
     depth: Tensor,
 ) -> None:
     """Render each block of Gaussians alone."""
+
+class Anchors:
+    """Arrays of anchors and of the networks that decode them."""
+
+    def __init__(
+        self,
+        centres: Tensor,
+        offsets: Tensor,
+        features: Tensor,
+        log_scales: Tensor,
+        index: Tensor | None,
+        camera_centre: Tensor,
+        with_distance: bool,
+        own_features: bool,
+        networks: list[Tensor],
+    ) -> None: ...
+
+class Decoded:
+    """What a backward pass needs of the decoding of anchors."""
+
+    @property
+    def count(self) -> int:
+        """Gaussians."""
+
+    @property
+    def bytes(self) -> int:
+        """Memory held."""
+
+def open_anchors(anchors: Anchors) -> Decoded:
+    """Evaluate what decides how many Gaussians there are."""
+
+def fill_anchors(
+    state: Decoded,
+    anchors: Anchors,
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    rows: Tensor,
+    slots: Tensor,
+) -> None:
+    """Decode the Gaussians into the given arrays."""
+
+def decode_backward(
+    state: Decoded,
+    anchors: Anchors,
+    quaternions: Tensor,
+    scales: Tensor,
+    colours: Tensor,
+    of_means: Tensor | None,
+    of_quaternions: Tensor | None,
+    of_scales: Tensor | None,
+    of_opacities: Tensor | None,
+    of_colours: Tensor | None,
+    by_centres: Tensor | None,
+    by_offsets: Tensor | None,
+    by_features: Tensor | None,
+    by_log_scales: Tensor | None,
+    by_networks: list[Tensor],
+) -> None:
+    """Gradients by anchors and networks from gradients by what was decoded."""

@@ -1,5 +1,6 @@
 """All components that have twins. Put a new one here and it is timed, judged, plotted and tested."""
 
+from splatproof.suites.twins.anchors import DECODING
 from splatproof.suites.twins.files import PACKING
 from splatproof.suites.twins.images import LOSS, SSIM
 from splatproof.suites.twins.optimizers import ADAM
@@ -12,6 +13,6 @@ from splatproof.suites.twins.twin import Component
 COMPONENTS: dict[str, Component] = {
     component.name: component
     for component in (
-        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, SOFT_RANK, STITCHING, PACKING, TRAINING,
+        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, SOFT_RANK, STITCHING, PACKING, TRAINING,
     )
 }  # fmt: skip

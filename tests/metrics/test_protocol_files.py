@@ -15,7 +15,8 @@ def test_each_of_ours_loads_and_says_its_source(name):
     assert protocol.name == name
     assert protocol.source
     assert not protocol.colour_fit  # never in a column that is ranked unless asked for
-    assert protocol.appearance != "oracle"
+    # its rows are not ranked, and its name says why
+    assert (protocol.appearance == "oracle") == name.endswith("_oracle")
 
 
 def test_the_default_is_the_default_of_the_type():

@@ -66,6 +66,7 @@ void check_rows(const Maybe<A>& a, int64_t n, size_t columns, const char* what) 
   check(!a || (a->shape(0) == (size_t)n && a->size() == (size_t)n * columns), what);
 }
 
+void bind_anchors(nb::module_& m);
 void bind_raster(nb::module_& m);
 void bind_training(nb::module_& m);
 

@@ -83,6 +83,7 @@ NB_MODULE(_ext, m) {
   }, nb::arg("x"), nb::arg("y"), "y = 2^x for x in [-100, 0], as the kernels compute it.");
 
   register_roofline(m);
+  bind_anchors(m);
   bind_raster(m);
   bind_training(m);
 }

@@ -70,7 +70,7 @@ constexpr bool leaf = N * sizeof(T) <= BYTES;
 
 template <class T, int N>
 INLINE V<T, N> broadcast(T x) {
-  if constexpr (leaf<T, N>) return {typename V<T, N>::Values{} + x};
+  if constexpr (leaf<T, N>) return {x - typename V<T, N>::Values{}};  // 0 + x would be an addition: it is 0 for -0
   else return {broadcast<T, N / 2>(x), broadcast<T, N / 2>(x)};
 }
 INLINE vf all(float x) { return broadcast<float, LANES>(x); }

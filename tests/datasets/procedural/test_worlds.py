@@ -12,6 +12,8 @@ from splatproof.cli import main
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import aerial, city, exporting, street, tracing, tunnel, worlds
 from splatproof.datasets.procedural import ray_images as frames
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.nearest_view import nearest_view
 from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
@@ -89,6 +91,32 @@ def test_the_city_is_tested_where_it_was_not_flown(made):
         assert float((gap[:3, :3]).abs().max()) < 1e-12
         shift = shot.camera.rotation @ scene.shift
         assert float((gap[:3, 3] - shift).abs().max()) < 1e-9
+
+
+def test_views_of_the_tunnel_know_their_stop_and_camera_and_have_no_masks(made):
+    folder, _ = made("tunnel")
+    for rules in (PROTOCOL, replace(PROTOCOL, test_folder=tunnel.RELIT)):
+        for view in open_scene(folder, rules).views:
+            stop, camera = int(view.name[5:9]), int(view.name[17])
+            assert (view.time, view.sensor) == (tunnel.SECONDS * stop, f"camera_{camera}")
+            assert view.load_sky is view.load_moving is None
+
+
+def test_a_stop_of_the_tunnel_is_held_out_with_all_its_cameras(made):
+    rules = replace(load_protocol("tunnel"), hold_first=1, hold=2)
+    scene = open_scene(made("tunnel")[0], rules)
+    assert {view.name[5:9] for view in scene.test_views} == {"0001", "0003"}
+    assert {view.name[5:9] for view in scene.train_views} == {"0000", "0002"}
+    for view in scene.test_views:
+        nearest = nearest_view(view, scene.train_views)
+        assert nearest.sensor == view.sensor
+        assert abs((nearest.time or 0) - (view.time or 0)) == tunnel.SECONDS
+
+
+def test_a_relit_view_is_nearest_to_the_same_camera_under_the_rigs_own_light(made):
+    scene = open_scene(made("tunnel")[0], load_protocol("tunnel_relit"))
+    (view,) = scene.test_views
+    assert nearest_view(view, scene.train_views).name == view.name.replace("_relit", "")
 
 
 def test_the_relit_tunnel_has_the_same_depth_and_other_light(made):

@@ -1,0 +1,80 @@
+"""Local self-attention over lists of neighbours: twin of the masked dense one of the reference."""
+
+import math
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from splatproof.methods.dlg_gs.neighbours import Neighbours
+from splatproof.reference.anchors.attention import AttentionWeights
+
+
+def local_attention(
+    features: Float[Tensor, "n d"], neighbours: Neighbours, weights: AttentionWeights
+) -> Float[Tensor, "n dv"]:
+    """Softmax(Q K^T / sqrt(d_k)) V over each anchor's neighbours.
+
+    Twin of splatproof.reference.anchors.attention.local_attention: it differs by rounding only.
+
+    Args:
+        features: Gated inputs, from `pooled_gates`.
+        neighbours: Which anchors each one sees; itself among them.
+        weights: The three projections are read.
+
+    Source: DLG-GS, Eqs. 9 to 11; the backward pass by lists: ours.
+    """
+    query, key, value = (features @ w for w in (weights.query, weights.key, weights.value))
+    return _Attend.apply(query / math.sqrt(key.shape[1]), key, value, neighbours)  # type: ignore[return-value]
+
+
+class _Attend(torch.autograd.Function):
+    """A graph of the pairs would keep three tensors of all pairs; this keeps one number a pair."""
+
+    @staticmethod
+    def forward(ctx: Any, query: Tensor, key: Tensor, value: Tensor, neighbours: Neighbours):
+        scores = _products(query, key, neighbours)
+        sources = neighbours.sources
+        highest = scores.new_full((len(query),), -torch.inf)
+        highest = highest.scatter_reduce(0, sources, scores, "amax")
+        shares = (scores - highest[sources]).exp_()
+        shares /= _sums(shares, neighbours)[sources]
+        ctx.save_for_backward(query, key, value, shares)
+        ctx.neighbours = neighbours
+        return _mixed(value, shares, neighbours)
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor):
+        query, key, value, shares = ctx.saved_tensors
+        neighbours, given = ctx.neighbours, grad_outputs[0].contiguous()
+        by_share = _products(given, value, neighbours)
+        mean = _sums(shares * by_share, neighbours)
+        by_score = shares * (by_share - mean[neighbours.sources])
+        reverse = neighbours.reverse
+        return (
+            _mixed(key, by_score, neighbours),
+            _mixed(query, by_score[reverse], neighbours),
+            _mixed(given, shares[reverse], neighbours),
+            None,
+        )
+
+
+def _products(left: Tensor, right: Tensor, neighbours: Neighbours) -> Tensor:
+    """Inner product of the source's row and the target's, for every pair."""
+    rows = left.index_select(0, neighbours.sources)
+    return rows.mul_(right.index_select(0, neighbours.targets)).sum(dim=1)
+
+
+def _sums(values: Tensor, neighbours: Neighbours) -> Tensor:
+    """Sum over the pairs of each source."""
+    total = values.new_zeros(len(neighbours.starts))
+    return total.index_add_(0, neighbours.sources, values)
+
+
+def _mixed(values: Tensor, shares: Tensor, neighbours: Neighbours) -> Tensor:
+    """Weighted sum, for each source, of the rows of its targets."""
+    return functional.embedding_bag(
+        neighbours.targets, values, neighbours.starts, mode="sum", per_sample_weights=shares
+    )

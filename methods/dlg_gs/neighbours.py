@@ -1,0 +1,91 @@
+"""Which anchors are near which: lists in place of a mask of all pairs."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Neighbours:
+    """Pairs (source, target) of anchors, sorted by source and then target; each with its reverse.
+
+    Every anchor is a neighbour of itself.
+    """
+
+    sources: Int[Tensor, " e"]
+    targets: Int[Tensor, " e"]
+    reverse: Int[Tensor, " e"]
+    """Where the pair (target, source) stands."""
+    starts: Int[Tensor, " n"]
+    """Where the pairs of each source begin."""
+
+    def among(self, chosen: Int[Tensor, " v"]) -> "Neighbours":
+        """The pairs both of whose anchors are chosen, renumbered.
+
+        Args:
+            chosen: Rows of anchors, ascending.
+        """
+        place = self.starts.new_full((len(self.starts),), -1)
+        place[chosen] = torch.arange(len(chosen), device=place.device)
+        sources, targets = place[self.sources], place[self.targets]
+        return self._kept((sources >= 0) & (targets >= 0), sources, targets, len(chosen))
+
+    def within(self, centres: Float[Tensor, "n 3"], radius: float) -> "Neighbours":
+        """The pairs that are no farther apart than a radius.
+
+        Args:
+            centres: Where the anchors stand.
+            radius: In the unit of the centres, >= 0.
+        """
+        apart = (centres[self.sources] - centres[self.targets]).norm(dim=1)
+        near = (apart <= radius) | (self.sources == self.targets)
+        return self._kept(near, self.sources, self.targets, len(centres))
+
+    def _kept(self, keep: Tensor, sources: Tensor, targets: Tensor, count: int) -> "Neighbours":
+        """Some of the pairs; with each its reverse."""
+        place = keep.cumsum(0) - 1
+        index = torch.where(keep)[0]
+        sources = sources[index]
+        return Neighbours(
+            sources=sources, targets=targets[index], reverse=place[self.reverse[index]],
+            starts=starts_of(sources, count),
+        )  # fmt: skip
+
+
+def starts_of(sources: Int[Tensor, " e"], count: int) -> Int[Tensor, " n"]:
+    """Where the pairs of each source begin.
+
+    Args:
+        sources: Ascending, every number below `count` among them.
+        count: Number of sources.
+    """
+    return torch.searchsorted(sources, torch.arange(count, device=sources.device))
+
+
+def neighbours(centres: Float[Tensor, "n 3"], radius: float) -> Neighbours:
+    """All pairs within a radius, found by a k-d tree.
+
+    Args:
+        centres: Where the anchors stand.
+        radius: In the unit of the centres, >= 0; anchors at exactly it are neighbours.
+    """
+    count = len(centres)
+    points = centres.detach().double().cpu().numpy()
+    # A little farther than asked for: what rounding leaves out here, nothing brings back.
+    pairs = KDTree(points).query_pairs(radius * (1 + 1e-6), output_type="ndarray")
+    found = torch.from_numpy(pairs).to(centres.device).long()
+    own = torch.arange(count, device=centres.device)
+    keys = torch.cat(
+        [own * count + own, found[:, 0] * count + found[:, 1], found[:, 1] * count + found[:, 0]]
+    )
+    keys = keys.sort().values
+    sources, targets = keys // max(count, 1), keys % max(count, 1)
+    every = Neighbours(
+        sources=sources, targets=targets,
+        reverse=torch.searchsorted(keys, targets * count + sources),
+        starts=starts_of(sources, count),
+    )  # fmt: skip
+    return every.within(centres.detach(), radius)

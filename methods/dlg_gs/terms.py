@@ -1,0 +1,175 @@
+"""What method dlg-gs minimises, term by term."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.datasets.image_cache import TensorCache
+from splatproof.methods.anchors.start import centres_of
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.dlg_gs.settings import Settings
+from splatproof.methods.scaffold.fit import mean_volume
+from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
+from splatproof.reference.anchors import lighting_appearance
+from splatproof.reference.supervision import depth_constraint
+
+
+def terms(settings: Settings, run: Run) -> tuple[ImageTerm, ...]:
+    """What method dlg-gs minimises.
+
+    Args:
+        settings: Which parts are on, and their weights.
+        run: Whose backend draws depths and what is left without dropped Gaussians.
+    """
+    made = colour_terms(settings)
+    depth = Depth(run, weighted=settings.weight_map)
+    if settings.vdjc in ("ec", "both") and settings.ec:
+        made.append(Term(name="gaussian depth", loss=depth.of_gaussians, weight=settings.ec))
+    if settings.moves and settings.mc:
+        made.append(Term(name="anchor depth", loss=depth.of_anchors, weight=settings.mc))
+    if settings.volume:
+        loss = mean_volume if settings.volume_rule == "mean" else summed_volume
+        made.append(Term(name="volume", loss=loss, weight=settings.volume))
+    if settings.dropout:
+        dropout = Dropout(run, share=settings.dropout_share, dssim=settings.dssim)
+        made.append(Term(name="dropout", loss=dropout.loss, weight=settings.dropout))
+    return tuple(made)
+
+
+def colour_terms(settings: Settings) -> list[ImageTerm]:
+    """L1 of the adapted render, and the structure of the original one where there are two.
+
+    Args:
+        settings: dlaam and dssim count.
+
+    Source: DLG-GS, Eq. 16.
+    """
+    if settings.dlaam == "off":
+        return [Photometric(dssim=settings.dssim)]
+    return [
+        Photometric(dssim=0.0, name="adapted l1", weight=1 - settings.dssim),
+        Term(name="original dssim", loss=original_dssim, weight=settings.dssim),
+    ]
+
+
+def original_dssim(frame: Frame) -> Float[Tensor, ""]:
+    """1 - SSIM of the render with original colours."""
+    original = replace(frame.output, colour=frame.output.colour[..., 3:])
+    image = frame.model.finish_image(frame.view.without_truth(), original)
+    return photometric_loss(image, frame.truth, dssim=1.0, mask=frame.mask)
+
+
+def summed_volume(frame: Frame) -> Float[Tensor, ""]:
+    """Summed volume of the decoded Gaussians of a view."""
+    return lighting_appearance.volume_loss(frame.splats.scales)
+
+
+class Depth:
+    """Rendered disparities against the views' depth priors.
+
+    Source: DLG-GS, Sec. 2.2.
+    """
+
+    def __init__(self, run: Run, *, weighted: bool) -> None:
+        """Start without any prior in memory.
+
+        Args:
+            run: Its backend draws; priors are kept in as many bytes as images are.
+            weighted: Whether pixels whose two renders differ count less.
+        """
+        self.rasterizer = get_backend(run.backend).rasterize
+        self.priors = TensorCache(run.image_bytes)
+        self.weighted = weighted
+
+    def of_gaussians(self, frame: Frame) -> Float[Tensor, ""]:
+        """EC, by the Gaussians' distances: it moves and fades them, and leaves their shape alone.
+
+        Args:
+            frame: A rendered view that has a depth prior.
+        """
+        splats = frame.splats
+        disparity = depth_constraint.gaussian_disparity(
+            frame.view.camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
+            rasterizer=self.rasterizer,
+        )  # fmt: skip
+        return self._error(disparity, frame)
+
+    def of_anchors(self, frame: Frame) -> Float[Tensor, ""]:
+        """MC, by the anchors' distances at a fixed opacity: it moves anchors only.
+
+        Args:
+            frame: A rendered view that has a depth prior.
+        """
+        splats = frame.splats
+        assert splats.rows is not None
+        anchors = centres_of(frame.model.parameters).index_select(0, splats.rows)
+        disparity = depth_constraint.anchor_disparity(
+            frame.view.camera, anchors, splats.means, splats.quaternions, splats.scales,
+            rasterizer=self.rasterizer,
+        )  # fmt: skip
+        return self._error(disparity, frame)
+
+    def _error(self, disparity: Tensor, frame: Frame) -> Tensor:
+        """Difference to the prior, where the mask lets it count."""
+        device = disparity.device
+        load = frame.view.load_prior
+        assert load is not None
+        name = frame.view.name
+        valid = self.priors.get((name, "valid"), lambda: load().valid.to(device))
+        if frame.mask is not None:
+            valid = valid & frame.mask
+        target = self.priors.get(
+            (name, "target"),
+            lambda: depth_constraint.normalise_disparity(load().disparity.to(device), valid),
+        )
+        return depth_constraint.disparity_error(disparity, target, valid, self._weight(frame))
+
+    def _weight(self, frame: Frame) -> Tensor:
+        """How much each pixel's depth counts."""
+        colours = frame.output.colour
+        if not self.weighted or colours.shape[2] == 3:
+            return torch.ones_like(frame.output.alpha)
+        return depth_constraint.appearance_weight(colours[..., :3], colours[..., 3:])
+
+
+class Dropout:
+    """The render without randomly chosen Gaussians against the full one.
+
+    Source: DLG-GS, Eqs. 18 and 19.
+    """
+
+    def __init__(self, run: Run, *, share: float, dssim: float) -> None:
+        """Take what every view has in common.
+
+        Args:
+            run: Its backend draws, over its background.
+            share: Chance of each Gaussian to be left out, in [0, 1).
+            dssim: Weight of the structural part of the difference.
+        """
+        self.backend = get_backend(run.backend)
+        self.background = torch.tensor(run.background)
+        self.share, self.dssim = share, dssim
+
+    def loss(self, frame: Frame) -> Float[Tensor, ""]:
+        """The term of one view; nothing flows through the full render.
+
+        Args:
+            frame: The view, rendered; its moment's generator decides who is left out.
+        """
+        splats, generator = frame.splats, frame.moment.generator
+        assert splats.colours is not None
+        assert generator is not None
+        shown = lighting_appearance.dropout_mask(len(splats), self.share, generator)
+        left = replace(
+            splats, colours=splats.colours[:, :3], opacities=splats.opacities * shown.to(splats.means)
+        )  # fmt: skip
+        output = self.backend.draw(
+            frame.view.camera, left, background=self.background.to(left.means),
+            mode=frame.model.mode,
+        )  # fmt: skip
+        image = frame.model.finish_image(frame.view.without_truth(), output)
+        full = frame.image.detach()
+        return photometric_loss(image, full, dssim=self.dssim, mask=frame.mask)

@@ -1,0 +1,193 @@
+"""The terms of dlg-gs against the paper's equations, and where their gradients reach."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from helpers.tiny_scene import tiny_scene
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.model import Moment
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.dlg_gs.fit import prepare
+from splatproof.methods.dlg_gs.settings import Settings
+from splatproof.methods.dlg_gs.terms import terms
+from splatproof.methods.training.terms import Frame
+from splatproof.reference.anchors import lighting_appearance
+from splatproof.reference.supervision import depth_constraint, losses
+from splatproof.reference.types.scene import DepthPrior, Scene
+
+SMALL = Settings(iterations=50, k=3, features=8, head=6, factor_width=4)
+BACKGROUND = (0.2, 0.4, 0.6)
+RUN = Run(threads=1, background=BACKGROUND)
+
+
+def with_priors(scene: Scene) -> Scene:
+    """The scene with a disparity, of its own scale, and an unknown corner for each training view."""
+
+    def told() -> DepthPrior:
+        steps = torch.arange(18 * 24).reshape(18, 24) / 100
+        valid = torch.ones(18, 24, dtype=torch.bool)
+        valid[:4, :5] = False
+        return DepthPrior(disparity=3 + steps.where(valid, torch.nan), valid=valid)
+
+    views = tuple(
+        replace(view, load_prior=told) if i in scene.train else view
+        for i, view in enumerate(scene.views)
+    )
+    return replace(scene, views=views)
+
+
+class Made:
+    """A frame of view 2 with gradients, and the terms of settings."""
+
+    def __init__(self, settings: Settings, mask: Tensor | None = None) -> None:
+        scene = with_priors(tiny_scene())
+        self.model, _ = prepare(scene, settings, RUN)
+        generator = torch.Generator().manual_seed(1)
+        for name, value in self.model.parameters.rows.items():
+            if name in ("offsets", "features"):
+                self.model.parameters.rows[name] = torch.randn(value.shape, generator=generator)
+        for name, value in self.model.parameters.trained.items():
+            value.requires_grad_(name in self.model.schedules)
+        view = scene.views[2]
+        moment = Moment(step=1, total=2, generator=torch.Generator().manual_seed(5))
+        splats = self.model.splats(view, moment)
+        background = torch.tensor(BACKGROUND)
+        output = get_backend("cpu").draw(view.camera, splats, background=background)
+        self.frame = Frame(
+            view=view, moment=moment, splats=splats, output=output, truth=view.load(), mask=mask,
+            image=self.model.finish_image(view, output), model=self.model,
+        )  # fmt: skip
+        self.terms = {term.name: term for term in terms(settings, RUN)}
+
+    def loss(self, name: str) -> Tensor:
+        return self.terms[name].loss(self.frame)
+
+    def reached(self, name: str) -> set[str]:
+        """Names of the tensors that a term's gradient reaches."""
+        self.loss(name).backward()
+        trained = self.model.parameters.trained
+        return {n for n, v in trained.items() if v.grad is not None and bool(v.grad.any())}
+
+
+def test_all_terms_by_name_and_weight():
+    found = {name: term.weight for name, term in Made(SMALL).terms.items()}
+    assert found == {
+        "adapted l1": 0.8, "original dssim": 0.2, "gaussian depth": 0.01, "anchor depth": 0.01,
+        "volume": 0.001, "dropout": 0.1,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("chosen", "gone"),
+    [
+        ({"vdjc": "off"}, {"gaussian depth", "anchor depth"}),
+        ({"vdjc": "ec"}, {"anchor depth"}),
+        ({"vdjc": "mc"}, {"gaussian depth"}),
+        ({"dropout": 0.0}, {"dropout"}),
+        ({"volume": 0.0}, {"volume"}),
+        ({"ec": 0.0, "mc": 0.0}, {"gaussian depth", "anchor depth"}),
+    ],
+)
+def test_what_is_off_is_no_term(chosen, gone):
+    every, left = (Made(each).terms.keys() for each in (SMALL, replace(SMALL, **chosen)))
+    assert every - left == gone
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_colours_by_the_paper(masked):
+    mask = torch.arange(18 * 24).reshape(18, 24) % 7 > 0 if masked else None
+    made = Made(SMALL, mask)
+    adapted, original = made.frame.output.colour.split(3, dim=-1)
+    found = 0.8 * made.loss("adapted l1") + 0.2 * made.loss("original dssim")
+    truth = made.frame.truth
+    l1 = losses.photometric(adapted, truth, dssim=0.0, mask=mask)
+    want = 0.8 * l1 + 0.2 * losses.photometric(original, truth, dssim=1.0, mask=mask)
+    torch.testing.assert_close(found, want, atol=1e-6, rtol=1e-5)
+    if not masked:
+        paper = lighting_appearance.colour_loss(adapted, original, truth)
+        torch.testing.assert_close(found, paper, atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_depths_by_the_paper(weighted):
+    made = Made(replace(SMALL, weight_map=weighted))
+    frame, splats = made.frame, made.frame.splats
+    assert frame.view.load_prior is not None
+    assert splats.rows is not None
+    prior = frame.view.load_prior()
+    adapted, original = frame.output.colour.split(3, dim=-1)
+    weight = depth_constraint.appearance_weight(adapted, original)
+    assert 0.02 < float((1 - weight).max())
+    shape = (frame.view.camera, splats.means, splats.quaternions, splats.scales)
+    anchors = made.model.parameters.rows["centres"][splats.rows]
+    want = depth_constraint.depth_loss(
+        depth_constraint.gaussian_disparity(*shape, splats.opacities),
+        depth_constraint.anchor_disparity(frame.view.camera, anchors, *shape[1:]),
+        prior.disparity, prior.valid, weight if weighted else torch.ones_like(weight),
+        depth_constraint.DepthWeights(),
+    )  # fmt: skip
+    found = 0.01 * made.loss("gaussian depth") + 0.01 * made.loss("anchor depth")
+    torch.testing.assert_close(found, want, atol=1e-7, rtol=1e-4)
+
+
+def test_masked_pixels_have_no_depth():
+    half = torch.zeros(18, 24, dtype=torch.bool)
+    half[:, :12] = True
+    made = Made(replace(SMALL, weight_map=False), half)
+    assert made.frame.view.load_prior is not None
+    prior = made.frame.view.load_prior()
+    left = replace(prior, valid=prior.valid & half)
+    whole = Made(replace(SMALL, weight_map=False))
+    whole.frame = replace(whole.frame, view=replace(whole.frame.view, load_prior=lambda: left))
+    assert torch.equal(made.loss("anchor depth"), whole.loss("anchor depth"))
+
+
+def test_where_gradients_reach():
+    """No light through the weights of depth; the anchors' depth moves nothing but anchors."""
+    assert Made(SMALL).reached("anchor depth") == {"centres"}
+    decoding = {"offsets", "features", "log_scales", "centres"}
+    reached = Made(SMALL).reached("gaussian depth")
+    assert reached >= decoding
+    assert not {name for name in reached if name.startswith(("light", "head", "attention", "col"))}
+    assert not {n for n in Made(SMALL).reached("original dssim") if n.startswith(("head", "light"))}
+    assert "head.weight2" in Made(SMALL).reached("adapted l1")
+    assert {n for n in Made(SMALL).reached("volume") if n.startswith("shape")}
+
+
+def test_volume_is_the_sum_or_the_mean():
+    made = Made(SMALL)
+    volumes = made.frame.splats.scales.prod(dim=1)
+    torch.testing.assert_close(made.loss("volume"), volumes.mean())
+    torch.testing.assert_close(
+        Made(replace(SMALL, volume_rule="sum")).loss("volume"), volumes.sum()
+    )
+
+
+def test_dropout_by_the_paper_and_no_gradient_through_the_full_render():
+    made = Made(replace(SMALL, dropout_share=0.4))
+    splats = made.frame.splats
+    generator = torch.Generator().manual_seed(5)
+    shown = lighting_appearance.dropout_mask(len(splats), 0.4, generator)
+    assert splats.colours is not None
+    left = replace(
+        splats, means=splats.means[shown], quaternions=splats.quaternions[shown],
+        scales=splats.scales[shown], opacities=splats.opacities[shown],
+        colours=splats.colours[shown, :3], rows=None, slots=None,
+    )  # fmt: skip
+    output = get_backend("cpu").draw(
+        made.frame.view.camera, left, background=torch.tensor(BACKGROUND)
+    )
+    want = lighting_appearance.dropout_loss(output.colour, made.frame.image)
+    torch.testing.assert_close(made.loss("dropout"), want, atol=1e-6, rtol=1e-5)
+    names = ["features", "offsets"]
+    rows = [made.model.parameters.rows[name] for name in names]
+    made.frame.moment.generator.manual_seed(5)  # type: ignore[union-attr]
+    for found, other in zip(
+        torch.autograd.grad(made.loss("dropout"), rows, retain_graph=True),
+        torch.autograd.grad(want, rows),
+        strict=True,
+    ):
+        torch.testing.assert_close(found, other, atol=1e-5, rtol=1e-3)
