@@ -85,8 +85,8 @@ def things(positions: Float64[np.ndarray, "n 3"]) -> Int32[np.ndarray, " n"]:
 
 def _spacing(positions: Float64[np.ndarray, "n 3"]) -> float:
     """Median distance of the third neighbour, or the last where there are fewer."""
-    count = min(4, len(positions))
-    return float(np.median(KDTree(positions).query(positions, k=[count])[0]))
+    apart, _ = KDTree(positions).query(positions, k=min(4, len(positions)))
+    return float(np.median(np.reshape(apart, (len(positions), -1))[:, -1]))
 
 
 def motion(
@@ -128,6 +128,6 @@ def motion(
         apart, which = there.query(sample + shift, distance_upper_bound=far)
         onto = np.isfinite(apart)
         if onto.any():
-            moved = shift + np.median(close[which[onto]] - sample[onto] - shift, axis=0)
+            moved = shift + np.median(close[np.asarray(which)[onto]] - sample[onto] - shift, axis=0)
             shift = min((shift, moved), key=left)
     return left(shift) / max(left(np.zeros(3)), 1e-12), shift

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -31,7 +32,7 @@ CLOCK = Clock(middle=1.0, second=0.2, duration=0.2)
 STILL = Motion(smoothing=0.0)
 
 
-def model(count: int = 12, motion: Motion = STILL, *, sky: int = 0, rates=None, **values):
+def model(count: int = 12, motion: Motion = STILL, *, sky: int = 0, rates=None, **values: Any):
     one = random_gaussians(count)
     generator = torch.Generator().manual_seed(7)
     rows = {
@@ -98,17 +99,14 @@ def test_of_nothing_that_lives_nothing_is_drawn():
     assert len(splats) == 0
 
 
-def still(count: int = 20) -> dict[str, torch.Tensor]:
-    return {
-        "velocities": torch.zeros(count, 3), "log_spans": torch.full((count,), math.inf),
-    }  # fmt: skip
-
-
 def test_without_motion_life_and_sky_it_trains_as_3dgs_does_to_the_bit():
     scene, count = tiny_scene(), 20
     views = tuple(replace(v, time=0.1 * i) for i, v in enumerate(scene.train_views))
     frozen = MovingRates(velocities=0.0, peaks=0.0, log_spans=0.0)
-    ours = model(count, rates=frozen, **still(count))
+    ours = model(
+        count, rates=frozen, velocities=torch.zeros(count, 3),
+        log_spans=torch.full((count,), math.inf),
+    )  # fmt: skip
     theirs = GaussianModel(random_gaussians(count), Rates(), extent=1.0)
     density = Density(start=0, interval=5, least_interval=5, gradient=1e-6, reset_interval=12)
     for one in (ours, theirs):
