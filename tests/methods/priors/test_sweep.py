@@ -107,6 +107,14 @@ def test_only_what_two_neighbours_say_is_valid_and_most_win():
     assert not sweep.agreed(found[:1], view).valid.any()
 
 
+def test_the_better_confirmed_of_two_disparities_wins_in_any_order():
+    view = replace(scene().views[0], camera=camera(0, width=1, height=1))
+    pairs = [(torch.tensor([[d]]), torch.tensor([[w]])) for d, w in
+             ((0.2, 5.0), (0.2, 5.0), (0.4, 1.0), (0.4, 1.0))]  # fmt: skip
+    for found in (pairs, pairs[::-1]):
+        assert_close(sweep.agreed(found, view).disparity, torch.tensor([[0.2]]))
+
+
 def test_scale_and_zero_are_those_of_the_points_though_some_are_wrong():
     positions = on_plane(FIRST, 5.0)[::6, ::6].reshape(-1, 3)
     positions[:, 2] += torch.linspace(0, 2, len(positions))
