@@ -23,7 +23,7 @@ def textured(where, depth: float = 5.0) -> torch.Tensor:
     x, y = points[..., 0], points[..., 1]
     waves = [torch.sin(k * (a * x + b * y) + c) for k, a, b, c in
              ((9, 1, 0.3, 0), (14, -0.4, 1, 1), (23, 1, 1, 2), (31, 0.8, -1, 3))]  # fmt: skip
-    level = (0.5 + 0.11 * sum(waves)).float().clamp(0, 1)
+    level = (0.5 + 0.11 * torch.stack(waves).sum(dim=0)).float().clamp(0, 1)
     return level[..., None].expand(*level.shape, 3).contiguous()
 
 
