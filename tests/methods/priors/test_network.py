@@ -28,14 +28,15 @@ def test_it_has_as_many_parameters_as_it_says():
 
 def test_it_sees_the_photo_and_the_nearest_of_the_points_of_a_pixel():
     view: View = plane_scene().views[1]
-    eye, ahead = view.camera.centre, view.camera.rotation[2]
-    points = torch.stack([eye + 2 * ahead, eye + 4 * ahead, eye - ahead])
+    eye, right, ahead = view.camera.centre, view.camera.rotation[0], view.camera.rotation[2]
+    aside, behind = eye + 5 * ahead + 0.5 * right, eye - ahead + 0.1 * right
+    points = torch.stack([eye + 2 * ahead, eye + 4 * ahead, aside, behind])
     seen = network_input(view, points)
     assert seen.shape == (5, 96, 128)
-    assert int(seen[4].sum()) == 1  # both on the axis, and one behind
-    row, column = (int(x) for x in seen[4].nonzero()[0])
-    assert (row, column) == (48, 64)
-    assert_close(seen[3, row, column], torch.tensor(2.0))  # 1/2 over the lower median, 1/4
+    assert seen[4].nonzero().tolist() == [[48, 64], [48, 84]]  # two share a pixel, one is behind
+    assert_close(
+        seen[3, 48, [64, 84]], torch.tensor([2.0, 0.8])
+    )  # 1/2 and 1/5 over their median, 1/4
     assert_close(seen[:3].mean(), 2 * view.load().mean() - 1, atol=0.02, rtol=0)
     assert not network_input(view, points[:0])[3:].any()
 

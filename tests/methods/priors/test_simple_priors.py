@@ -81,13 +81,24 @@ def test_hits_behind_a_nearer_surface_are_hidden_and_edges_are_not_filled():
     where = camera(2, width=60, height=40)
     wall, box = torch.full((40, 60), 8.0), torch.full((40, 60), torch.inf)
     box[10:30, 20:40] = 3.0
-    hits = [sweep_of(where, depth, step=2).positions for depth in (wall, box)]
+    hits = [sweep_of(where, depth, step=step).positions for depth, step in ((wall, 3), (box, 2))]
     prior = lidar.completed(where, Sweep(positions=torch.cat(hits), origin=where.centre))
     depth = 1 / prior.disparity
     assert_close(depth[12:28, 22:38], torch.full((16, 16), 3.0))
     off = prior.valid & ((depth - 3).abs() > 0.01) & ((depth - 8).abs() > 0.01)
     assert not off.any()
     assert_close(depth[prior.valid][:20], torch.full((20,), 8.0))
+
+
+def test_hits_behind_the_camera_change_nothing():
+    where = camera(2, width=60, height=40)
+    front, other = (sweep_of(where, torch.full((40, 60), 8.0), step=step) for step in (2, 3))
+    behind = (2 * where.centre - other.positions).float()
+    want = lidar.completed(where, front)
+    both = torch.cat([front.positions, behind])
+    found = lidar.completed(where, Sweep(positions=both, origin=where.centre))
+    assert torch.equal(found.disparity, want.disparity)
+    assert torch.equal(found.valid, want.valid)
 
 
 def test_gaps_are_not_filled():

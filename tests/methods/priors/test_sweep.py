@@ -23,7 +23,7 @@ def textured(where, depth: float = 5.0) -> torch.Tensor:
     x, y = points[..., 0], points[..., 1]
     waves = [torch.sin(k * (a * x + b * y) + c) for k, a, b, c in
              ((9, 1, 0.3, 0), (14, -0.4, 1, 1), (23, 1, 1, 2), (31, 0.8, -1, 3))]  # fmt: skip
-    level = (0.5 + 0.11 * sum(waves)).float().clamp(0, 1)
+    level = (0.5 + 0.11 * torch.stack(waves).sum(dim=0)).float().clamp(0, 1)
     return level[..., None].expand(*level.shape, 3).contiguous()
 
 
@@ -105,6 +105,14 @@ def test_only_what_two_neighbours_say_is_valid_and_most_win():
     assert_close(prior.disparity, torch.tensor([[0.2005, 0.4, 0.19975, 0.0]]))
     assert not sweep.agreed([], view).valid.any()
     assert not sweep.agreed(found[:1], view).valid.any()
+
+
+def test_the_better_confirmed_of_two_disparities_wins_in_any_order():
+    view = replace(scene().views[0], camera=camera(0, width=1, height=1))
+    pairs = [(torch.tensor([[d]]), torch.tensor([[w]])) for d, w in
+             ((0.2, 5.0), (0.2, 5.0), (0.4, 1.0), (0.4, 1.0))]  # fmt: skip
+    for found in (pairs, pairs[::-1]):
+        assert_close(sweep.agreed(found, view).disparity, torch.tensor([[0.2]]))
 
 
 def test_scale_and_zero_are_those_of_the_points_though_some_are_wrong():
