@@ -17,6 +17,7 @@ from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dlg_gs.attention import local_attention
 from splatproof.methods.dlg_gs.light import factors
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
+from splatproof.methods.kernels import colour_head as native
 from splatproof.methods.models.adapting import chosen_code
 from splatproof.reference.anchors import attention, scaffold
 from splatproof.reference.anchors.lighting_appearance import mix_colours
@@ -229,13 +230,15 @@ def adapted_colours(
         colours: Colours c of the Gaussians, in [0, 1].
         factor: eps_s of the view.
         attended: f_out of each anchor in view.
-        owner: Anchor that each Gaussian was decoded from.
+        owner: Anchor that each Gaussian was decoded from, ascending.
 
     Source: DLG-GS, Eqs. 12 and 13.
     """
     first, *others = head.weights
     of_colour, of_factor, of_anchor = first.split([3, len(factor), attended.shape[1]])
     of_each = attended @ of_anchor + (factor @ of_factor + head.biases[0])
+    if native.applies(colours, of_each, head):
+        return native.adapt(colours, of_each, owner, head)
     hidden = torch.relu(colours @ of_colour + of_each.index_select(0, owner))
     rest = mlp.Mlp(weights=tuple(others), biases=head.biases[1:])
     out = torch.sigmoid(mlp.evaluate(rest, hidden))
