@@ -9,6 +9,8 @@ from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.dlg_gs.method import DLG_GS
+from splatproof.methods.hdgs.method import HDGS
+from splatproof.methods.pvg.method import PVG
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
@@ -32,6 +34,8 @@ METHODS: dict[str, Method] = {
         ABSGS,
         MIP_SPLATTING,
         SCAFFOLD_GS,
+        HDGS,
+        PVG,
         DLG_GS,
         _city(
             "citygaussian",

@@ -36,6 +36,7 @@ def params(result: Result) -> dict[str, str]:
         "method": result.method,
         "variant": result.variant,
         "pose_noise": result.pose_noise,
+        "depth_prior": result.depth_prior,
         "seed": result.seed,
         "protocol": result.protocol,
         "settings": result.settings,

@@ -9,6 +9,8 @@ from jaxtyping import Float
 from scipy import stats
 
 CONFIDENCE = 0.95
+POWER = 0.8
+"""Share of experiments in which an effect of the smallest detectable size is seen."""
 DRAWS = 4000
 """Bootstrap draws: the ends of a 95 % interval then move by about 2 % of its width."""
 BLOCKS = 8
@@ -43,6 +45,19 @@ class Difference:
     """Ends of the 95 % interval; nan where a method has fewer than two seeds."""
     images: int
     """Images that both were scored on; where a scene has one, the interval is over seeds alone."""
+    freedom: float
+    """Degrees of freedom of the interval; nan where there is none."""
+
+    @property
+    def detectable(self) -> float:
+        """Smallest true difference that such samples show in POWER of all experiments.
+
+        (t(1 - a/2) + t(POWER)) standard errors, read off the interval; nan where there is none.
+
+        Source: Bloom 1995, "Minimum Detectable Effects".
+        """
+        error = (self.high - self.low) / 2 / _student(self.freedom)
+        return float(error * (_student(self.freedom) + stats.t.ppf(POWER, self.freedom)))
 
     @property
     def verdict(self) -> Verdict:
@@ -104,13 +119,14 @@ def paired_difference(
         mean = float(np.mean([a.mean() - b.mean() for a, b in scenes]))
     few = any(min(len(a), len(b)) < 2 for a, b in scenes)
     if few or not all(np.isfinite(a).all() and np.isfinite(b).all() for a, b in scenes):
-        return Difference(mean, np.nan, np.nan, images)
+        return Difference(mean, np.nan, np.nan, images, np.nan)
     samples = [sample for a, b in scenes for sample in _samples(a, b)]
     deviations = sum(_resampled(sample, generator) for sample in samples) / len(scenes)
     tail = 100 * (1 - CONFIDENCE) / 2
-    widen = _student(_freedom(samples)) / stats.norm.ppf(0.5 + CONFIDENCE / 2)
+    freedom = _freedom(samples)
+    widen = _student(freedom) / stats.norm.ppf(0.5 + CONFIDENCE / 2)
     low, high = np.percentile(deviations, [tail, 100 - tail]) * widen
-    return Difference(mean, float(mean + low), float(mean + high), images)
+    return Difference(mean, float(mean + low), float(mean + high), images, freedom)
 
 
 def _samples(a: Scores, b: Scores) -> list[Sample]:

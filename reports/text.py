@@ -178,9 +178,9 @@ def _escaped(text: str) -> str:
 def record(result: Result) -> dict[str, object]:
     """One case for a machine.
 
-    Returns: suite, scene, method, variant, pose_noise, seed, protocol, every metric by its name,
-        train_seconds, render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and error
-        ("" when done).
+    Returns: suite, scene, method, variant, pose_noise, depth_prior, seed, protocol, every metric by
+        its name, train_seconds, render_ms, primitives, bytes_on_disk, peak_memory_mb, settings, and
+        error ("" when done).
     """
     return {
         "suite": result.suite,
@@ -188,6 +188,7 @@ def record(result: Result) -> dict[str, object]:
         "method": result.method,
         "variant": result.variant,
         "pose_noise": result.pose_noise,
+        "depth_prior": result.depth_prior,
         "seed": result.seed,
         "protocol": result.protocol,
         **result.metrics,

@@ -13,27 +13,28 @@ from splatproof.base.files import write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.catalogue.opening import open_scene
-from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
+from splatproof.methods.contracts.reconstruction import Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.registry import get_method
 from splatproof.methods.training.threads import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
-from splatproof.reference.types.result import ImageScore, Result
+from splatproof.reference.types.result import ImageScore, Result, prior_name
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
+from splatproof.suites.case_keys import case_key
 from splatproof.suites.environment import environment
 from splatproof.suites.held_out import score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
-from splatproof.suites.suite_files import Case, case_key
+from splatproof.suites.suite_files import Case
 from splatproof.suites.training_curve import Curve
+from splatproof.suites.training_scene import training_scene
 
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
@@ -54,9 +55,9 @@ class Tell(Protocol):
         """Hear where a case is.
 
         Args:
-            stage: load, init, train, save or score.
-            step: Training step that was just done; 0 in other stages.
-            total: Number of training steps; 0 in other stages.
+            stage: load, priors, init, train, save or score.
+            step: Training step that was just done, or number of views with a prior; else 0.
+            total: Number of all those steps or views; else 0.
             values: What the method says of the step by name, e.g. its loss.
             note: One line for people that the method says besides.
         """
@@ -188,10 +189,13 @@ def _run(job: Job, tell: Tell) -> None:
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
             scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
-        given = disturbed(scene, job.case.pose_noise, job.case.seed)  # scores are of the true scene
+        # scores are of the true scene
+        given = training_scene(
+            scene, job.case, job.data, lambda done, total: tell("priors", done, total, {})
+        )
     done = job.folder / TRAINED
     if not done.exists():
-        take_model(job.folder, job.same_model, job.data, origin_of_case(job.case))
+        take_model(job.folder, job.same_model, job.data, job.case.origin)
     curve = Curve(job.folder / CURVE)
     if not done.exists():
         _train(job, given, curve, spent, tell)
@@ -273,16 +277,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
     )
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
-        save_model(model, folder, origin_of_case(job.case))
-
-
-def origin_of_case(case: Case) -> Origin:
-    """Where the model of a case comes from, as it is saved with it."""
-    return Origin(
-        method=case.method, variant=case.variant, settings=asdict(case.settings),
-        scene=case.scene, protocol=asdict(case.protocol), seed=case.seed,
-        pose_noise=case.pose_noise,
-    )  # fmt: skip
+        save_model(model, folder, job.case.origin)
 
 
 def _identity(job: Job) -> dict:
@@ -294,6 +289,7 @@ def _identity(job: Job) -> dict:
         "method": job.case.method,
         "variant": job.case.variant,
         "pose_noise": job.case.pose_noise,
+        "depth_prior": prior_name(job.case.depth_prior),
         "seed": job.case.seed,
         "protocol": job.case.protocol.name,
         "protocol_rules": asdict(job.case.protocol),

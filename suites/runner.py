@@ -9,13 +9,15 @@ from typing import Literal
 
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
+from splatproof.methods.priors.kinds import weights_facts
 from splatproof.reference.types.result import Result
+from splatproof.suites.case_keys import key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
 from splatproof.suites.records import RECORD_NAME, read_record
 from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
 from splatproof.suites.same_model import CASE_NAME, training_key
 from splatproof.suites.scene_data import SceneData, changed, digest
-from splatproof.suites.suite_files import Case, Suite, key_of
+from splatproof.suites.suite_files import Case, Suite
 from splatproof.suites.workers import Launch, in_worker
 
 FILES_NAME = ".files.json"
@@ -46,11 +48,11 @@ class Progress:
     """Number of cases of this run."""
     stage: str
     """"files" while those of the scene are hashed, then "start" with a note why an old result does
-    not count, then load, init, train, save, score."""
+    not count, then load, priors, init, train, save, score."""
     step: int = 0
-    """Training steps that are done, or files that are hashed; 0 in other stages."""
+    """Training steps that are done, views that have their prior, or files that are hashed; 0 in other stages."""
     total: int = 0
-    """Number of all those steps or files; 0 in other stages."""
+    """Number of all those steps, views or files; 0 in other stages."""
     values: dict[str, float] | None = None
     """What the method says of its last step by name, e.g. the loss."""
     note: str = ""
@@ -225,6 +227,7 @@ def _with_data(
 
     try:
         data = scenes.of(job.case.scene, job.case.protocol, report)
+        data = data | weights_facts(job.case.depth_prior)
     except Exception as error:  # noqa: BLE001 (whatever an adapter raises, the other cases go on)
         return job, reason_of(error)
     return replace(job, data=data), ""
@@ -258,9 +261,13 @@ def finished(job: Job) -> Result | str:
         protocol=result.protocol_rules,
         pose_noise=result.pose_noise,
         backend=result.environment.get("backend"),
+        **prior_part(result.depth_prior),
     )
     if key != job.key:
-        return "runs again: the record in its folder has other settings, protocol, pose noise or backend"
+        return (
+            "runs again: the record in its folder has other settings, protocol, pose noise, depth "
+            "prior or backend"
+        )
     return result
 
 

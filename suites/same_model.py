@@ -9,7 +9,8 @@ from pathlib import Path
 from splatproof.base.files import write_text
 from splatproof.base.folders import new_folder
 from splatproof.methods.contracts.reconstruction import Origin, describe, write_description
-from splatproof.suites.suite_files import Case, case_key
+from splatproof.suites.case_keys import case_key
+from splatproof.suites.suite_files import Case
 
 CASE_NAME = "case.json"
 """File that says what the case in its folder is made of."""

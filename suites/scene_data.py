@@ -8,6 +8,7 @@ from pathlib import Path
 from splatproof.base.files import write_text
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.fingerprint import Known, files_sha256
+from splatproof.methods.priors.kinds import WEIGHTS
 from splatproof.reference.types.protocol import Protocol
 
 FILES = "files_sha256"
@@ -17,8 +18,9 @@ WORDS = {
     "cameras_sha256": "its camera files",
     "photos_sha256": "its photos",
     FILES: "its photos, masks or depth",
+    WEIGHTS: "its depth prior's weights",
 }
-"""Facts that depend on a scene's files alone, neither on code nor on protocol, most telling first."""
+"""Facts that depend on files alone, neither on code nor on protocol, most telling first."""
 TESTS = "tests_"
 """Start of the names of the same facts where test views have a folder of their own."""
 

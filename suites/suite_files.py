@@ -1,12 +1,9 @@
 """Suite files: which scenes, methods, protocols and seeds are to be run, as TOML."""
 
-import dataclasses
-import hashlib
 import itertools
-import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +11,12 @@ from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.datasets.pose_noise import LEVELS
+from splatproof.methods.contracts.reconstruction import Origin
+from splatproof.methods.priors.kinds import resolved
 from splatproof.methods.registry import methods
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.result import TRUE_POSES, row_name
+from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES, prior_name, row_name
 
 FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""
@@ -41,6 +40,10 @@ class CaseTable:
     pose_noise: tuple[str, ...] = (TRUE_POSES,)
     """Levels of noise on the poses of training views, drawn with the case's seed; see
     `splatproof.datasets.pose_noise`. Each level has table rows of its own."""
+    depth_prior: tuple[str, ...] = (NO_PRIOR,)
+    """Depth priors of training views: "none", or kinds of `splatproof.methods.priors.kinds`, of
+    which some take the path of their weights, relative to the suite file ("network:net.safetensors").
+    Each has table rows of its own."""
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
     """Settings that differ from the defaults, by method and by "method@variant"; a variant has those
     of its method too, and where both name a setting the variant's own holds."""
@@ -75,6 +78,8 @@ class Case:
     protocol: Protocol
     pose_noise: str = TRUE_POSES
     """Level of the noise on the poses of training views."""
+    depth_prior: str = NO_PRIOR
+    """Depth prior of the training views; a path in it is absolute."""
 
     @property
     def scene_name(self) -> str:
@@ -83,8 +88,17 @@ class Case:
 
     @property
     def row(self) -> str:
-        """What tables call it: method@variant~pose-noise-LEVEL, without the parts that are not."""
-        return row_name(self.method, self.variant, self.pose_noise)
+        """What tables call it; see `row_name`."""
+        return row_name(self.method, self.variant, self.pose_noise, prior_name(self.depth_prior))
+
+    @property
+    def origin(self) -> Origin:
+        """Where a model of this case comes from, as it is saved with it."""
+        return Origin(
+            method=self.method, variant=self.variant, settings=asdict(self.settings),
+            scene=self.scene, protocol=asdict(self.protocol), seed=self.seed,
+            pose_noise=self.pose_noise, depth_prior=prior_name(self.depth_prior),
+        )  # fmt: skip
 
     @property
     def folder(self) -> Path:
@@ -166,36 +180,6 @@ def quick_form(suite: str) -> str:
     return name
 
 
-def case_key(case: Case, backend: str) -> str:
-    """Hash of everything that a case's numbers depend on, apart from data, code and machine.
-
-    Args:
-        case: What is run.
-        backend: Name of the rasterizer that runs it.
-    Returns: SHA-256 in hexadecimal.
-    """
-    return key_of(
-        scene=case.scene_name,
-        method=case.method,
-        settings=dataclasses.asdict(case.settings),
-        seed=case.seed,
-        protocol=dataclasses.asdict(case.protocol),
-        pose_noise=case.pose_noise,
-        backend=backend,
-    )
-
-
-def key_of(**parts: object) -> str:
-    """SHA-256 of the parts as canonical JSON (sorted keys; tuples and lists are the same).
-
-    Args:
-        parts: Plain data by name.
-    Returns: SHA-256 in hexadecimal.
-    """
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def _find(name_or_path: str | Path) -> Path:
     text = str(name_or_path)
     if text.endswith(".toml"):
@@ -210,7 +194,7 @@ def _find(name_or_path: str | Path) -> Path:
 
 def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     """The product of a table, scenes outermost so that each scene is finished before the next."""
-    for name in ("scenes", "methods", "protocols", "seeds", "pose_noise"):
+    for name in ("scenes", "methods", "protocols", "seeds", "pose_noise", "depth_prior"):
         if not getattr(table, name):
             raise UsageError(f"{where}.{name}: empty; expected at least one")
     if min(table.seeds) < 0:
@@ -218,6 +202,7 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     for level in table.pose_noise:
         if level not in LEVELS:
             raise unknown(f"{where}.pose_noise", level, LEVELS)
+    priors = [resolved(name, path.parent, f"{where}.depth_prior") for name in table.depth_prior]
     parts = {row: _parts(row, f"{where}.methods") for row in table.methods}
     known = {*parts, *(method for method, _ in parts.values())}
     for name in table.settings:
@@ -231,13 +216,15 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     }
     protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
     scenes = [_beside(name, path) for name in table.scenes]
-    product = itertools.product(scenes, table.methods, protocols, table.pose_noise, table.seeds)
+    product = itertools.product(
+        scenes, table.methods, protocols, table.pose_noise, priors, table.seeds
+    )
     return [
         Case(
             scene=scene, method=parts[row][0], settings=settings[row], variant=parts[row][1],
-            seed=seed, protocol=protocol, pose_noise=level,
+            seed=seed, protocol=protocol, pose_noise=level, depth_prior=prior,
         )
-        for scene, row, protocol, level, seed in product
+        for scene, row, protocol, level, prior, seed in product
     ]  # fmt: skip
 
 

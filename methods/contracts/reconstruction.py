@@ -16,7 +16,7 @@ from splatproof.base.files import sha256, write_text
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
-from splatproof.reference.types.result import TRUE_POSES
+from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES
 from splatproof.reference.types.scene import View
 
 FORMAT = "splatproof model"
@@ -44,6 +44,8 @@ class Origin:
     pose_noise: str = TRUE_POSES
     """Level of the noise on the poses that it was trained under, see
     `splatproof.datasets.pose_noise`."""
+    depth_prior: str = NO_PRIOR
+    """Short name of the depth prior that its training views had, see `splatproof.methods.priors`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +184,8 @@ def origin_of(folder: Path) -> Origin:
     """
     told = describe(folder).get("origin")
     names = {part.name for part in fields(Origin)}
-    if not isinstance(told, dict) or set(told) != names:
+    older = {"depth_prior"}  # a model from before priors does not say it
+    if not isinstance(told, dict) or not names - older <= set(told) <= names:
         raise DataError(f"{folder / DESCRIPTION}: damaged (origin is {told!r})")
     return Origin(**told)
 

@@ -25,8 +25,10 @@ Exposure = Literal["off", "gain", "affine"]
 """The setting of every method: no exposures, three gains a photo, or a 3x4 map of colours a photo."""
 NUMBERS = {"gain": 3, "affine": 12}
 """How many numbers a photo has."""
-RATE, LAST_RATE = 0.01, 0.001
-"""Adam's rates at the first and last step (the 3DGS release's rates of its own exposures)."""
+RATE, LAST_RATE = 3e-3, 3e-4
+"""Adam's rates at the first and last step. The 3DGS release has 0.01 and 0.001 in 30,000 steps; in short
+runs these follow what opacity resets do to single images (gains, tunnel, 1000 steps: 27.8 dB, with these
+28.8, without gains 28.1; one seed)."""
 TENSOR = "photo_exposures"
 """Name of the trained numbers among a model's shared tensors."""
 EXPOSED = "explicit with exposures"

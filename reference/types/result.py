@@ -1,6 +1,7 @@
 """One finished case: the record that everything downstream is derived from."""
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
@@ -12,16 +13,36 @@ TRUE_POSES = "none"
 """Level of pose noise of a case whose training views keep their poses."""
 
 
-def row_name(method: str, variant: str, pose_noise: str = TRUE_POSES) -> str:
-    """What a table calls its row: method@variant~pose-noise-LEVEL, without the parts that are not.
+NO_PRIOR = "none"
+"""Depth prior of a case whose training views have none."""
+
+
+def row_name(
+    method: str, variant: str, pose_noise: str = TRUE_POSES, depth_prior: str = NO_PRIOR
+) -> str:
+    """What a table calls its row: method@variant~pose-noise-LEVEL~depth-PRIOR, of these what is there.
 
     Args:
         method: Name of the method.
         variant: What a suite calls the method's settings; "" where it has none but these.
         pose_noise: Level of the noise on the poses of training views.
+        depth_prior: Depth prior of the training views as `prior_name` shortens it.
     """
     row = f"{method}@{variant}" if variant else method
-    return row if pose_noise == TRUE_POSES else f"{row}~pose-noise-{pose_noise}"
+    row += "" if pose_noise == TRUE_POSES else f"~pose-noise-{pose_noise}"
+    return row + ("" if depth_prior == NO_PRIOR else f"~depth-{depth_prior}")
+
+
+def prior_name(depth_prior: str) -> str:
+    """Short name of a depth prior, fit for a folder: of KIND:PATH the path's last part alone.
+
+    The weights behind the path are told apart by their hash, which a record has among its facts.
+
+    >>> prior_name("oracle+noise"), prior_name("network:/weights/street v2.safetensors")
+    ('oracle+noise', 'network-street-v2')
+    """
+    kind, colon, path = depth_prior.partition(":")
+    return f"{kind}-{re.sub(r'[^a-zA-Z0-9_.-]', '-', PurePosixPath(path).stem)}" if colon else kind
 
 
 def picture_name(image: str) -> str:
@@ -63,6 +84,8 @@ class Result:
     """What a suite calls these settings where it runs a method with several; "": it has one."""
     pose_noise: str = TRUE_POSES
     """Level of the noise that the poses of training views had; see datasets.pose_noise."""
+    depth_prior: str = NO_PRIOR
+    """Depth prior that training views had, as `prior_name` shortens it; see methods.priors."""
     images: tuple[ImageScore, ...]
     """Scores of the test images, sorted by name."""
     metrics: dict[str, float]
@@ -94,8 +117,8 @@ class Result:
 
     @property
     def row(self) -> str:
-        """What a table calls the method with these settings and this noise; see `row_name`."""
-        return row_name(self.method, self.variant, self.pose_noise)
+        """What a table calls the method with these settings, noise and prior; see `row_name`."""
+        return row_name(self.method, self.variant, self.pose_noise, self.depth_prior)
 
     @property
     def training_seconds(self) -> float:

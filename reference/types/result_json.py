@@ -10,7 +10,7 @@ from typing import Any
 
 from splatproof.base.errors import DataError
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.result import TRUE_POSES, Result
+from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES, Result
 
 VERSION = 1
 """Version of the format; a reader refuses every other."""
@@ -64,6 +64,7 @@ def result_from_json(text: str, source: str) -> Result:
             "or read it with the release that wrote it"
         )
     record.setdefault("pose_noise", TRUE_POSES)  # older than the noise
+    record.setdefault("depth_prior", NO_PRIOR)  # older than priors
     result = _read(record, Result, "result", source)
     newer = {name: rule for name, rule in RULES.items() if name not in result.protocol_rules}
     return dataclasses.replace(result, protocol_rules=result.protocol_rules | newer)

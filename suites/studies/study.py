@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.methods.storage.packed.writer import PARTS
-from splatproof.suites.studies import memory, partition, size, size_plot, stability
+from splatproof.suites.studies import memory, partition, priors, size, size_plot, stability
 from splatproof.suites.studies.speed import measure as speed
 from splatproof.suites.studies.speed import page as speed_page
 
@@ -61,5 +61,10 @@ STUDIES = {
         description="layered memory against plain accumulation: points and guide-depth error",
         columns=("scene", "memory", "points", "guide_error", "covered", "ms"),
         rows=memory.rows,
+    ),
+    "priors": Study(
+        description="depth priors against true depth on street and tunnel, scale and zero put right",
+        columns=("scene", "prior", "views", "abs_rel", "delta1", "rank", "valid", "note"),
+        rows=priors.rows, pictures=priors.draw, logged=True,
     ),
 }  # fmt: skip

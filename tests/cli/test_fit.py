@@ -222,6 +222,17 @@ def test_pose_noise_reaches_the_training_and_is_kept_with_the_model(town, monkey
     assert fit("--pose-noise", "L1", "--seed", "3") == 2  # the folder holds another case
 
 
+@pytest.mark.usefixtures("no_store")
+def test_a_depth_prior_is_refused_by_name_or_for_what_the_scene_lacks(town, capsys):
+    assert fit("--depth-prior", "lidra") == 2
+    assert "--depth-prior: unknown 'lidra', did you mean 'lidar'" in capsys.readouterr().err
+    assert not (town / "out").exists()
+    assert fit("--depth-prior", "lidar", "--json") == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out.splitlines()[-1])["depth_prior"] == "lidar"
+    assert "no training view has a LiDAR sweep" in said.err
+
+
 def test_methods_in_blocks_say_so():
     kinds = {name: issubclass(method.settings, CitySettings) for name, method in METHODS.items()}
     assert {name: method.blocks for name, method in METHODS.items()} == kinds

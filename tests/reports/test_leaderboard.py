@@ -321,8 +321,8 @@ def test_every_column_is_explained_once_with_unit_and_arrow():
 
 def test_the_record_for_machines_has_the_documented_keys():
     record = text.record(result())
-    first = ["suite", "scene", "method", "variant", "pose_noise", "seed", "protocol", "psnr",
-             "ssim_3dgs"]  # fmt: skip
+    first = ["suite", "scene", "method", "variant", "pose_noise", "depth_prior", "seed",
+             "protocol", "psnr", "ssim_3dgs"]  # fmt: skip
     assert list(record)[: len(first)] == first
     assert record["psnr"] == result().metrics["psnr"]
     assert record["train_seconds"] == result().stages["train"]

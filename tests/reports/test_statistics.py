@@ -112,7 +112,9 @@ def test_one_seed_knows_no_difference_and_one_image_counts_seeds_alone():
 
 def test_a_method_against_itself_is_no_difference():
     a = np.full((3, 4), 20.0)
-    assert paired_difference([(a, a)], np.random.default_rng(0)) == Difference(0.0, 0.0, 0.0, 4)
+    assert paired_difference([(a, a)], np.random.default_rng(0)) == Difference(
+        0.0, 0.0, 0.0, 4, math.inf
+    )
 
 
 def test_other_images_are_refused():
@@ -158,4 +160,4 @@ def test_the_coverage_check_rejects_the_plain_percentile_interval():
     (0.0, 0.2, "no difference"), (math.nan, math.nan, "unknown"),
 ])  # fmt: skip
 def test_verdicts(low: float, high: float, verdict: str):
-    assert Difference(0.0, low, high, 3).verdict == verdict
+    assert Difference(0.0, low, high, 3, 4.0).verdict == verdict

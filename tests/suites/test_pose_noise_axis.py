@@ -19,10 +19,11 @@ from splatproof.reference.types.scene import Scene
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.run_data import case_name
 from splatproof.suites import run_case as cases
+from splatproof.suites.case_keys import case_key
 from splatproof.suites.published.ours import our_rows
 from splatproof.suites.records import write_record
 from splatproof.suites.runner import run_suite
-from splatproof.suites.suite_files import case_key, load_suite
+from splatproof.suites.suite_files import load_suite
 from splatproof.suites.workers import in_process
 
 SUITE = """

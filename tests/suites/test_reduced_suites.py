@@ -28,6 +28,19 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
             assert all(isinstance(row[name], float) for name in SEAMS), row
 
 
+@pytest.mark.parametrize(
+    ("suite", "shown"),
+    [("street", ("moving_psnr", "still_psnr", "depth_abs_rel")), ("tunnel", ("depth_abs_rel",))],
+)
+def test_street_and_tunnel_run_every_method(suite, shown, tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    rows = rows_of(["run", suite, "--quick", "--out", str(tmp_path)], capsys)
+    assert len(rows) == len(load_suite(f"{suite}-quick").cases)
+    for row in rows:
+        assert row["psnr"] > 10, row
+        assert all(isinstance(row[name], float) for name in shown), row
+
+
 @pytest.mark.parametrize("study", ["stability", "speed"])
 def test_studies_pass_in_their_reduced_form(study: str, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)

@@ -121,7 +121,9 @@ def test_what_a_number_depends_on_makes_the_case_run_again_and_says_so(tmp_path,
     notes = []
     (outcome,) = run(suite(changed), tmp_path, on_progress=lambda p: notes.append(p.note))
     assert outcome.status == "finished"
-    assert any("other settings, protocol, pose noise or backend" in note for note in notes)
+    assert any(
+        "other settings, protocol, pose noise, depth prior or backend" in note for note in notes
+    )
     (kept,) = run(suite(changed), tmp_path)
     assert kept.status == "kept"
 

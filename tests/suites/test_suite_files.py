@@ -10,7 +10,8 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.registry import METHODS
 from splatproof.suites import run_case as cases
-from splatproof.suites.suite_files import FOLDER, case_key, load_suite, quick_form
+from splatproof.suites.case_keys import case_key
+from splatproof.suites.suite_files import FOLDER, load_suite, quick_form
 
 GOOD = """
 description = "For tests"

@@ -38,7 +38,7 @@ KINDS = {"positions": (3, "<f4"), "opacity": (1, "<f2"), "rotation": (4, "<f2"),
 
 ADDED: dict[str, tuple[type, ...]] = {
     "variant": (str,), "scene": (str,), "protocol": (dict,), "seed": (int, NoneType),
-    "pose_noise": (str,),
+    "pose_noise": (str,), "depth_prior": (str,),
 }  # fmt: skip
 """Types of the fields of Origin that the first files of version 2 lack."""
 

@@ -44,6 +44,7 @@ def fit(
     protocol: str = "default",
     seed: int = 0,
     pose_noise: Literal["none", "L1", "L2", "L3"] = "none",
+    depth_prior: str = "none",
     running: Annotated[Running, tyro.conf.arg(name="")] = USUAL,
     blocks: Annotated[BlockRunning, tyro.conf.arg(name="")] = USUAL_BLOCKS,
 ) -> int:
@@ -58,8 +59,9 @@ def fit(
 
     With --json each held-out image is a line: scene, method, seed, protocol, image and every metric
     by its name; the last line is that of the case, as `bench run --json` prints it: suite, scene,
-    method, variant, pose_noise, protocol, seed, status (kept, finished, failed), error, folder, the
-    mean of every metric, seconds by stage, primitives, bytes_on_disk, peak_memory_mb, render_ms.
+    method, variant, pose_noise, depth_prior, protocol, seed, status (kept, finished, failed), error,
+    folder, the mean of every metric, seconds by stage, primitives, bytes_on_disk, peak_memory_mb,
+    render_ms.
 
     Args:
         method: Name of the method.
@@ -72,10 +74,14 @@ def fit(
         pose_noise: Level of the noise on the poses of training views, drawn with the seed: L1 turns
             each by 0.5 degrees and shifts it by 0.001 of the scene's extent (standard deviations),
             L2 by 1 and 0.002, L3 by 2 and 0.005. Held-out views and sparse points stay true.
+        depth_prior: Depth prior that the method may read of each training view: oracle (true depth
+            of a made world), oracle+noise, lidar (sweeps, completed), sweep (matched photos),
+            network:FILE (our own network's weights), depth-anything:FOLDER, or none.
         running: How it is run.
         blocks: How blocks of a city are trained.
     """
     from splatproof.cli.report import sync_cases
+    from splatproof.methods.priors.kinds import resolved
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.chosen_folder import check_chosen
@@ -89,6 +95,7 @@ def fit(
     case = Case(
         scene=where, method=method, settings=settings, seed=seed,
         protocol=load_protocol(protocol), pose_noise=pose_noise,
+        depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"),
     )  # fmt: skip
     suite = Suite(name=SUITE, description="", cases=(case,), scenes=())
     job = Job(

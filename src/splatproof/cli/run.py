@@ -45,9 +45,9 @@ def run(
     that fails is recorded with its reason, and the others go on. Each case is logged to the tracking
     store (MLFLOW_TRACKING_URI, else OUT/mlflow.db).
 
-    With --json each case is a line: suite, scene, method, variant, pose_noise, protocol, seed,
-    status (kept, finished, failed), error, folder, every metric by its name, seconds by stage,
-    primitives, bytes_on_disk, peak_memory_mb, render_ms. With --dry-run too the line has
+    With --json each case is a line: suite, scene, method, variant, pose_noise, depth_prior, protocol,
+    seed, status (kept, finished, failed), error, folder, every metric by its name, seconds by
+    stage, primitives, bytes_on_disk, peak_memory_mb, render_ms. With --dry-run too the line has
     estimated_seconds, estimated_memory_mb, basis and missing instead of results.
 
     Args:
@@ -116,6 +116,7 @@ def _print_record(outcome: "Outcome") -> None:
 
 def _print_plan(suite: "Suite", out: Path, running: Running, blocks: BlockRunning) -> int:
     """Print each case with its estimates, and what has to be got or made for the others."""
+    from splatproof.reference.types.result import prior_name
     from splatproof.suites.estimate import estimate_suite
     from splatproof.suites.scenes import absences, not_made, without_side_effects
 
@@ -135,6 +136,7 @@ def _print_plan(suite: "Suite", out: Path, running: Running, blocks: BlockRunnin
             "method": case.method,
             "variant": case.variant,
             "pose_noise": case.pose_noise,
+            "depth_prior": prior_name(case.depth_prior),
             "protocol": case.protocol.name,
             "seed": case.seed,
             "estimated_seconds": guess.seconds if guess else None,

@@ -174,6 +174,7 @@ def record(outcome: "Outcome") -> dict[str, object]:
         "method": result.method,
         "variant": result.variant,
         "pose_noise": result.pose_noise,
+        "depth_prior": result.depth_prior,
         "protocol": result.protocol,
         "seed": result.seed,
         "status": outcome.status,

@@ -15,6 +15,7 @@ from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.reconstruction import Adapts, Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models import exposure
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import (
@@ -68,6 +69,15 @@ def trained(
 def error(model: Reconstruction, view: View) -> float:
     behind = torch.tensor(RUN.background)
     return float((model.render(view, behind).colour - view.load()).square().mean())
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_steps_are_long():
+    """Gains of 0.4 are not reached in 240 steps at the rates of longer runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exposure, "RATE", 0.01)
+        patch.setattr(exposure, "LAST_RATE", 0.001)
+        yield
 
 
 @pytest.fixture(scope="module")

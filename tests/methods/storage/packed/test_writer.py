@@ -103,6 +103,7 @@ def test_bytes_do_not_depend_on_threads(folder, small_chunks):
 ORIGIN = Origin(
     method="3dgs", variant="short", settings={"iterations": 5}, scene="tiny",
     protocol={"name": "default"}, seed=3, pose_noise="L1",
+    depth_prior="lidar",
 )  # fmt: skip
 
 
@@ -285,7 +286,7 @@ def forged(folder: Path, change: dict, contents: list[bytes] | None = None) -> s
         {"bands": 5}, {"bands": 16}, {"chunk": 0}, {"chunk": 2**40}, {"chunk": 15}, {"format": "x"},
         {"shift": [1, 2]}, {"shift": ["a", 1, 2]}, {"mode": "fast"}, {"settings": []}, {"units": 3},
         {"variant": None}, {"scene": 3}, {"protocol": "3dgs"}, {"seed": "0"}, {"seed": True},
-        {"pose_noise": []},
+        {"pose_noise": []}, {"depth_prior": None},
     ],
 )  # fmt: skip
 def test_forged_headers_are_refused(folder, change):

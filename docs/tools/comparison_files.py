@@ -1,0 +1,165 @@
+"""From the runs of a suite to the committed files behind its page, and from these to the page."""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from statistics import fmean
+
+from comparison_page import Page, Picture, is_half, render_page
+from matplotlib.axes import Axes
+from printed_tables import Printed
+from strips import crops, save_strips
+
+from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.reference.types.result import Result
+from splatproof.reports.claims.claim import load_claims
+from splatproof.reports.measured import COUNT, Measured, loss_points, measured
+from splatproof.suites.gallery.drawing import COLOURS, panels, save
+from splatproof.suites.held_out import scored_views
+from splatproof.suites.records import read_record
+from splatproof.suites.suite_files import Case, load_suite
+
+DOCS = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """What one page compares."""
+
+    suite: str
+    title: str
+    intro: str
+    printed: tuple[Printed, ...]
+    protocol: str
+    """Protocol whose pictures are shown."""
+
+
+def main(comparison: Comparison) -> None:
+    """With a folder of runs on the command line: rows, pictures and page; else the page alone."""
+    if len(sys.argv) > 1:
+        collect(comparison, Path(sys.argv[1]), DOCS)
+    (DOCS / f"{comparison.suite}.md").write_text(page(comparison, DOCS), encoding="utf-8")
+
+
+def page(comparison: Comparison, docs: Path) -> str:
+    """The page from the committed files.
+
+    Args:
+        comparison: Which page.
+        docs: Folder with <suite>.json, <suite>_pictures.json and <suite>_findings.md.
+    """
+    name = comparison.suite
+    rows = json.loads((docs / f"{name}.json").read_text(encoding="utf-8"))
+    pictures = json.loads((docs / f"{name}_pictures.json").read_text(encoding="utf-8"))
+    return render_page(
+        Page(
+            suite=name,
+            title=comparison.title,
+            intro=comparison.intro,
+            planned=planned(load_suite(name).cases),
+            rows=[Measured(**row) for row in rows],
+            claims=load_claims(name),
+            printed=comparison.printed,
+            findings=(docs / f"{name}_findings.md").read_text(encoding="utf-8"),
+        ),
+        [Picture(**entry) for entry in pictures],
+    )
+
+
+def planned(cases: Sequence[Case]) -> Mapping[tuple[str, str, str], int]:
+    """Seeds by scene, protocol and row, in the suite's order."""
+    return Counter((case.scene_name, case.protocol.name, case.row) for case in cases)
+
+
+def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
+    """Write the committed files of a page from the records and pictures of a suite's runs.
+
+    Args:
+        comparison: Which page.
+        runs: Folder that `bench run SUITE --out` was given.
+        docs: Folder of the page.
+    """
+    name = comparison.suite
+    cases = [
+        (case, runs / name / case.folder)
+        for case in load_suite(name).cases
+        if (runs / name / case.folder / "record.json").exists()
+    ]
+    found = [(case, folder, read_record(folder)) for case, folder in cases]
+    judged = {claim.metric for claim in load_claims(name)}
+    rows = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
+    text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
+    (docs / f"{name}.json").write_text(text, encoding="utf-8")
+    shown = [
+        (case, folder, result) for case, folder, result in found
+        if case.protocol.name == comparison.protocol and not result.error
+        and case.seed == 0 and not is_half(case.row)
+    ]  # fmt: skip
+    pictures = [*_curves(shown, name, docs), *_strips(shown, name, docs)]
+    listing = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
+    (docs / f"{name}_pictures.json").write_text(listing, encoding="utf-8")
+
+
+def _with_images_of(row: Measured, judged: set[str]) -> Measured:
+    """The row with those metrics of images alone that a claim is judged by."""
+    images = {
+        name: {metric: value for metric, value in scores.items() if metric in judged}
+        for name, scores in row.images.items()
+    }
+    return replace(row, images=images)
+
+
+Shown = Sequence[tuple[Case, Path, Result]]
+
+
+def _strips(shown: Shown, name: str, docs: Path) -> list[Picture]:
+    """A strip a row; all of one scene show the same parts of the same views."""
+    made = []
+    for scene in dict.fromkeys(case.scene_name for case, _, _ in shown):
+        own = [(case, folder) for case, folder, _ in shown if case.scene_name == scene]
+        case = own[0][0]
+        views = scored_views(open_scene(case.scene, case.protocol), case.protocol)
+        folders = {case.row: folder for case, folder in own}
+        images = docs / "images" / name
+        for row, path in save_strips(folders, crops(views), images).items():
+            caption = (f"{row}, {scene}: held-out moments it never saw; photo, render, FLIP error "
+                       "(black: none). Seed 0.")  # fmt: skip
+            made.append(Picture(path=path.relative_to(docs).as_posix(), caption=caption))
+    return made
+
+
+def _curves(shown: Shown, name: str, docs: Path) -> list[Picture]:
+    """Loss and number of Gaussians over the steps, a line a row."""
+    drawn = [(case.row, result.curve) for case, _, result in shown if result.curve]
+    if not drawn:
+        return []
+    figure, (losses, counts) = panels(2, width=12.0, ratio=0.65)
+    for number, (row, curve) in enumerate(drawn):
+        line = {"color": COLOURS[number % len(COLOURS)], "linewidth": 1.0,
+                "linestyle": ("-", "--", ":")[number // len(COLOURS) % 3], "label": row}  # fmt: skip
+        points = loss_points(curve)
+        losses.plot([step for step, _ in points], _smooth([loss for _, loss in points]), **line)
+        grown = [(step, values[COUNT]) for step, values in curve if COUNT in values]
+        counts.plot([step for step, _ in grown], [count for _, count in grown], **line)
+    _titled(losses, "training loss, mean of 10 points")
+    _titled(counts, "Gaussians")
+    counts.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    path = docs / "images" / name / "curves.png"
+    save(figure, path)
+    return [Picture(path=path.relative_to(docs).as_posix(),
+                    caption="Training loss and number of Gaussians over the steps, seed 0.")]  # fmt: skip
+
+
+def _titled(axes: Axes, title: str) -> None:
+    axes.set_title(title, fontsize=9)
+    axes.set_xlabel("step", fontsize=8)
+    axes.set_yscale("log")
+    axes.tick_params(labelsize=7)
+
+
+def _smooth(values: Sequence[float], over: int = 10) -> list[float]:
+    """Mean of each value and the `over` - 1 before it, as far as there are any."""
+    return [fmean(values[max(0, i + 1 - over) : i + 1]) for i in range(len(values))]

@@ -1,0 +1,243 @@
+"""The page of a suite that compares methods: claims with verdicts, tables, printed numbers, strips."""
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from printed_tables import Printed, printed_tables
+
+from splatproof.reports.claims.claim import Claim
+from splatproof.reports.measured import Measured
+from splatproof.reports.statistics import summarise
+from splatproof.reports.verdicts import HALF, SETTLED, Judged, Verdict, judge
+
+Cell = tuple[str, str, int]
+"""Key of a value, heading, digits after the point."""
+QUALITY: tuple[Cell, ...] = (
+    ("psnr", "PSNR ↑", 2), ("moving_psnr", "moving ↑", 2), ("still_psnr", "still ↑", 2),
+    ("ssim_3dgs", "SSIM ↑", 4), ("flip", "FLIP ↓", 4), ("depth_abs_rel", "depth AbsRel ↓", 3),
+    ("depth_delta1", "depth δ1 ↑", 3), ("disk_mb", "stored MB ↓", 2), ("render_ms", "ms a frame ↓", 1),
+    ("primitives", "Gaussians", 0),
+)  # fmt: skip
+COSTS: tuple[Cell, ...] = (
+    ("train_seconds", "train s", 0), ("cpu_seconds", "CPU s", 0), ("peak_memory_mb", "peak MB", 0),
+)  # fmt: skip
+RELATIVE_DIGITS = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """A picture of the page and what is seen there."""
+
+    path: str
+    """Relative to the page."""
+    caption: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Page:
+    """What a page is made of, apart from pictures."""
+
+    suite: str
+    title: str
+    intro: str
+    """What the rows are, in Markdown."""
+    planned: Mapping[tuple[str, str, str], int]
+    """Seeds that the suite asks for, by scene, protocol and row, in its order."""
+    rows: Sequence[Measured]
+    claims: Sequence[Claim]
+    printed: Sequence[Printed]
+    findings: str
+    """What came out and why, in words; Markdown, written by hand."""
+
+
+def render_page(page: Page, pictures: Sequence[Picture]) -> str:
+    """The whole page.
+
+    Args:
+        page: Rows, claims and words.
+        pictures: What is shown below the tables.
+    """
+    generator = np.random.default_rng(0)
+    found = [judge(claim, page.rows, generator) for claim in page.claims]
+    places = list(dict.fromkeys((scene, protocol) for scene, protocol, _ in page.planned))
+    parts = [
+        _head(page),
+        "## Claims\n",
+        _claims(found),
+        *([page.findings.rstrip() + "\n"] if page.findings.strip() else []),
+        *(_side_by_side(page, scene) for scene in dict.fromkeys(scene for scene, _ in places)),
+        *(_place(page, scene, protocol) for scene, protocol in places),
+        *printed_tables(page.printed, page.rows),
+        "## Pictures\n" if pictures else "",
+        *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in pictures),
+    ]
+    return "\n".join(part for part in parts if part).rstrip() + "\n"
+
+
+def _head(page: Page) -> str:
+    done = [row for row in page.rows if not row.error]
+    machines = "; ".join(sorted({row.machine for row in done if row.machine})) or "nothing yet"
+    return HEAD.format(
+        title=page.title, suite=page.suite, machines=machines, intro=page.intro.rstrip(),
+        missing=_missing(page), settled=SETTLED,
+    )  # fmt: skip
+
+
+def _missing(page: Page) -> str:
+    """One paragraph on the rows that the suite asks for and that have fewer seeds than it says."""
+    seeds = Counter((r.scene, r.protocol, r.row) for r in page.rows if not r.error)
+    lacking = [
+        f"{row} ({scene}, {protocol}: {seeds[scene, protocol, row]} of {asked})"
+        for (scene, protocol, row), asked in page.planned.items()
+        if seeds[scene, protocol, row] < asked
+    ]
+    if not lacking:
+        return f"All {len(page.planned)} rows of the suite are here."
+    return f"**Incomplete**: {len(lacking)} of {len(page.planned)} rows lack seeds: {', '.join(lacking)}."
+
+
+def _claims(found: Sequence[Judged]) -> str:
+    counts = Counter(one.verdict for one in found)
+    total = ", ".join(f"{counts[v]} *{v}*" for v in get_args(Verdict) if counts[v])
+    lines = [
+        f"{len(found)} claims: {total}.\n",
+        "| verdict | claim | rows | printed | here, 95 % interval | seeds | why |",
+        "|---|---|---|---:|---:|---:|---|",
+        *map(_claim, found),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _claim(one: Judged) -> str:
+    claim = one.claim
+    asked = f"bar {_effect(claim, claim.bar)}" if claim.bar is not None else (
+        "" if claim.printed is None else _effect(claim, claim.printed))  # fmt: skip
+    here = ""
+    if one.difference is not None:
+        mean, low, high = (
+            _effect(claim, claim.as_effect(v))
+            for v in (one.difference.mean, one.difference.low, one.difference.high)
+        )
+        here = f"{mean} [{low}, {high}]"
+    rows = f"`{claim.row}` − `{claim.other}`, {claim.metric}"
+    if claim.protocol:
+        rows += f", {claim.protocol}"
+    cells = (f"**{one.verdict}**", f"{claim.paper}: {claim.text}", rows, asked, here,
+             str(one.seeds or ""), one.reason)  # fmt: skip
+    return "| " + " | ".join(cells) + " |"
+
+
+def _effect(claim: Claim, value: float) -> str:
+    return f"{100 * value:+.{RELATIVE_DIGITS}f} %" if claim.relative else f"{value:+.3g}"
+
+
+def _side_by_side(page: Page, scene: str) -> str:
+    """PSNR of each row under each protocol of a scene; nothing where there is one protocol."""
+    done = [row for row in page.rows if row.scene == scene and not row.error]
+    protocols = list(dict.fromkeys(p for s, p, _ in page.planned if s == scene))
+    named = list(dict.fromkeys(row for s, _, row in page.planned if s == scene))
+    if len(protocols) < 2:
+        return ""
+    lines = [f"## {scene}, PSNR by protocol\n", "| row | " + " | ".join(protocols) + " |",
+             "|---" + "|---:" * len(protocols) + "|"]  # fmt: skip
+    for name in named:
+        own = [[r.values.get("psnr") for r in done if (r.row, r.protocol) == (name, p)]
+               for p in protocols]  # fmt: skip
+        if any(own) and not is_half(name):
+            lines.append(f"| {name} | " + " | ".join(number(values, 2) for values in own) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _place(page: Page, scene: str, protocol: str) -> str:
+    """The tables of one scene under one protocol."""
+    rows = [r for r in page.rows if (r.scene, r.protocol) == (scene, protocol)]
+    named = [row for s, p, row in page.planned if (s, p) == (scene, protocol)]
+    texts = [f"## {scene}, protocol {protocol}\n"]
+    whole = [name for name in named if not is_half(name)]
+    if table := _table(rows, whole, QUALITY):
+        texts.append(table)
+    if lengths := _lengths(rows, named):
+        texts.append("What a run took, and whether it was long enough:\n\n" + lengths)
+    failed = [f"- {row.row} seed {row.seed}: {row.error}" for row in rows if row.error]
+    if failed:
+        texts.append("Failed:\n\n" + "\n".join(failed) + "\n")
+    return "\n".join(texts)
+
+
+def is_half(row: str) -> bool:
+    """Whether a row is its method with half the steps."""
+    return row.partition("~")[0].endswith(f"@{HALF}")
+
+
+def _table(rows: Sequence[Measured], named: Sequence[str], cells: Sequence[Cell]) -> str:
+    done = [row for row in rows if not row.error and row.row in named]
+    shown = [cell for cell in cells if any(cell[0] in row.values for row in done)]
+    if not shown:
+        return ""
+    lines = ["| row | seeds | " + " | ".join(cell[1] for cell in shown) + " |",
+             "|---|---:" + "|---:" * len(shown) + "|"]  # fmt: skip
+    for name in named:
+        own = [row.values for row in done if row.row == name]
+        if own:
+            texts = [number([v.get(key) for v in own], digits) for key, _, digits in shown]
+            lines.append(f"| {name} | {len(own)} | " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def number(values: Sequence[float | None], digits: int) -> str:
+    """Mean over seeds and half its 95 % interval; a dash where a seed lacks the value.
+
+    Args:
+        values: One a seed.
+        digits: Digits after the point.
+    """
+    known = [value for value in values if value is not None]
+    if not known or len(known) < len(values):
+        return "–"
+    found = summarise(known)
+    half = (found.high - found.low) / 2
+    text = f"{found.mean:,.{digits}f}"
+    return text if math.isnan(half) else f"{text} ± {half:,.{digits}f}"
+
+
+def _lengths(rows: Sequence[Measured], named: Sequence[str]) -> str:
+    """What shows whether runs were long enough: steps, growth, gain at the end, cost."""
+    done = [row for row in rows if not row.error]
+    if not done:
+        return ""
+    lines = ["| row | steps | grew | last fifth gained dB | " + " | ".join(c[1] for c in COSTS) + " | PSNR |",
+             "|---|---:|---:|---:" + "|---:" * (len(COSTS) + 1) + "|"]  # fmt: skip
+    for name in named:
+        own = [row for row in done if row.row == name]
+        if not own:
+            continue
+        costs = [number([row.values.get(key) for row in own], digits) for key, _, digits in COSTS]
+        gain = float(np.mean([row.late_gain for row in own]))
+        psnr = number([row.values.get("psnr") for row in own], 2)
+        texts = (str(own[0].steps), str(min(row.grown for row in own)), f"{gain:.2f}", *costs, psnr)
+        lines.append(f"| {name} | " + " | ".join(texts) + " |")
+    return "\n".join(lines) + "\n"
+
+
+HEAD = """# {title}
+
+Made by `python docs/tools/make_{suite}_page.py RUNS` from the records of `bench run {suite} --out RUNS` (here in
+[{suite}.json]({suite}.json)); a test compares. `bench run {suite} --quick` runs every row in miniature and judges
+nothing; `bench run {suite}-medium` is the larger scene. Measured on {machines}; times beside other work.
+
+{intro}
+
+{missing}
+
+How a claim is judged (`reports/verdicts.py`): paired bootstrap over images and seeds, 95 %. *holds*: the interval
+excludes 0 on the claimed side and reaches half the printed effect; *direction only*: excludes 0, ends below that;
+*no difference*: contains 0 (with the effect that would have shown in four of five such experiments); *contradicted*:
+excludes 0 on the other side. A claim with a bar *holds* where the whole interval reaches it and is *undecided* where
+the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or a row
+still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
+the other: by the row `@half`, which has half the steps, or, without one, by the training loss of the last fifth.
+"""

@@ -1,0 +1,52 @@
+"""Make docs/tunnel.md: python docs/tools/make_tunnel_page.py RUNS
+
+Reads the records of `bench run tunnel --out RUNS` and writes docs/tunnel.json, docs/tunnel_pictures.json,
+docs/images/tunnel/ and the page, with docs/tunnel_findings.md in it, which is written by hand. Without
+RUNS the page is made again from the committed files.
+"""
+
+from comparison_files import Comparison, main
+from printed_tables import Line, Printed
+
+TUNNEL = Comparison(
+    suite="tunnel",
+    title="The tunnel suite: DLG-GS, Scaffold-GS and exposure baselines",
+    protocol="tunnel",
+    intro="""\
+The scene is `tunnel`: a rock tunnel that a rig of six cameras drives through, lit by the rig's own lamps alone. One
+stop of eight is held out with all its cameras. Protocols `tunnel`, `tunnel_half` and `tunnel_oracle` are one training,
+shown in the light of the nearest training view, in one fitted to the left half of each photo (the right half is
+scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` shows views under lamps that stand elsewhere.
+
+- `3dgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
+  networks must beat.
+- `dlg-gs`: adapted colours and depth constraints, with a depth prior (`~depth-oracle+noise`: true depth, warped,
+  blurred and disturbed as networks do); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
+  terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map.
+""",
+    printed=(
+        Printed(
+            paper="DLG-GS", table="1", title="its own tunnels, mean of three",
+            metrics=("psnr", "ssim", "fps", "gpu_hours"), protocol="tunnel",
+            lines=(
+                Line(method="3DGS", row="3dgs"),
+                Line(method="Scaffold-GS", row="scaffold-gs"),
+                Line(method="NexusSplats", row="dlg-gs@learnt~depth-oracle+noise"),
+                Line(method="DLG-GS", row="dlg-gs~depth-oracle+noise"),
+            ),
+        ),
+        Printed(
+            paper="DLG-GS", table="3", title="ablation, mean of three tunnels",
+            metrics=("psnr", "ssim"), protocol="tunnel",
+            lines=(
+                Line(method="DLG-GS", variant="Base (Scaffold-GS)", row="scaffold-gs"),
+                Line(method="DLG-GS", variant="Only VDJC", row="dlg-gs@vdjc~depth-oracle+noise"),
+                Line(method="DLG-GS", variant="Only DLAAM", row="dlg-gs@dlaam"),
+                Line(method="DLG-GS", variant="full (DLAAM+VDJC)", row="dlg-gs~depth-oracle+noise"),
+            ),
+        ),
+    ),
+)  # fmt: skip
+
+if __name__ == "__main__":
+    main(TUNNEL)

@@ -1,0 +1,168 @@
+"""Points from LiDAR sweeps: when they were hit, in what colour, and whether something moved there."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float64, Int64, UInt8
+from scipy.ndimage import minimum_filter, uniform_filter
+from torch import Tensor
+
+from splatproof.methods.dynamic.terms import lidar_image
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, Sweep, View
+
+SURFACE = 0.02
+"""Share of its depth by which a return may lie behind the nearest one in its pixel and be seen."""
+CELL = 0.015
+"""Edge in radians of the cells that a sweep's rays are sorted into; beams are up to 0.02 apart."""
+LEAST_CELLS = 3
+"""Cells of the 3 x 3 around a point's direction that rays must have gone through."""
+BEYOND = 0.03
+"""Share of a point's distance by which all those rays must be longer to have passed it."""
+VOTES = 2
+"""Sweeps that must have looked through a place for what was hit there to be called moving."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimedPoints:
+    """Returns of sweeps that photos of the same moment show."""
+
+    positions: Float[Tensor, "n 3"]
+    """Float64, scene units, scene frame."""
+    colours: UInt8[Tensor, "n 3"]
+    """SRGB of the photo where each was seen."""
+    seconds: Float[Tensor, " n"]
+    """Float64, since the scene's first view: when each was hit."""
+    moved: Bool[Tensor, " n"]
+    """Whether other sweeps looked through where it was."""
+    velocities: Float[Tensor, "n 3"]
+    """Float32, scene units a second; 0 until `sweep_motion.in_motion` looks for them."""
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.positions)
+
+    def take(self, index: Tensor) -> "TimedPoints":
+        """Some of the points.
+
+        Args:
+            index: Their numbers, or a mask.
+        """
+        return TimedPoints(**{name: value[index] for name, value in vars(self).items()})
+
+
+def timed_points(scene: Scene) -> TimedPoints:
+    """All returns of the training views' sweeps that a training photo of their moment shows.
+
+    Args:
+        scene: Its training views with a sweep and a time count; one image is held at a time.
+
+    Source: Chen et al. 2023, "Periodic Vibration Gaussian", Sec. 4.1 (its release leaves the colours
+        black); which of them moved: ours, by looking through, as in LiDAR map cleaning.
+    """
+    groups: dict[float, list[View]] = defaultdict(list)
+    for view in scene.train_views:
+        if view.load_sweep is not None and view.time is not None:
+            groups[view.time].append(view)
+    sweeps = {time: _sweep(views) for time, views in groups.items()}
+    found = []
+    for time, views in groups.items():
+        colours, seen = _colours(sweeps[time].positions, views)
+        positions = sweeps[time].positions[seen].double()
+        others = [sweep for moment, sweep in sweeps.items() if moment != time]
+        found.append(
+            TimedPoints(
+                positions=positions,
+                colours=colours[seen],
+                seconds=torch.full((len(positions),), time, dtype=torch.float64),
+                moved=looked_through(positions, others) >= VOTES,
+                velocities=torch.zeros(len(positions), 3),
+            )
+        )
+    return joined(found)
+
+
+def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
+    """The points of all parts, one part after the other; no part: no points."""
+    none = TimedPoints(
+        positions=torch.zeros(0, 3).double(), colours=torch.zeros(0, 3).byte(),
+        seconds=torch.zeros(0).double(), moved=torch.zeros(0).bool(), velocities=torch.zeros(0, 3),
+    )  # fmt: skip
+    names = vars(none)
+    return TimedPoints(**{n: torch.cat([getattr(p, n) for p in (none, *parts)]) for n in names})
+
+
+def _sweep(views: list[View]) -> Sweep:
+    """The sweep of views of one moment."""
+    load = views[0].load_sweep
+    assert load is not None
+    return load()
+
+
+def _colours(
+    positions: Float[Tensor, "n 3"], views: list[View]
+) -> tuple[UInt8[Tensor, "n 3"], Bool[Tensor, " n"]]:
+    """Colour of each return in the first of some photos that shows it, and whether one does."""
+    colours = torch.zeros(len(positions), 3, dtype=torch.uint8)
+    seen = torch.zeros(len(positions), dtype=torch.bool)
+    for view in views:
+        camera = view.camera
+        pixels, depth = project_points(camera, positions.double())
+        column, row = pixels.floor().unbind(dim=1)
+        inside = (depth > camera.near) & (column >= 0) & (column < camera.width)
+        inside &= (row >= 0) & (row < camera.height) & ~seen
+        index = torch.where(inside)[0]
+        row, column = row[index].long(), column[index].long()
+        nearest = lidar_image(camera, positions)[row, column]
+        shown = depth[index] <= nearest * (1 + SURFACE)
+        if view.load_mask is not None:
+            shown &= view.load_mask()[row, column]
+        index, row, column = index[shown], row[shown], column[shown]
+        colours[index] = (view.load()[row, column] * 255).round().byte()
+        seen[index] = True
+    return colours, seen
+
+
+def looked_through(positions: Float[Tensor, "n 3"], sweeps: list[Sweep]) -> Tensor:
+    """Number of sweeps whose rays passed each point and went on.
+
+    A sweep counts where all its rays in the cells around a point's direction are longer than the
+    point is far.
+
+    Args:
+        positions: Points, float64, scene frame.
+        sweeps: Sweeps of other moments.
+
+    Returns: One int64 a point.
+
+    Source: ours; the idea is that of Kim and Kim 2020, "Remove, then Revert", Sec. III.
+    """
+    votes = np.zeros(len(positions), np.int64)
+    size = (round(np.pi / CELL) + 1, round(2 * np.pi / CELL))
+    for sweep in sweeps:
+        row, column, ranges = _polar(sweep.positions.double(), sweep)
+        image = np.full(size, np.inf)
+        np.minimum.at(image, (row, column), ranges)
+        around = {"size": 3, "mode": ("nearest", "wrap")}
+        nearest = minimum_filter(image, **around)
+        cells = uniform_filter(np.isfinite(image).astype(float), **around) * 9
+        row, column, far = _polar(positions, sweep)
+        passed = (1 + BEYOND) * far < nearest[row, column]
+        votes += passed & (cells[row, column] > LEAST_CELLS - 0.5)
+    return torch.from_numpy(votes)
+
+
+def _polar(
+    positions: Float[Tensor, "n 3"], sweep: Sweep
+) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Row and column of each position's cell, and its distance from where the sensor was."""
+    away = (positions - sweep.origin).numpy()
+    far = np.linalg.norm(away, axis=1)
+    height = np.arcsin(np.clip(away[:, 2] / np.maximum(far, 1e-9), -1, 1))
+    turn = np.arctan2(away[:, 1], away[:, 0])
+    row = np.floor((height + np.pi / 2) / CELL).astype(np.int64)
+    column = np.floor((turn + np.pi) / CELL).astype(np.int64)
+    return row, column % round(2 * np.pi / CELL), far

@@ -1,0 +1,125 @@
+"""Decoding of moving anchors with few, wide matrix products: the twin of the reference's hierarchy."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.reference.anchors.motion_hierarchy import (
+    HierarchyNetworks,
+    HierarchySettings,
+    MotionAnchors,
+    code,
+)
+from splatproof.reference.anchors.scaffold import view_code
+from splatproof.reference.types.mlp import Mlp
+from splatproof.reference.types.splats import Splats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Placed:
+    """The last anchors, and where their Gaussians stand."""
+
+    at: Float[Tensor, "a 3"]
+    features: Float[Tensor, "a f"] | None
+    base: Float[Tensor, "a 3"]
+    """Scales of the last anchors: their Gaussians' are below."""
+    away: Float[Tensor, "a c 3"]
+    """Of each of an anchor's Gaussians from it."""
+
+
+def placed(
+    anchors: MotionAnchors,
+    networks: HierarchyNetworks,
+    sizes: HierarchySettings,
+    times: Float[Tensor, " n"],
+    *,
+    features: bool = False,
+) -> Placed:
+    """Positions of everything that descends from some anchors, at a time for each.
+
+    Args:
+        anchors: The stored layer 0 and offsets.
+        networks: Those of positions and scales are run, and those of features where asked for.
+        sizes: Of the hierarchy.
+        times: In the unit of the peaks; at its own peak an anchor stands at its centre.
+        features: Whether the last anchors' features are wanted.
+
+    Source: HDGS, Eqs. 1 to 4.
+    """
+    period, k = sizes.period, sizes.children
+    swing = period / (2 * math.pi) * torch.sin(2 * math.pi * (times - anchors.peaks) / period)
+    at = anchors.centres + swing[:, None] * anchors.velocities
+    scales = anchors.log_scales
+    held = anchors.features if features else None
+    told = [anchors.instances, code(times[:, None])]
+    for layer, offsets in zip(networks.layers, anchors.offsets[:-1], strict=True):
+        nets = [layer.position, layer.scale, *([layer.feature] if features else [])]
+        change = together(nets, torch.cat([told[0], code(at), told[1]], dim=1))
+        steps = offsets.reshape(len(at), k, 3) * scales.exp()[:, None]
+        at = (at[:, None] + change[0].reshape(-1, k, 3) + steps).reshape(-1, 3)
+        scales = (scales[:, None] + change[1].reshape(-1, k, 3)).reshape(-1, 3)
+        if held is not None:
+            width = held.shape[1]
+            held = (held[:, None] + change[2].reshape(-1, k, width)).reshape(-1, width)
+        told = [value.repeat_interleave(k, dim=0) for value in told]
+    count, base = sizes.gaussians // sizes.leaves, scales.exp()
+    (moved,) = together([networks.leaf_position], torch.cat([told[0], code(at), told[1]], dim=1))
+    away = anchors.offsets[-1].reshape(-1, count, 3) * base[:, None] + moved.reshape(-1, count, 3)
+    return Placed(at=at, features=held, base=base, away=away)
+
+
+def decoded(
+    anchors: MotionAnchors,
+    networks: HierarchyNetworks,
+    sizes: HierarchySettings,
+    time: float,
+    camera_centre: Float[Tensor, "3"],
+) -> Splats:
+    """Gaussians at a time: twin of `motion_hierarchy.decode`; quaternions are left of any norm.
+
+    Args:
+        anchors: The stored layer 0 and offsets.
+        networks: Of the same sizes.
+        sizes: Of the hierarchy.
+        time: In the unit of the peaks.
+        camera_centre: In the anchors' frame.
+
+    Source: HDGS, Eqs. 1 to 6.
+    """
+    times = torch.full_like(anchors.peaks, time)
+    last = placed(anchors, networks, sizes, times, features=True)
+    assert last.features is not None
+    direction, distance = view_code(last.at, camera_centre)
+    seen = torch.cat([last.features, distance, direction], dim=1)
+    colour, opacity, shape = together([networks.colour, networks.opacity, networks.shape], seen)
+    count = sizes.gaussians // sizes.leaves
+    grown, turned = shape.reshape(-1, count, 7).split([3, 4], dim=2)
+    alive = torch.exp(-0.5 * ((time - anchors.peaks) * torch.exp(-anchors.log_spans)).square())
+    opacities = torch.sigmoid(opacity).reshape(len(alive), sizes.gaussians) * alive[:, None]
+    return Splats(
+        means=(last.at[:, None] + last.away).reshape(-1, 3),
+        quaternions=turned.reshape(-1, 4),
+        scales=(last.base[:, None] * torch.sigmoid(grown)).reshape(-1, 3),
+        opacities=opacities.reshape(-1),
+        colours=torch.sigmoid(colour).reshape(-1, 3),
+    )
+
+
+def together(networks: list[Mlp], inputs: Float[Tensor, "n a"]) -> list[Float[Tensor, "n _"]]:
+    """Outputs of networks of one hidden layer that read the same: one product for all hidden layers.
+
+    Args:
+        networks: Of two weight matrices each, and one hidden width.
+        inputs: One row a sample.
+    """
+    weight = torch.cat([network.weights[0] for network in networks], dim=1)
+    bias = torch.cat([network.biases[0] for network in networks])
+    hidden = torch.addmm(bias, inputs, weight).relu()
+    parts = hidden.split([network.weights[0].shape[1] for network in networks], dim=1)
+    return [
+        torch.addmm(network.biases[1], part, network.weights[1])
+        for network, part in zip(networks, parts, strict=True)
+    ]

@@ -1,0 +1,143 @@
+"""Depth terms of rendered views: the order of a depth prior, smoothness, and outliers."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from splatproof.base.errors import DataError
+from splatproof.datasets.image_cache import TensorCache
+from splatproof.methods.hdgs.settings import DepthSettings
+from splatproof.methods.training.terms import Frame, Term
+from splatproof.reference.supervision.depth_supervision import edge_weight
+from splatproof.reference.supervision.soft_rank import (
+    global_depth_loss,
+    soft_rank,
+    standardised,
+)
+from splatproof.reference.types.scene import Scene
+
+KEPT_BYTES = 2**28
+"""Most bytes of depth priors that are kept between steps."""
+DRAWN = 0.5
+"""Alpha from which a pixel shows something whose depth can be ranked."""
+
+
+def depth_terms(scene: Scene, settings: DepthSettings, unit: float) -> tuple[Term, ...]:
+    """The terms that the settings ask for.
+
+    Args:
+        scene: What is trained on.
+        settings: Weights and sizes.
+        unit: Unit of length of the model in scene units: depths are divided by it.
+
+    Raises: DataError if no training view has a depth prior and the global term is on.
+    """
+    terms: list[Term] = []
+    if settings.global_weight:
+        require_prior(scene)
+        terms.append(order_term(settings))
+    return (*terms, *local_terms(settings, unit))
+
+
+def require_prior(scene: Scene) -> None:
+    """Refuse a scene of whose training views none has a depth prior.
+
+    Raises: DataError.
+    """
+    if all(view.load_prior is None for view in scene.train_views):
+        raise DataError(
+            f"scene {scene.name!r}: no training view has a depth prior; name one for the case, or "
+            "set depth.global_weight = 0 to do without"
+        )
+
+
+def order_term(settings: DepthSettings) -> Term:
+    """1 - rank correlation of rendered disparity and prior, at pixels drawn at random.
+
+    Disparities are compared, not depths: a prior's zero point is unknown, so that its inverse may
+    have another order.
+
+    Args:
+        settings: Number of pixels, temperature, weight.
+
+    Source: HDGS, Eqs. 9 to 11; on a sample, since the direct form is quadratic in it.
+    """
+    disparities, masks = TensorCache(KEPT_BYTES), TensorCache(KEPT_BYTES)
+
+    def loss(frame: Frame) -> Float[Tensor, ""]:
+        load, depth = frame.view.load_prior, frame.output.depth
+        if load is None:
+            return depth.new_zeros(())
+        prior = disparities.get(frame.view, lambda: load().disparity).to(depth)
+        valid = masks.get(frame.view, lambda: load().valid).to(depth.device)
+        counts = valid & (frame.output.alpha.detach() > DRAWN)
+        if frame.mask is not None:
+            counts = counts & frame.mask
+        (pixels,) = torch.where(counts.flatten())
+        drawn = torch.randperm(len(pixels), generator=frame.moment.generator)
+        chosen = pixels[drawn[: settings.pixels].to(pixels)]
+        near = frame.view.camera.near
+        rendered = 1 / depth.flatten()[chosen].clamp(min=near)
+        return global_depth_loss(rendered, prior.flatten()[chosen], settings.temperature)
+
+    return Term(name="depth order", loss=loss, weight=settings.global_weight)
+
+
+def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
+    """Steps of depth between neighbours, and soft ranks off their neighbourhood's, away from edges.
+
+    Twins of `depth_supervision.smoothness_loss`, on the whole image, and of `outlier_loss`, on a crop
+    drawn at random, since ranking is quadratic in the pixels. A photo's edges are found once.
+
+    Args:
+        settings: Weights, edge of the crop, threshold, temperature.
+        unit: Unit of length that depths are divided by, in scene units.
+
+    Source: HDGS, Eqs. 12 and 13.
+    """
+    edges = TensorCache(KEPT_BYTES)
+
+    def weights(frame: Frame) -> Float[Tensor, "h w"]:
+        return edges.get(frame.view, lambda: edge_weight(frame.truth, settings.beta))
+
+    def smooth(frame: Frame) -> Float[Tensor, ""]:
+        weight, depth = weights(frame), frame.output.depth
+        across = weight[:, :-1] * (depth[:, 1:] - depth[:, :-1]).abs()
+        down = weight[:-1] * (depth[1:] - depth[:-1]).abs()
+        return (across.sum() + down.sum()) / (depth.numel() * unit)
+
+    def outliers(frame: Frame) -> Float[Tensor, ""]:
+        depth, side = frame.output.depth, settings.crop
+        draw = torch.rand(2, generator=frame.moment.generator).tolist()
+        row, column = (
+            int(share * max(1, size - side + 1))
+            for share, size in zip(draw, depth.shape, strict=True)
+        )
+        part = depth[row : row + side, column : column + side]
+        weight = weights(frame)[row : row + side, column : column + side]
+        ranks = soft_rank(standardised(part.flatten()), settings.temperature) / part.numel()
+        return weighted_outliers(ranks.reshape(part.shape), weight, settings.delta)
+
+    made = (
+        Term(name="depth steps", loss=smooth, weight=settings.smooth),
+        Term(name="depth outliers", loss=outliers, weight=settings.outlier),
+    )
+    return tuple(term for term in made if term.weight)
+
+
+def weighted_outliers(
+    ranks: Float[Tensor, "h w"], weight: Float[Tensor, "h w"], delta: float
+) -> Float[Tensor, ""]:
+    """1/N sum w e over the pixels where e, the rank's distance to its neighbourhood's mean, is large.
+
+    Args:
+        ranks: Soft ranks, divided by the number of pixels.
+        weight: Of each pixel, from `edge_weight`.
+        delta: What e must be above.
+    """
+    mean = functional.avg_pool2d(
+        ranks[None, None], 3, stride=1, padding=1, count_include_pad=False
+    )[0, 0]
+    off = (ranks - mean).abs()
+    return (weight * torch.where(off > delta, off, 0)).mean()

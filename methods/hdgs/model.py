@@ -1,0 +1,245 @@
+"""A model of moving anchors in layers: those alive and in view are decoded into Gaussians."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from splatproof.methods.contracts.model import Model, Moment, Schedule
+from splatproof.methods.contracts.parameters import Parameters
+from splatproof.methods.dynamic.sky import Sky
+from splatproof.methods.dynamic.times import Clock
+from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
+from splatproof.methods.hdgs.decode import decoded, placed
+from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
+from splatproof.reference.anchors.motion_hierarchy import (
+    HierarchySettings,
+    MotionAnchors,
+)
+from splatproof.reference.anchors.vibration import life
+from splatproof.reference.partition.frustum import frustum
+from splatproof.reference.types.camera import Camera, transform_points
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import View
+from splatproof.reference.types.splats import Splats
+
+ALIVE = 0.05
+"""Life from which an anchor is decoded."""
+REACH = math.sqrt(2 * math.log(255))
+"""Standard deviations within which an opaque Gaussian has an alpha of 1/255 and more."""
+BLUR = 2.0
+"""Pixels that rasterizers widen what is smaller than a pixel by, and round to, at most."""
+CYCLE = 0.2
+"""Model time of PVG (0.02 a frame) in one unit of time of this model: 10 frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Frame:
+    """How the model's own coordinates lie in the scene's: networks read the model's."""
+
+    middle: tuple[float, float, float]
+    """Origin of the model's coordinates in the scene's frame, scene units."""
+    unit: float
+    """Unit of length of the model in scene units."""
+
+    def inwards(self, positions: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+        """Positions in the scene's frame as the model counts them."""
+        return (positions - positions.new_tensor(self.middle)) / self.unit
+
+    def outwards(self, positions: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3"]:
+        """Positions of the model in the scene's frame."""
+        return positions * self.unit + positions.new_tensor(self.middle)
+
+
+class HdgsModel(Model):
+    """Layer 0 and all offsets are stored and trained; deeper anchors and Gaussians are decoded.
+
+    Rows: features, instances, quaternions, log_scales, peaks, velocities, log_spans, offsets1 to
+    offsets(N - 1). Labels: centres. Shared: networks and sky. Lengths are in the frame's unit, times
+    in tens of frames from the drive's middle.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        schedules: Mapping[str, Schedule],
+        *,
+        sizes: HierarchySettings,
+        frame: Frame,
+        clock: Clock,
+        voxel: float,
+        ice: Ice,
+    ) -> None:
+        """Take the tensors.
+
+        Args:
+            parameters: As `start.started` makes them.
+            schedules: Rate of each trained tensor.
+            sizes: Of the hierarchy.
+            frame: Where the model's coordinates lie.
+            clock: What turns a view's seconds into model time.
+            voxel: Edge of the consistency step's voxels in the frame's unit.
+            ice: Which parts of the consistency step run.
+        """
+        super().__init__(parameters, schedules)
+        self.sizes, self.frame, self.clock = sizes, frame, clock
+        self.voxel = voxel
+        self.ice: Ice = ice
+        self.sky = Sky()
+        self._near: tuple[Tensor, Pairs] | None = None
+
+    def anchors(self, index: Int[Tensor, " v"] | None = None) -> MotionAnchors:
+        """The stored anchors.
+
+        Args:
+            index: Rows of those that are wanted; None: all.
+        """
+        return stored_anchors(self.parameters, self.sizes.layers, index)
+
+    def time(self, view: View) -> float:
+        """Time of a view in the unit of the peaks.
+
+        Args:
+            view: Its time counts.
+
+        Raises: UsageError if it has none.
+        """
+        return self.clock.of(view) / CYCLE
+
+    def near(self) -> Pairs:
+        """Who stands beside whom: found again whenever the anchors changed, for they never move.
+
+        Density control gives the anchors a new tensor of centres; while that is the same memory, the
+        pairs are those of before.
+        """
+        centres = self.parameters.labels["centres"]
+        if self._near is None or self._near[0].data_ptr() != centres.data_ptr():
+            self._near = (centres, pairs(centres, self.voxel))
+        return self._near[1]
+
+    @torch.no_grad()
+    def in_view(self, camera: Camera, time: float) -> Int[Tensor, " v"]:
+        """Rows of the anchors that are alive and of whose Gaussians an image may show one.
+
+        All of them are put in their places, residuals and vibration included, by the small networks
+        of positions and scales alone; the larger ones run on what is left. An anchor counts if a
+        ball around one of its last descendants, which holds all that one's Gaussians with all their
+        pixels, meets the pyramid that the image opens.
+
+        Args:
+            camera: Camera of the image.
+            time: In the unit of the peaks.
+        """
+        rows = self.parameters.rows
+        alive = life(rows["peaks"], rows["log_spans"].exp(), time) > ALIVE
+        (index,) = torch.where(alive)
+        networks = hierarchy(self.parameters.shared, self.sizes.layers)
+        times = rows["peaks"].new_full((len(index),), time)
+        last = placed(self.anchors(index), networks, self.sizes, times)
+        # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
+        away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
+        radius = away + REACH * last.base.amax(dim=1)
+        local = transform_points(camera, self.frame.outwards(last.at)) / self.frame.unit
+        depth = local[:, 2]
+        focal = float(camera.K.diagonal()[:2].min())
+        radius = radius + BLUR / focal * (depth.abs() + away)
+        seen = depth + away > camera.near / self.frame.unit
+        for side in frustum(camera)[1:, :3]:  # all pass through the camera
+            inwards = torch.from_numpy(side / np.linalg.norm(side)).to(local)
+            seen &= local @ inwards > -radius
+        return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
+
+    def splats(self, view: View, moment: Moment) -> Splats:
+        """What the anchors alive and in view decode to.
+
+        Args:
+            view: Its camera and time count.
+            moment: Not looked at.
+        """
+        del moment
+        time = self.time(view)
+        seen = self.in_view(view.camera, time)
+        shared, layers = self.parameters.shared, self.sizes.layers
+        anchors = self.anchors(seen)
+        if CONVOLUTION in shared:
+            rows = self.parameters.rows
+            features = supported(
+                support(shared), rows["features"], self.parameters.labels["centres"],
+                rows["quaternions"], rows["log_scales"].exp(), self.near(), seen, self.ice,
+            )  # fmt: skip
+            anchors = replace(anchors, features=features)
+        centre = self.frame.inwards(view.camera.centre)
+        splats = decoded(anchors, hierarchy(shared, layers), self.sizes, time, centre)
+        k = self.sizes.gaussians
+        places = torch.arange(k, device=seen.device)
+        return replace(
+            splats,
+            means=self.frame.outwards(splats.means),
+            scales=splats.scales * self.frame.unit,
+            rows=seen.repeat_interleave(k),
+            slots=(seen[:, None] * k + places).reshape(-1),
+            decoded=seen,
+        )
+
+    def finish_image(self, view: View, output: RenderOutput) -> Float[Tensor, "h w c"]:
+        """The sky behind what was rasterized.
+
+        Args:
+            view: What was rendered.
+            output: Colours over the background, and alpha.
+        """
+        return self.sky.behind(self.parameters.shared, view.camera, output)
+
+    def facts(self) -> dict[str, Any]:
+        """What `restored` needs beside the tensors."""
+        return {
+            "sizes": asdict(self.sizes), "frame": asdict(self.frame), "clock": self.clock.facts(),
+            "voxel": self.voxel, "ice": self.ice,
+        }  # fmt: skip
+
+
+def stored_anchors(
+    parameters: Parameters, layers: int, index: Int[Tensor, " v"] | None = None
+) -> MotionAnchors:
+    """Anchors of a model's tensors.
+
+    Args:
+        parameters: As `start.started` makes them.
+        layers: Layers of the hierarchy.
+        index: Rows of those that are wanted; None: all.
+    """
+    parts = {"centres": parameters.labels["centres"], **parameters.rows}
+    if index is not None:
+        parts = {name: value.index_select(0, index) for name, value in parts.items()}
+    offsets = tuple(parts.pop(f"offsets{layer}") for layer in range(1, layers))
+    return MotionAnchors(**parts, offsets=offsets)
+
+
+def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> HdgsModel:
+    """The model that was stored; it is not trained on.
+
+    Args:
+        facts: What `HdgsModel.facts` said.
+        tensors: As `Parameters.state` names them.
+
+    Raises: KeyError, TypeError or ValueError if something is missing or does not fit.
+    """
+    parameters = Parameters.of(tensors)
+    sizes = HierarchySettings(**facts["sizes"])
+    hierarchy(parameters.shared, sizes.layers)
+    stored_anchors(parameters, sizes.layers)
+    if facts["ice"] not in get_args(Ice):
+        raise ValueError(f"ice {facts['ice']!r}")
+    if CONVOLUTION in parameters.shared:
+        support(parameters.shared)
+    x, y, z = (float(value) for value in facts["frame"]["middle"])
+    frame = Frame(middle=(x, y, z), unit=float(facts["frame"]["unit"]))
+    return HdgsModel(
+        parameters, {}, sizes=sizes, frame=frame, clock=Clock.read(facts["clock"]),
+        voxel=float(facts["voxel"]), ice=facts["ice"],
+    )  # fmt: skip

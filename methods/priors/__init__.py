@@ -1,0 +1,1 @@
+"""Depth priors of training views: what something else than their own geometry says of their depth."""

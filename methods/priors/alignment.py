@@ -1,0 +1,37 @@
+"""The scale and zero that bring a disparity nearest to another: what a prior leaves open."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+ROUNDS = 20
+"""Weighted fits; each gives less weight to what the one before did not meet."""
+FLOOR = 1e-3
+"""Residuals below this share of the median target count alike."""
+
+
+def aligned(
+    values: Float[Tensor, " n"], targets: Float[Tensor, " n"]
+) -> tuple[float, float] | None:
+    """Scale a and shift b with least sum |a x + b - t|; None where they are not determined.
+
+    Least absolute deviations by reweighted least squares: a minority of wrong targets, spread over
+    the range of disparities, hardly moves them.
+
+    Args:
+        values: Disparities x of a prior.
+        targets: Disparities t that they are to become, > 0.
+    Source: scale and shift in disparity: Ranftl et al. 2020 (MiDaS); fit: ours.
+    """
+    x, t = values.double(), targets.double()
+    if len(x) < 2 or float(x.max() - x.min()) <= 1e-6 * float(x.abs().max()):
+        return None
+    design = torch.stack([x, torch.ones_like(x)], dim=1)
+    floor = FLOOR * float(t.abs().median())
+    weights = torch.ones_like(x)
+    solution = torch.zeros(2, dtype=torch.float64)
+    for _ in range(ROUNDS):
+        weighted = design * weights[:, None]
+        solution = torch.linalg.lstsq(weighted.T @ design, weighted.T @ t).solution
+        weights = 1 / (design @ solution - t).abs().clamp(min=floor)
+    return float(solution[0]), float(solution[1])

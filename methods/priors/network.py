@@ -1,0 +1,140 @@
+"""Prior `network:PATH`: our own small network, from a photo and the sparse points that it shows."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from splatproof.base.errors import DataError
+from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.scene import DepthPrior, Scene, View
+
+FORMAT = "splatproof depth network 1"
+"""What the facts of a weights file say under "format"."""
+WIDTHS = (24, 48, 96, 128)
+"""Channels of the levels, finest first."""
+INPUTS = 5
+"""Channels of the input: R, G, B, sparse disparity over its median, and where there is any."""
+LONGER = 128
+"""Pixels of the longer side that the network sees; its answer is enlarged again."""
+STRIDE = 2 ** (len(WIDTHS) - 1)
+"""Both sides that the network sees are multiples of this."""
+
+
+class DepthNetwork(nn.Module):
+    """A U-Net of four levels with 0.8 million parameters; says disparity of unknown scale and zero."""
+
+    def __init__(self) -> None:
+        """Start from random weights."""
+        super().__init__()
+        before = (INPUTS, *WIDTHS[:-1])
+        self.down = nn.ModuleList(_level(a, b) for a, b in zip(before, WIDTHS, strict=True))
+        coarse = list(zip(WIDTHS[1:], WIDTHS[:-1], strict=True))
+        self.up = nn.ModuleList(_level(below + here, here) for below, here in coarse)
+        self.last = nn.Conv2d(WIDTHS[0], 1, 1)
+
+    def forward(self, given: Float[Tensor, "n 5 h w"]) -> Float[Tensor, "n h w"]:
+        """Disparity of each pixel; both sides of the input are multiples of STRIDE."""
+        kept = []
+        at = given
+        for index, level in enumerate(self.down):
+            at = level(at if index == 0 else functional.max_pool2d(at, 2))
+            kept.append(at)
+        for index in reversed(range(len(self.up))):
+            larger = functional.interpolate(at, scale_factor=2, mode="bilinear")
+            at = self.up[index](torch.cat([larger, kept[index]], dim=1))
+        return self.last(at)[:, 0]
+
+
+def _level(before: int, after: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(before, after, 3, padding=1), nn.GroupNorm(8, after), nn.ReLU(),
+        nn.Conv2d(after, after, 3, padding=1), nn.GroupNorm(8, after), nn.ReLU(),
+    )  # fmt: skip
+
+
+def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], DepthPrior]:
+    """How to make the prior of a view, by its index in the scene.
+
+    Args:
+        scene: Any scene; sparse points with tracks help.
+        weights: File that `save_network` wrote.
+        seed: Not used; it draws nothing.
+    Raises: DataError where the file is not such a network's.
+    """
+    assert weights is not None
+    network = load_network(weights)
+    seen = observations(scene.points, len(scene.views))
+
+    def make(index: int) -> DepthPrior:
+        view = scene.views[index]
+        points = scene.points.positions[points_of(seen, index)]
+        with torch.inference_mode():
+            said = network(network_input(view, points)[None])
+            whole = functional.interpolate(said[:, None], view.size, mode="bilinear")[0, 0]
+        return DepthPrior(disparity=whole.clone(), valid=torch.ones(view.size, dtype=torch.bool))
+
+    return make
+
+
+def network_size(camera: Camera) -> tuple[int, int]:
+    """Height and width at which the network sees a view: multiples of STRIDE, LONGER at most."""
+    scale = LONGER / max(camera.height, camera.width)
+    height, width = (max(1, round(side * scale / STRIDE)) for side in (camera.height, camera.width))
+    return STRIDE * height, STRIDE * width
+
+
+def network_input(view: View, points: Float[Tensor, "n 3"]) -> Float[Tensor, "5 h w"]:
+    """Photo and sparse disparity of a view as the network takes them.
+
+    Args:
+        view: The view.
+        points: Sparse points that it sees; none is fine.
+    """
+    size = network_size(view.camera)
+    photo = functional.interpolate(view.load().permute(2, 0, 1)[None], size, mode="area")[0]
+    at, z = project_points(view.camera, points.double())
+    scale = torch.tensor([size[1] / view.camera.width, size[0] / view.camera.height]).double()
+    column, row = (at * scale).floor().long().T
+    inside = (z > 0) & (column >= 0) & (column < size[1]) & (row >= 0) & (row < size[0])
+    sparse, mask = torch.zeros(2, *size)
+    if inside.any():
+        disparity = (1 / z[inside]).float()
+        place = row[inside] * size[1] + column[inside]
+        sparse.view(-1).scatter_reduce_(0, place, disparity / disparity.median(), "amax")
+        mask.view(-1)[place] = 1
+    return torch.cat([2 * photo - 1, sparse[None], mask[None]])
+
+
+def save_network(path: Path, network: DepthNetwork, facts: dict[str, object]) -> None:
+    """Write the weights.
+
+    Args:
+        path: A .safetensors file.
+        network: What is saved.
+        facts: How it was trained, JSON-ready.
+    """
+    write_tensors(path, network.state_dict(), {"format": FORMAT} | facts)
+
+
+def load_network(path: Path) -> DepthNetwork:
+    """Read what `save_network` wrote.
+
+    Raises: DataError where the file is missing, damaged or not such a network's.
+    """
+    tensors, facts = read_tensors(path)
+    network = DepthNetwork()
+    shapes = {name: tensor.shape for name, tensor in network.state_dict().items()}
+    same = {name: tensor.shape for name, tensor in tensors.items()} == shapes
+    if not same or not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise DataError(
+            f"{path}: not the weights of a depth network of splatproof ({FORMAT!r}); "
+            "docs/tools/train_depth_network.py writes them"
+        )
+    network.load_state_dict(tensors)
+    return network.eval()

@@ -1,0 +1,117 @@
+"""Training of our own depth network on worlds whose depth is known."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+from torch.nn import functional
+
+from splatproof.base.errors import DataError
+from splatproof.methods.priors.network import DepthNetwork, network_input
+from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.types.scene import Scene
+
+RATE = 1e-3
+"""Adam's rate at the start; it falls to 0 along half a cosine."""
+WITHOUT_POINTS = 0.2
+"""Share of samples whose sparse points are hidden: scenes may have none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sample:
+    """A view as the network sees it, and what it should say."""
+
+    given: Float[Tensor, "5 h w"]
+    truth: Float[Tensor, "h w"]
+    """True disparity; 0 in the sky."""
+    known: Bool[Tensor, "h w"]
+
+
+def samples_of(scene: Scene) -> list[Sample]:
+    """All training views of a scene.
+
+    Args:
+        scene: A made world, with its truth.
+    Raises: DataError where a view has no true depth.
+    """
+    seen = observations(scene.points, len(scene.views))
+    found = []
+    for index in scene.train:
+        view = scene.views[index]
+        if view.load_depth is None:
+            raise DataError(f"{scene.name}: view {view.name} has no true depth to train on")
+        given = network_input(view, scene.points.positions[points_of(seen, index)])
+        depth = functional.interpolate(view.load_depth()[None, None], given.shape[1:])[0, 0]
+        known = depth > 0
+        found.append(Sample(given=given, truth=torch.where(known, 1 / depth, 0), known=known))
+    return found
+
+
+def affine_loss(
+    said: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"], known: Bool[Tensor, "n h w"]
+) -> Float[Tensor, ""]:
+    """Mean |a d + b - t| over the median of t, after the least-squares scale a and zero b a view.
+
+    Args:
+        said: Disparity d that the network says.
+        truth: True disparity t.
+        known: Pixels that count; each view has some.
+    Source: Ranftl et al. 2020 (MiDaS), Eq. 1 to 4; least squares as there, L1 and its unit: ours.
+    """
+    weight = known.to(said).flatten(1)
+    d, t = said.flatten(1), truth.flatten(1)
+    count = weight.sum(dim=1, keepdim=True)
+    d_mean, t_mean = ((weight * x).sum(dim=1, keepdim=True) / count for x in (d, t))
+    spread = (weight * (d - d_mean) ** 2).sum(dim=1, keepdim=True).clamp(min=1e-6)
+    scale = (weight * (d - d_mean) * (t - t_mean)).sum(dim=1, keepdim=True) / spread
+    off = (scale * (d - d_mean) + t_mean - t).abs() * weight
+    unit = torch.stack([row[mask].median() for row, mask in zip(t, known.flatten(1), strict=True)])
+    return (off.sum(dim=1) / count[:, 0] / unit.clamp(min=1e-6)).mean()
+
+
+def train(
+    samples: Sequence[Sample],
+    *,
+    steps: int,
+    batch: int = 4,
+    seed: int = 0,
+    report: Callable[[int, int, float], None] = lambda step, steps, loss: None,
+) -> DepthNetwork:
+    """Fit a network; equal samples and seed give equal weights on one machine.
+
+    Args:
+        samples: Views; a batch holds views of one size.
+        steps: Number of batches.
+        batch: Samples a batch, drawn with replacement and mirrored half of the time.
+        seed: Seed of weights and draws.
+        report: Told (step, steps, loss).
+    Raises: DataError without samples.
+    """
+    if not samples:
+        raise DataError("no views to train the depth network on")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = DepthNetwork()
+    draw = torch.Generator().manual_seed(seed)
+    adam = torch.optim.Adam(network.parameters(), lr=RATE)
+    rates = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
+    for step in range(steps):
+        first = samples[int(torch.randint(len(samples), (), generator=draw))]
+        alike = [one for one in samples if one.truth.shape == first.truth.shape]
+        rows = torch.randint(len(alike), (batch,), generator=draw).tolist()
+        given = torch.stack([alike[row].given for row in rows])
+        truth = torch.stack([alike[row].truth for row in rows])
+        known = torch.stack([alike[row].known for row in rows])
+        hidden = torch.rand(batch, generator=draw) < WITHOUT_POINTS
+        given[hidden, 3:] = 0
+        if torch.rand((), generator=draw) < 0.5:
+            given, truth, known = (maps.flip(-1) for maps in (given, truth, known))
+        loss = affine_loss(network(given), truth, known)
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+        rates.step()
+        report(step + 1, steps, float(loss.detach()))
+    return network.eval()

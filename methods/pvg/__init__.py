@@ -1,0 +1,1 @@
+"""Method pvg: Gaussians that swing and fade (Chen et al. 2023)."""

@@ -1,0 +1,1 @@
+"""Claims of papers, a file a page, as data."""

@@ -1,0 +1,246 @@
+"""What runs allow to say of a paper's claim: a verdict with its interval and its reason.
+
+A claim compares two rows. It is judged by the paired bootstrap over images and seeds; before that a
+run has to be one that could have shown the effect: three seeds, density control that did something,
+and a score that no longer rises.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from splatproof.reports.claims.claim import Claim
+from splatproof.reports.comparable import MIN_SEEDS
+from splatproof.reports.measured import Measured
+from splatproof.reports.statistics import Difference, Scores, paired_difference
+
+Verdict = Literal[
+    "holds", "direction only", "no difference", "contradicted", "undecided", "too short to judge",
+    "not testable here",
+]  # fmt: skip
+"""undecided: of a claim with a bar, whose interval lies on both sides of it."""
+HALF = "half"
+"""Variant that is its method with half the steps: what the second half of a run still gains."""
+SETTLED = 0.3
+"""dB that the second half of a run's steps may gain whatever the difference: a third of the papers' usual
+effects, and above what seeds move."""
+SETTLED_SHARE = 0.1
+"""The same of values that are no dB, as a share of the value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """A claim and what the runs say of it."""
+
+    claim: Claim
+    verdict: Verdict
+    difference: Difference | None
+    """The difference `row` - `other`, for a ratio that of their logarithms; None: not measured."""
+    seeds: int
+    """Fewest seeds behind either row."""
+    reason: str
+    """Why this verdict and no other, in one line."""
+
+
+def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator) -> Judged:
+    """The verdict on a claim.
+
+    In this order: *not testable here* where something is missing or rows are not comparable; *too
+    short to judge* below three seeds, where nothing was ever densified, or where a row still changed by
+    more than it differs from the other, see `still_changing`; else by the 95 % interval of the
+    difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
+    only*: it does not reach that; *contradicted*: it lies on the other side; *no difference*: it
+    contains 0. With a bar: *holds* on its better side, *contradicted* on its other side, else
+    *undecided*.
+
+    Args:
+        claim: What is judged.
+        runs: All cases of the suite, failed ones and rows of half the steps included.
+        generator: Source of the bootstrap's draws.
+    Returns: The verdict; false alarms (an effect in either direction that is none) come in at most
+        5 % of claims.
+    Source: ours.
+    """
+    pairs, fault = _pairs(claim, runs)
+    if fault:
+        return _without(claim, "not testable here", fault)
+    every = [run for pair in pairs for side in pair for run in side]
+    seeds = min(len(side) for pair in pairs for side in pair)
+    if seeds < MIN_SEEDS:
+        return _without(
+            claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds
+        )
+    if never := sorted({run.row for run in every if not run.grown}):
+        return _without(claim, "too short to judge", f"{', '.join(never)}: never densified", seeds)
+    tables = [_tables(claim, *pair) for pair in pairs]
+    if any(table.size == 0 for pair in tables for table in pair):
+        fault = f"no image has {claim.metric} in all runs of both rows"
+        return _without(claim, "not testable here", fault, seeds)
+    found = paired_difference(tables, generator)
+    if still := still_changing(claim, every, found.mean, runs):
+        return replace(_without(claim, "too short to judge", still, seeds), difference=found)
+    verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
+    return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
+
+
+Pair = tuple[list[Measured], list[Measured]]
+
+
+def _pairs(claim: Claim, runs: Sequence[Measured]) -> tuple[list[Pair], str]:
+    """Finished runs of both rows, scene by scene, or why there are none that compare."""
+    if claim.missing:
+        return [], claim.missing
+    own = [run for run in runs if not claim.protocol or run.protocol == claim.protocol]
+    sides = {name: [run for run in own if run.row == name] for name in (claim.row, claim.other)}
+    for name, side in sides.items():
+        if all(run.error for run in side):
+            errors = sorted({run.error for run in side})
+            return [], f"{name} failed: {errors[0]}" if errors else f"{name} has not been run"
+    done = [run for side in sides.values() for run in side if not run.error]
+    scenes = claim.scenes or tuple(sorted({run.scene for run in done}))
+    if len({run.protocol for run in done}) > 1:
+        return [], "the rows were run under several protocols, and the claim names none"
+    pairs = []
+    for scene in scenes:
+        both = tuple(
+            [run for run in done if (run.row, run.scene) == (name, scene)] for name in sides
+        )
+        for name, side in zip(sides, both, strict=True):
+            if not side:
+                return [], f"{name} has not been run on {scene}"
+        if len({run.data for side in both for run in side}) > 1:
+            return [], f"the rows were scored on other images of {scene}"
+        pairs.append(both)
+    return pairs, ""
+
+
+def still_changing(
+    claim: Claim, chosen: Sequence[Measured], difference: float, runs: Sequence[Measured]
+) -> str:
+    """Why runs were too short to bear a difference; empty where they were not.
+
+    What the second half of the steps changed (against the row method@half) is about what all further
+    steps could change, where each doubling changes half as much as the one before. A run is long enough
+    if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself, which then keeps its
+    sign. A PSNR that falls has settled. Where there is no row of half the steps, what the last fifth of
+    the run gained in training loss stands in for a gain in PSNR.
+
+    Args:
+        claim: What is judged.
+        chosen: Runs of its rows.
+        difference: What they differ by, as it is compared.
+        runs: All cases of the suite, those of half the steps among them.
+    """
+    decibels = claim.metric.endswith("psnr")
+    late = []
+    for row in dict.fromkeys(run.row for run in chosen):
+        own = [run for run in chosen if run.row == row]
+        change = half_gain(own[0], claim.metric, runs)
+        value = float(np.mean([abs(run.values.get(claim.metric, math.nan)) for run in own]))
+        told = f"the second half of its steps changed {claim.metric} by {change:+.2g}"
+        bound = max(abs(difference), SETTLED if decibels else SETTLED_SHARE * value)
+        if math.isnan(change):
+            change = float(np.mean([run.late_gain for run in own]))
+            told = f"its last fifth still gained {change:.2f} dB of training loss"
+            bound = max(abs(difference), SETTLED) if decibels else SETTLED
+        elif claim.relative:
+            change, bound = change / value, max(math.expm1(abs(difference)), SETTLED_SHARE)
+        if (change if decibels else abs(change)) > bound:
+            late.append(f"{row}: {told}")
+    return "; ".join(late)
+
+
+def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
+    """How much better a method is than with half its steps, over the seeds that both have.
+
+    Args:
+        run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
+            as its method, and a row whose own depth prior has no row of half the steps as many as with
+            another.
+        metric: Name of a value of cases.
+        runs: All cases of the suite.
+    Returns: Mean difference; nan where there are no two such rows.
+    """
+    alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
+    halves = [r for r in alike if r.row == r.named(HALF) and r.named() == run.named(axes=_axes(r))]
+    halves = [r for r in halves if _axes(r) == _axes(run)] or halves
+    gains = [
+        whole.values[metric] - half.values[metric]
+        for half in halves
+        for whole in alike
+        if (whole.row, whole.seed) == (half.named(), half.seed)
+        and metric in whole.values and metric in half.values
+    ]  # fmt: skip
+    return float(np.mean(gains)) if gains else math.nan
+
+
+def _axes(run: Measured) -> str:
+    """What stands behind a row's method and variant: noise and prior."""
+    _, tilde, axes = run.row.partition("~")
+    return tilde + axes
+
+
+def _tables(claim: Claim, row: list[Measured], other: list[Measured]) -> tuple[Scores, Scores]:
+    """Scores of both rows: a line a seed, a column an image that all have, or one where images have none."""
+    every = [*row, *other]
+    names = sorted(set.intersection(*(
+        {name for name, scores in run.images.items() if claim.metric in scores} for run in every
+    )))  # fmt: skip
+
+    def table(runs: list[Measured]) -> Scores:
+        if names:
+            scores = [[run.images[name][claim.metric] for name in names] for run in runs]
+        elif all(claim.metric in run.values for run in every):
+            scores = [[run.values[claim.metric]] for run in runs]
+        else:
+            scores = [[] for _ in runs]
+        values = np.array(scores, dtype=np.float64).reshape(len(runs), -1)
+        return np.log(values) if claim.relative else values
+
+    return table(row), table(other)
+
+
+def _by_effect(claim: Claim, found: Difference) -> tuple[Verdict, str]:
+    """The verdict of a claimed effect by its interval."""
+    sign = 1 if claim.better == "higher" else -1
+    low, high = sorted((sign * found.low, sign * found.high))
+    if math.isnan(low):
+        return "not testable here", f"{claim.metric} is not finite in every run"
+    if high < 0:
+        return "contradicted", "the interval lies on the other side of 0"
+    if low <= 0:
+        effect = claim.as_effect(found.detectable)
+        size = f"{100 * effect:.0f} %" if claim.relative else f"{effect:.2g}"
+        return "no difference", f"the interval contains 0; an effect of {size} would have shown"
+    if claim.printed is None:
+        return "holds", "the interval lies on the claimed side of 0; no size is printed"
+    half = sign * claim.as_difference(claim.printed / 2)
+    if high >= half:
+        return "holds", "the interval excludes 0 and reaches half the printed effect"
+    return "direction only", "the interval excludes 0 and ends below half the printed effect"
+
+
+def _by_bar(claim: Claim, found: Difference) -> tuple[Verdict, str]:
+    """The verdict of a claim with a bar by its interval."""
+    assert claim.bar is not None
+    sign = 1 if claim.better == "higher" else -1
+    low, high = sorted((sign * found.low, sign * found.high))
+    bar = sign * claim.as_difference(claim.bar)
+    if math.isnan(low):
+        return "not testable here", f"{claim.metric} is not finite in every run"
+    if low >= bar:
+        return "holds", "the whole interval reaches the bar"
+    if high < bar:
+        return "contradicted", "the whole interval misses the bar"
+    return "undecided", "the interval lies on both sides of the bar"
+
+
+def _without(claim: Claim, verdict: Verdict, reason: str, seeds: int = 0) -> Judged:
+    return Judged(claim=claim, verdict=verdict, difference=None, seeds=seeds, reason=reason)
+
+
+def _count(seeds: int) -> str:
+    return f"{seeds} seed{'' if seeds == 1 else 's'}"

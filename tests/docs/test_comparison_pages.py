@@ -1,0 +1,246 @@
+"""The pages of the street and the tunnel: made of the committed rows, and every part of them by hand."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from comparison_files import page, planned
+from comparison_page import Page, Picture, render_page
+from make_street_page import STREET
+from make_tunnel_page import TUNNEL
+from printed_tables import OURS, Line, Printed, ours, printed_tables, printed_value
+from strips import MOMENTS, SHARE, WIDTH, crops, strip
+
+from helpers.tiny_scene import tiny_scene
+from splatproof.reports.claims.claim import Claim, load_claims
+from splatproof.reports.measured import Measured
+from splatproof.suites.published.rows import numbers
+from splatproof.suites.suite_files import load_suite, suite_names
+
+DOCS = Path(__file__).parents[2] / "docs"
+BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL], ids=lambda one: one.suite)
+
+
+@BOTH
+def test_the_committed_page_is_what_the_generator_makes_of_the_committed_rows(made):
+    assert (DOCS / f"{made.suite}.md").read_text(encoding="utf-8") == page(made, DOCS)
+
+
+@BOTH
+def test_every_picture_of_the_page_is_there_and_small(made):
+    shown = json.loads((DOCS / f"{made.suite}_pictures.json").read_text(encoding="utf-8"))
+    for entry in shown:
+        assert (DOCS / entry["path"]).stat().st_size < 150_000
+
+
+@BOTH
+def test_claims_and_printed_tables_name_rows_of_the_suite(made):
+    rows = {(row, protocol) for _, protocol, row in planned(load_suite(made.suite).cases)}
+    named = {row for row, _ in rows}
+    for claim in load_claims(made.suite):
+        if not claim.missing:
+            assert {claim.row, claim.other} <= named, claim.text
+            both = {protocol for row, protocol in rows if row in (claim.row, claim.other)}
+            assert claim.protocol in both or len(both) == 1, claim.text
+    assert {line.row for table in made.printed for line in table.lines} <= named
+    assert made.protocol in {protocol for _, protocol in rows}
+
+
+@BOTH
+def test_printed_tables_are_printed(made):
+    for table in made.printed:
+        for line in table.lines:
+            values = [printed_value(table, line, metric) for metric in table.metrics]
+            assert not any(map(math.isnan, values)), (table.title, line)
+
+
+@BOTH
+def test_printed_effects_are_differences_of_printed_values(made):
+    """A claim's text names its table; two of that table's values lie as far apart as it says."""
+    for claim in load_claims(made.suite):
+        if claim.printed is None:
+            continue
+        places = re.findall(r"table (\d+[ab]?)", claim.text)
+        assert places, claim.text
+        assert any(differs_by(claim, table) for table in places), claim.text
+
+
+def differs_by(claim: Claim, table: str) -> bool:
+    metric = next(name for name, own in OURS.items() if own == claim.metric.replace("moving_", "")
+                  or (name, claim.metric) == ("fps", "render_ms"))  # fmt: skip
+    found: dict[tuple, list[float]] = {}
+    for one in numbers():
+        if (one["paper"], one["table"], one["metric"]) == (claim.paper, table, metric):
+            key = (one["method"], one["variant"], one["dataset"])
+            found.setdefault(key, []).append(float(one["value"]))
+    means = [float(np.mean(values)) for values in found.values()]
+    if metric == "fps":
+        means = [1000 / mean for mean in means]
+    assert claim.printed is not None
+    effects = [a / b - 1 if claim.relative else a - b for a in means for b in means]
+    return any(abs(effect - claim.printed) <= 0.0051 for effect in effects)
+
+
+def test_the_check_of_printed_effects_can_fail():
+    claim = next(one for one in load_claims("tunnel") if one.printed is not None)
+    assert claim.printed is not None
+    table = re.findall(r"table (\d+[ab]?)", claim.text)[0]
+    assert not differs_by(replace(claim, printed=claim.printed + 0.37), table)
+
+
+@pytest.mark.parametrize("suite", ["street", "tunnel"])
+def test_other_forms_have_the_rows_of_the_suite(suite: str):
+    """The reduced form runs a row of every method; the medium one is the suite on a larger scene."""
+    whole = load_suite(suite).cases
+    assert {case.method for case in load_suite(f"{suite}-quick").cases} == {c.method for c in whole}
+    assert f"{suite}-medium" in suite_names()
+
+
+def row(name: str, seed: int = 0, **changed) -> Measured:
+    values = {"psnr": 20.0 + seed, "disk_mb": 2.0, "render_ms": 20.0, **changed.pop("values", {})}
+    plain = {"scene": "s", "row": name, "protocol": "p", "seed": seed, "steps": 100, "grown": 2,
+             "late_gain": 0.1, "machine": "cores 2", "data": "d", "values": values,
+             "images": {"v": {"psnr": values["psnr"]}}}  # fmt: skip
+    return Measured(**{**plain, **changed})
+
+
+def small_page(rows: list[Measured], **changed) -> Page:
+    claim = Claim(paper="P", text="a is better", row="a", other="b", metric="psnr", printed=3.0)
+    plain = {"suite": "street", "title": "T", "intro": "I", "findings": "",
+             "planned": {("s", "p", "a"): 3, ("s", "p", "a@half"): 1, ("s", "p", "b"): 3},
+             "rows": rows, "claims": [claim], "printed": ()}  # fmt: skip
+    return Page(**{**plain, **changed})
+
+
+def some_rows() -> list[Measured]:
+    return [
+        *(row("a", seed) for seed in range(3)),
+        row("a@half", values={"psnr": 19.9}),
+        *(row("b", seed, values={"psnr": 16.0 + seed}) for seed in range(3)),
+    ]
+
+
+def test_a_page_shows_verdicts_tables_and_lengths():
+    text = render_page(small_page(some_rows()), [Picture(path="x.jpg", caption="See")])
+    assert "All 3 rows of the suite are here." in text
+    assert "1 claims: 1 *holds*." in text
+    assert "| **holds** | P: a is better | `a` − `b`, psnr | +3 | +4 [" in text
+    assert "| a | 3 | 21.00 ± 2.48 | 2.00 ± 0.00 |" in text  # t(2) = 4.303 times 1 / sqrt(3)
+    quality, lengths = text.split("What a run took")
+    assert "| a@half |" not in quality  # a control, no row to be compared
+    assert "| a@half | 100 | 2 | 0.10 |" in lengths
+    assert "![See](x.jpg)" in text
+    assert "Failed" not in text
+
+
+def test_protocols_of_a_scene_stand_side_by_side():
+    planned = {("s", "p", "a"): 3, ("s", "q", "a"): 1, ("s", "q", "a@half"): 1}
+    rows = [*some_rows(), row("a", protocol="q"), row("a@half", protocol="q")]
+    text = render_page(small_page(rows, planned=planned), [])
+    assert "| row | p | q |\n|---|---:|---:|\n| a | 21.00 ± 2.48 | 20.00 |\n\n" in text
+    assert "by protocol" not in render_page(small_page(rows), [])
+
+
+def test_an_incomplete_suite_says_what_is_missing_and_why():
+    rows = [row("a"), row("b", error="it broke")]
+    text = render_page(small_page(rows), [])
+    assert (
+        "**Incomplete**: 3 of 3 rows lack seeds: a (s, p: 1 of 3), a@half (s, p: 0 of 1), b ("
+        in text
+    )
+    assert "- b seed 0: it broke" in text
+    assert "**not testable here**" in text
+    assert "b failed: it broke" in text
+    assert "## Pictures" not in text
+    empty = render_page(small_page([]), [])
+    assert "a has not been run" in empty
+    assert "Measured on nothing yet" in empty
+
+
+def test_ratios_are_shown_in_per_cent():
+    claim = Claim(paper="P", text="smaller", row="a", other="b", metric="disk_mb", better="lower",
+                  printed=-0.69, relative=True)  # fmt: skip
+    rows = [
+        replace(one, values={**one.values, "disk_mb": 1.0 if one.row == "a" else 4.0})
+        for one in some_rows()
+    ]
+    text = render_page(small_page(rows, claims=[claim]), [])
+    assert "| -69 % | -75 % [-75 %, -75 %] | 3 |" in text
+
+
+def test_printed_rows_beside_ours():
+    lines = (Line(method="PVG", variant="box=none; 1280x1920*", row="a"),
+             Line(method="HDGS", variant="box=none; 1280x1920*", row="b"))  # fmt: skip
+    table = Printed(paper="HDGS", table="3", title="x", dataset="Waymo (SA)", lines=lines,
+                    metrics=("psnr", "fps"), without="image reconstruction")  # fmt: skip
+    assert printed_value(table, lines[0], "psnr") == 28.11
+    assert printed_value(table, lines[1], "fps") == 49
+    assert ours(table, lines[0], "psnr", some_rows()) == 21
+    assert ours(table, lines[0], "fps", some_rows()) == 50
+    text = printed_tables([table], some_rows())[-1]
+    # printed: HDGS is above PVG; here b is below a, and as fast
+    assert "psnr 0 of 1; fps 0 of 1." in text
+    turned = [replace(one, row="b" if one.row == "a" else "a") for one in some_rows()]
+    assert "psnr 1 of 1" in printed_tables([table], turned)[-1]
+    assert "psnr 0 of 0" in printed_tables([table], [])[-1]
+    assert math.isnan(ours(replace(table, protocol="q"), lines[0], "psnr", some_rows()))
+    assert printed_tables([], some_rows()) == []
+
+
+def views(moving: dict[int, tuple[int, int]]):
+    """Eight views, of which some have a moving square of 4 x 4 with its corner at (row, column)."""
+    scene = tiny_scene(points=4)
+    made = []
+    for index in range(8):
+        mask = torch.zeros(scene.views[0].size, dtype=torch.bool)
+        if index in moving:
+            top, left = moving[index]
+            mask[top : top + 4 + index, left : left + 4] = True
+        load = lambda mask=mask: {"vehicles": mask, "people": torch.zeros_like(mask)}
+        made.append(replace(scene.views[0], name=f"v{index}.png", load_moving=load))
+    return made
+
+
+def test_strips_show_the_views_with_most_that_moves_around_it():
+    height, width = views({})[0].size
+    chosen = crops(views({i: (0, 0) for i in range(1, 8)}))
+    assert [crop.view for crop in chosen] == [f"v{i}.png" for i in range(3, 8)]
+    assert (chosen[0].top, chosen[0].left) == (0, 0)
+    assert (chosen[0].height, chosen[0].width) == (round(SHARE * height), round(SHARE * width))
+    (corner,) = crops(views({2: (height - 4, width - 4)}))
+    assert (corner.top + corner.height, corner.left + corner.width) == (height, width)
+    (middle,) = crops(views({2: (height // 2 - 3, width // 2 - 2)}))
+    assert abs(middle.top + middle.height / 2 - height / 2) <= 1
+
+
+def test_where_nothing_moves_whole_views_are_spread():
+    chosen = crops(views({}))
+    assert [crop.view for crop in chosen] == [f"v{i}.png" for i in (0, 2, 4, 5, 7)]
+    assert len(chosen) == MOMENTS
+    assert chosen[0].part == tuple(slice(0, side) for side in views({})[0].size)
+    assert len(crops(views({})[:1])) == 1
+
+
+def test_a_strip_holds_photo_render_and_error(tmp_path):
+    chosen = crops(views({2: (0, 0), 3: (0, 0)}))
+    height, width = views({})[0].size
+    for kind, value in (("truth", 50), ("renders", 100), ("errors", 200)):
+        (tmp_path / kind).mkdir()
+        for crop in chosen:
+            cv2.imwrite(
+                str(tmp_path / kind / crop.view), np.full((height, width, 3), value, np.uint8)
+            )
+    found = strip(tmp_path, chosen, "a row")
+    tile = round(WIDTH * chosen[0].height / chosen[0].width)
+    assert found.shape[1] == 2 * WIDTH + 4
+    values = [int(found[-1 - (2 - i) * tile - tile // 2, WIDTH // 2, 0]) for i in range(3)]
+    assert values == [50, 100, 200]
+    (tmp_path / "errors" / chosen[0].view).unlink()
+    with pytest.raises(FileNotFoundError, match="no such picture; run the case again"):
+        strip(tmp_path, chosen, "a row")

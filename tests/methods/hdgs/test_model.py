@@ -1,0 +1,125 @@
+"""The model of moving anchors: what is decoded, where, and what neither view nor time may change."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from helpers.tiny_drive import tiny_drive
+from splatproof.base.errors import UsageError
+from splatproof.methods.contracts.backends import get_backend
+from splatproof.methods.contracts.model import TRAINED
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.hdgs.fit import prepare
+from splatproof.methods.hdgs.model import HdgsModel
+from splatproof.methods.hdgs.networks import hierarchy, support
+from splatproof.methods.hdgs.settings import Settings
+from splatproof.reference.anchors.motion_hierarchy import decode
+from splatproof.reference.anchors.support_network import support as reference_support
+from splatproof.reference.types.scene import View
+
+SMALL = Settings(iterations=20, gaussians=4, features=6, instance=3, anchors=40)
+
+
+def shaken(seed: int = 0, **more) -> HdgsModel:
+    """A model whose every tensor is off its start, so that nothing is zero by chance."""
+    model, _ = prepare(tiny_drive(), replace(SMALL, **more), Run(threads=1))
+    generator = torch.Generator().manual_seed(seed)
+    for value in model.parameters.trained.values():
+        value += 0.15 * torch.randn(value.shape, generator=generator)
+    return model
+
+
+def drawn(model: HdgsModel, view: View) -> torch.Tensor:
+    splats = model.splats(view, TRAINED)
+    return get_backend("reference").draw(view.camera, splats).colour
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_that_a_view_shows_is_left_out(seed, monkeypatch):
+    model, views = shaken(seed), tiny_drive().views
+    model.parameters.rows["velocities"] *= 20  # some swing in from beyond the border
+    model.parameters.rows["log_scales"] -= 3
+    near = replace(views[0].camera, width=9, height=7)  # most anchors lie outside
+    view = replace(views[5], camera=near)
+    some = model.splats(view, TRAINED)
+    image = drawn(model, view)
+    rows = model.parameters.rows
+    alive = torch.exp(-0.5 * ((model.time(view) - rows["peaks"]) / rows["log_spans"].exp()) ** 2)
+    everything = torch.where(alive > 0.05)[0]
+    monkeypatch.setattr(model, "in_view", lambda camera, time: everything)
+    all_splats = model.splats(view, TRAINED)
+    assert 0 < len(some) < len(all_splats)
+    torch.testing.assert_close(image, drawn(model, view), atol=1e-6, rtol=0)
+
+
+def test_what_is_decoded_is_the_reference_of_supported_features():
+    model, view = shaken(), tiny_drive().views[2]
+    splats = model.splats(view, TRAINED)
+    anchors, shared, frame = model.anchors(), model.parameters.shared, model.frame
+    features = reference_support(
+        support(shared), anchors.features, anchors.centres, anchors.quaternions,
+        anchors.log_scales.exp(), model.voxel,
+    )  # fmt: skip
+    want = decode(
+        replace(anchors, features=features), hierarchy(shared, 3), model.sizes, model.time(view),
+        frame.inwards(view.camera.centre),
+    )  # fmt: skip
+    assert splats.slots is not None
+    mine = splats.slots
+    torch.testing.assert_close(splats.means, frame.outwards(want.means)[mine], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(
+        splats.scales, (want.scales * frame.unit)[mine], atol=1e-6, rtol=1e-5
+    )
+    torch.testing.assert_close(splats.opacities, want.opacities[mine], atol=1e-5, rtol=1e-5)
+    assert splats.colours is not None
+    assert want.colours is not None
+    torch.testing.assert_close(splats.colours, want.colours[mine], atol=1e-5, rtol=1e-5)
+    assert splats.rows is not None
+    assert torch.equal(splats.rows, mine // 4)
+    assert splats.decoded is not None
+    assert torch.equal(splats.decoded, splats.rows[::4])
+
+
+def test_the_anchors_own_motion_repeats_and_the_dead_are_not_decoded():
+    model, view = shaken(), tiny_drive().views[2]
+    model.parameters.rows["log_spans"].fill_(50.0)
+    with torch.no_grad():  # without residual networks only the vibration knows the time
+        for name, value in model.parameters.shared.items():
+            if "position" in name or "scale" in name or "feature" in name:
+                value.zero_()
+    period = model.sizes.period * 0.2 / model.clock.second
+    assert view.time is not None
+    later = replace(view, time=view.time + period)
+    between = replace(view, time=view.time + period / 3)
+    one, same, other = (model.splats(v, TRAINED).means for v in (view, later, between))
+    torch.testing.assert_close(one, same, atol=1e-4, rtol=1e-4)
+    assert one.shape != other.shape or not torch.allclose(one, other, atol=1e-3)
+    model.parameters.rows["log_spans"].fill_(-3.0)
+    model.parameters.rows["peaks"].fill_(9.0)
+    assert len(model.splats(view, TRAINED)) == 0
+
+
+def test_static_anchors_do_not_move_and_live_forever():
+    model, _ = prepare(tiny_drive(), replace(SMALL, motion="static"), Run(threads=1))
+    assert not {"velocities", "peaks", "log_spans"} & model.schedules.keys()
+    view = tiny_drive().views[0]
+    one, other = (model.splats(replace(view, time=time), TRAINED) for time in (0.0, 0.7))
+    assert torch.equal(one.means, other.means)
+    assert torch.equal(one.opacities, other.opacities)
+
+
+def test_pairs_are_found_again_only_when_the_anchors_change():
+    model = shaken()
+    first = model.near()
+    assert model.near() is first
+    labels = model.parameters.labels
+    model.parameters.to(torch.device("cpu"))  # another tensor, the same memory
+    assert model.near() is first
+    labels["centres"] = labels["centres"][:3].clone()
+    assert int(model.near().sites.max()) < 3
+
+
+def test_a_view_without_a_time_is_refused():
+    with pytest.raises(UsageError, match="has no time"):
+        shaken().splats(replace(tiny_drive().views[0], time=None), TRAINED)

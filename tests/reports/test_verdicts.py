@@ -1,0 +1,271 @@
+"""Verdicts: every one by hand, and the rates of wrong and missed ones by simulation."""
+
+import dataclasses
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from splatproof.base.errors import UsageError
+from splatproof.reports.claims.claim import Claim, load_claims
+from splatproof.reports.measured import Measured
+from splatproof.reports.statistics import POWER, Difference
+from splatproof.reports.verdicts import SETTLED, Judged, judge
+
+CLAIM = Claim(paper="ours", text="a is better", row="a", other="b", metric="psnr", printed=1.0)
+NAMES = tuple(f"view_{i}" for i in range(6))
+
+
+def run(row: str, seed: int, scores, **changed) -> Measured:
+    """A finished run with a PSNR for each view."""
+    images = {name: {"psnr": float(v)} for name, v in zip(NAMES, scores, strict=False)}
+    values = {"psnr": float(np.mean(scores)), "disk_mb": 10.0, **changed.pop("values", {})}
+    plain = {"scene": "s", "row": row, "protocol": "p", "seed": seed, "steps": 10, "grown": 3,
+             "late_gain": 0.1, "values": values, "images": images, "data": "one"}  # fmt: skip
+    return Measured(**{**plain, **changed})
+
+
+def runs(effect: float, seeds: int = 3, noise: float = 0.05, **changed) -> list[Measured]:
+    """Rows a and b; a is better by `effect` dB; images differ more than rows do."""
+    rng = np.random.default_rng(5)
+    hard = rng.normal(24, 3, len(NAMES))
+    return [
+        run(row, seed, hard + shift + rng.normal(0, noise, len(NAMES)), **changed)
+        for row, shift in (("a", effect), ("b", 0.0))
+        for seed in range(seeds)
+    ]
+
+
+def verdict(claim: Claim = CLAIM, found: list[Measured] | None = None) -> Judged:
+    return judge(claim, runs(1.0) if found is None else found, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (1.0, "holds"), (0.6, "holds"), (0.3, "direction only"), (0.0, "no difference"),
+        (-0.5, "contradicted"),
+    ],
+)  # fmt: skip
+def test_the_interval_decides(effect: float, expected: str):
+    found = verdict(found=runs(effect))
+    assert found.verdict == expected, found
+    assert found.seeds == 3
+    assert found.difference is not None
+    assert found.difference.mean == pytest.approx(effect, abs=0.1)
+
+
+def test_a_claim_that_less_is_better_turns_the_sides():
+    less = dataclasses.replace(CLAIM, better="lower", printed=-1.0)
+    assert verdict(less, runs(-1.0)).verdict == "holds"
+    assert verdict(less, runs(-0.3)).verdict == "direction only"
+    assert verdict(less, runs(0.5)).verdict == "contradicted"
+
+
+def test_no_difference_says_what_would_have_shown():
+    found = verdict(found=runs(0.0))
+    assert found.difference is not None
+    assert f"an effect of {found.difference.detectable:.2g} would have shown" in found.reason
+    half = (found.difference.high - found.difference.low) / 2
+    assert half < found.difference.detectable < 2 * half
+
+
+def test_without_a_printed_size_the_direction_holds():
+    assert verdict(dataclasses.replace(CLAIM, printed=None), runs(0.3)).verdict == "holds"
+
+
+@pytest.mark.parametrize(
+    ("effect", "bar", "expected"),
+    [
+        (2.5, 2.0, "holds"), (1.5, 2.0, "contradicted"), (2.0, 2.0, "undecided"),
+        (-0.1, -0.2, "holds"), (-0.5, -0.2, "contradicted"),
+    ],
+)  # fmt: skip
+def test_a_bar_asks_for_the_whole_interval(effect: float, bar: float, expected: str):
+    claim = dataclasses.replace(CLAIM, printed=None, bar=bar)
+    assert verdict(claim, runs(effect, noise=0.1)).verdict == expected
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected"),
+    [
+        (0.31, "holds"), (0.6, "holds"), (0.9, "direction only"), (1.5, "contradicted"),
+        (1.0, "no difference"),
+    ],
+)  # fmt: skip
+def test_sizes_are_judged_as_ratios_over_seeds(ratio: float, expected: str):
+    claim = dataclasses.replace(
+        CLAIM, metric="disk_mb", better="lower", printed=-0.69, relative=True
+    )
+    found = runs(0.0)
+    jitter = (0.99, 1.0, 1.01)
+    found = [
+        dataclasses.replace(one, values={"psnr": 20.0, "disk_mb":
+            (ratio if one.row == "a" else 1.0) * 50 * jitter[one.seed]})
+        for one in found
+    ]  # fmt: skip
+    got = verdict(claim, found)
+    assert got.verdict == expected
+    assert got.difference is not None
+    assert claim.as_effect(got.difference.mean) == pytest.approx(ratio - 1, abs=1e-3)
+    assert got.difference.images == 1
+    if expected == "no difference":
+        assert "%" in got.reason
+
+
+def test_only_images_that_have_the_part_count():
+    found = runs(0.0)
+    moving = [
+        dataclasses.replace(one, images={
+            name: {**scores, **({"moving_psnr": 20.0 + (one.row == "a")} if name < "view_2" else {})}
+            for name, scores in one.images.items()
+        }) for one in found
+    ]  # fmt: skip
+    claim = dataclasses.replace(CLAIM, metric="moving_psnr")
+    got = verdict(claim, moving)
+    assert got.verdict == "holds"
+    assert got.difference is not None
+    assert got.difference.images == 2
+    assert verdict(claim, found).verdict == "not testable here"
+
+
+@pytest.mark.parametrize("odd", [math.inf, math.nan])
+def test_scores_that_are_not_finite_are_not_judged(odd: float):
+    claim = dataclasses.replace(CLAIM, metric="loss")
+    found = [dataclasses.replace(one, values={"psnr": 20.0, "loss": odd}) for one in runs(0.0)]
+    assert "not finite" in verdict(claim, found).reason
+
+
+def too_short(found: list[Measured], claim: Claim = CLAIM) -> str:
+    got = verdict(claim, found)
+    assert got.verdict == "too short to judge", got
+    return got.reason
+
+
+def test_too_short_to_judge():
+    assert "2 seeds" in too_short(runs(1.0, seeds=2))
+    assert "1 seed;" in too_short(runs(1.0, seeds=1))
+    assert "never densified" in too_short(runs(1.0, grown=0))
+    assert "training loss" in too_short(runs(0.1, late_gain=SETTLED + 0.1))
+    failed = [dataclasses.replace(one, error="broke") if one.seed else one for one in runs(1.0)]
+    assert "1 seed;" in too_short(failed)
+
+
+def with_halves(gain: float, effect: float = 0.1, metric: str = "psnr") -> list[Measured]:
+    """Rows a and b, `effect` apart, and theirs with half the steps, which are `gain` worse."""
+    found = runs(effect, late_gain=9.0, noise=0.0)
+    halves = [
+        dataclasses.replace(one, row=f"{one.row}@half", late_gain=0.0, values={
+            name: value - (gain if name == metric else 0) for name, value in one.values.items()
+        })
+        for one in found if one.seed == 0
+    ]  # fmt: skip
+    return [*found, *halves]
+
+
+def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_settled():
+    assert verdict(found=with_halves(SETTLED - 0.1)).verdict == "direction only"
+    assert "the second half of its steps changed psnr by +0.4" in too_short(with_halves(0.4))
+    # what is still to come cannot turn a difference that is larger
+    assert verdict(found=with_halves(0.4, effect=0.6)).verdict == "holds"
+    assert verdict(found=with_halves(0.4, effect=-0.6)).verdict == "contradicted"
+    # that scores fell says the run was long enough
+    assert verdict(found=with_halves(-1.0)).verdict == "direction only"
+
+
+def test_sizes_have_to_have_settled_too():
+    claim = dataclasses.replace(
+        CLAIM, metric="disk_mb", better="lower", printed=-0.5, relative=True
+    )
+    assert verdict(claim, with_halves(0.9, metric="disk_mb")).verdict == "no difference"
+    for gain in (2.0, -2.0):
+        assert "disk_mb by" in too_short(with_halves(gain, metric="disk_mb"), claim)
+    smaller = [
+        dataclasses.replace(one, values={**one.values, "disk_mb": 5.0}) if one.row == "a" else one
+        for one in with_halves(2.0, metric="disk_mb")
+    ]
+    assert "b: the second half" not in verdict(claim, smaller).reason
+    assert "training loss" in too_short(runs(0.0, late_gain=9.0), claim)
+
+
+def test_a_variant_needs_as_many_steps_as_its_method():
+    def renamed(row: str) -> list[Measured]:
+        return [
+            dataclasses.replace(one, row=row) if one.row == "a" else one for one in with_halves(0.4)
+        ]
+
+    for row in ("b@no-x", "b~depth-oracle"):
+        claim = dataclasses.replace(CLAIM, row=row)
+        assert f"{row}: the second half" in too_short(renamed(row), claim)
+    # a row of half the steps with the same prior says more than one without
+    found = renamed("b~depth-oracle")
+    own = [dataclasses.replace(one, row="b@half~depth-oracle", values=found[0].values)
+           for one in found if one.row == "b@half"]  # fmt: skip
+    assert "b~depth-oracle" not in too_short([*found, *own], claim)
+
+
+def test_not_testable_here():
+    other = [dataclasses.replace(one, data="two") if one.row == "a" else one for one in runs(1.0)]
+    only_a = [one for one in runs(1.0) if one.row == "a"]
+    mixed = [*runs(1.0), *runs(1.0, protocol="q")]
+    elsewhere = [
+        *runs(1.0), *(dataclasses.replace(one, scene="t") for one in only_a)
+    ]  # fmt: skip
+    for found, claim, said in (
+        (runs(1.0), dataclasses.replace(CLAIM, missing="no weights"), "no weights"),
+        (only_a, CLAIM, "b has not been run"),
+        ([], CLAIM, "a has not been run"),
+        ([dataclasses.replace(one, error="broke") for one in runs(1.0)], CLAIM, "a failed: broke"),
+        (other, CLAIM, "other images"),
+        (mixed, CLAIM, "several protocols"),
+        (elsewhere, CLAIM, "b has not been run on t"),
+        (runs(1.0), dataclasses.replace(CLAIM, metric="lpips"), "no image has lpips"),
+    ):
+        got = verdict(claim, found)
+        assert (got.verdict, got.difference) == ("not testable here", None)
+        assert said in got.reason
+    assert verdict(dataclasses.replace(CLAIM, protocol="q"), mixed).verdict == "holds"
+    assert verdict(dataclasses.replace(CLAIM, scenes=("s",)), elsewhere).verdict == "holds"
+
+
+def simulated(rng: np.random.Generator, effect: float) -> list[Measured]:
+    """An experiment of three seeds: images vary a lot, seeds of a row a little."""
+    hard = rng.normal(24, 3, len(NAMES))
+    found = []
+    for row, shift in (("a", effect), ("b", 0.0)):
+        for seed in range(3):
+            moved = rng.normal(shift, 0.2) + rng.normal(0, 0.3, len(NAMES))
+            found.append(run(row, seed, hard + moved))
+    return found
+
+
+def simulate(effect: float, repeats: int) -> tuple[Counter, list[Difference]]:
+    rng = np.random.default_rng(3)
+    every = [judge(CLAIM, simulated(rng, effect), rng) for _ in range(repeats)]
+    differences = [one.difference for one in every if one.difference is not None]
+    return Counter(one.verdict for one in every), differences
+
+
+def test_false_alarms_are_as_rare_as_stated_and_planted_effects_as_often_seen():
+    repeats, fewer = 1000, 400
+    nothing, differences = simulate(0.0, repeats)
+    assert sum(nothing.values()) == repeats
+    assert nothing["no difference"] / repeats >= 0.95 - 3 * math.sqrt(0.05 * 0.95 / repeats)
+    # the root of the mean square: an interval's width scatters, and so does what it promises
+    planted = math.sqrt(np.mean([one.detectable**2 for one in differences]))
+    seen, _ = simulate(planted, fewer)
+    power = (seen["holds"] + seen["direction only"]) / fewer
+    assert power == pytest.approx(POWER, abs=0.05 + 3 * math.sqrt(0.8 * 0.2 / fewer))
+    assert not seen["contradicted"]
+    weak, _ = simulate(planted / 3, fewer)  # a control: less is seen less often
+    assert (weak["holds"] + weak["direction only"]) / fewer < 0.4
+
+
+def test_claims_that_cannot_be_meant_are_refused():
+    with pytest.raises(UsageError, match="printed -1.0 is not higher"):
+        dataclasses.replace(CLAIM, printed=-1.0)
+    with pytest.raises(UsageError, match="bar -2.0: a ratio is above -1"):
+        dataclasses.replace(CLAIM, printed=None, relative=True, bar=-2.0)
+    with pytest.raises(UsageError, match="claims: unknown 'stret', did you mean 'street'"):
+        load_claims("stret")
