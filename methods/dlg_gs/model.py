@@ -97,9 +97,11 @@ class DlgModel(AnchorModel):
         assert original is not None
         assert seen is not None
         assert rows is not None
+        place = torch.empty(len(self.parameters), dtype=torch.int64, device=seen.device)
+        place[seen] = torch.arange(len(seen), device=seen.device)
         adapted = adapted_colours(
             network(HEAD, self.parameters.shared), original, self.factor(view),
-            self.attended(view.camera, seen), torch.searchsorted(seen, rows),
+            self.attended(view.camera, seen), place[rows],
         )  # fmt: skip
         both = torch.cat([adapted, original], dim=1) if moment.trains else adapted
         return replace(splats, colours=both)
