@@ -17,6 +17,7 @@ from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dlg_gs.attention import local_attention
 from splatproof.methods.dlg_gs.light import factors
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
+from splatproof.methods.kernels import colour_head as native
 from splatproof.methods.models.adapting import chosen_code
 from splatproof.reference.anchors import attention, scaffold
 from splatproof.reference.anchors.lighting_appearance import mix_colours
@@ -96,9 +97,11 @@ class DlgModel(AnchorModel):
         assert original is not None
         assert seen is not None
         assert rows is not None
+        place = torch.empty(len(self.parameters), dtype=torch.int64, device=seen.device)
+        place[seen] = torch.arange(len(seen), device=seen.device)
         adapted = adapted_colours(
             network(HEAD, self.parameters.shared), original, self.factor(view),
-            self.attended(view.camera, seen), torch.searchsorted(seen, rows),
+            self.attended(view.camera, seen), place[rows],
         )  # fmt: skip
         both = torch.cat([adapted, original], dim=1) if moment.trains else adapted
         return replace(splats, colours=both)
@@ -229,13 +232,15 @@ def adapted_colours(
         colours: Colours c of the Gaussians, in [0, 1].
         factor: eps_s of the view.
         attended: f_out of each anchor in view.
-        owner: Anchor that each Gaussian was decoded from.
+        owner: Anchor that each Gaussian was decoded from, ascending.
 
     Source: DLG-GS, Eqs. 12 and 13.
     """
     first, *others = head.weights
     of_colour, of_factor, of_anchor = first.split([3, len(factor), attended.shape[1]])
     of_each = attended @ of_anchor + (factor @ of_factor + head.biases[0])
+    if native.applies(colours, of_each, head):
+        return native.adapt(colours, of_each, owner, head)
     hidden = torch.relu(colours @ of_colour + of_each.index_select(0, owner))
     rest = mlp.Mlp(weights=tuple(others), biases=head.biases[1:])
     out = torch.sigmoid(mlp.evaluate(rest, hidden))

@@ -240,3 +240,34 @@ def decode_backward(
     by_networks: list[Tensor],
 ) -> None:
     """Gradients by anchors and networks from gradients by what was decoded."""
+
+class ColourHead:
+    """Colours of Gaussians and the network that adapts them."""
+
+    def __init__(
+        self,
+        colours: Tensor,
+        of_each: Tensor,
+        owner: Tensor,
+        of_colour: Tensor,
+        second: Tensor,
+        second_bias: Tensor,
+        third: Tensor,
+        third_bias: Tensor,
+    ) -> None: ...
+
+def adapt_colours(head: ColourHead, adapted: Tensor) -> None:
+    """Adapted colours into the given array."""
+
+def adapt_colours_backward(
+    head: ColourHead,
+    of: Tensor,
+    by_colours: Tensor,
+    by_each: Tensor,
+    by_of_colour: Tensor,
+    by_second: Tensor,
+    by_second_bias: Tensor,
+    by_third: Tensor,
+    by_third_bias: Tensor,
+) -> None:
+    """Gradients by everything from the gradient by the adapted colours."""
