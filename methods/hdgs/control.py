@@ -41,7 +41,7 @@ class HdgsControl:
         Args:
             settings: Thresholds and steps of a 30,000 step run, shrunk to this one's.
             parameters: The model's; gradients by the peaks are read of them.
-            sizes: Of the hierarchy.
+            sizes: Sizes of the hierarchy.
             iterations: Steps of the run.
             views: Training views.
             voxel: Edge of the finest voxels, at most one anchor in each, in the anchors' unit; those
@@ -159,8 +159,8 @@ class HdgsControl:
         """Centres of new anchors, the edge of the cell that each is for, and whose Gaussian asked.
 
         Args:
-            centres: Of the anchors so far.
-            positions: Of their Gaussians, each anchor at its peak, in the order of the slots.
+            centres: Centres of the anchors so far.
+            positions: Means of their Gaussians, each anchor at its peak, in the order of the slots.
         """
         settings, wide = self.settings, self.growth.fine * self.voxel
         counted = self.drawn >= max(1.0, settings.drawn_share * settings.interval)

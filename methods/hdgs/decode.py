@@ -27,7 +27,7 @@ class Placed:
     base: Float[Tensor, "a 3"]
     """Scales of the last anchors: their Gaussians' are below."""
     away: Float[Tensor, "a c 3"]
-    """Of each of an anchor's Gaussians from it."""
+    """Offset of each of an anchor's Gaussians from it."""
 
 
 def placed(
@@ -43,7 +43,7 @@ def placed(
     Args:
         anchors: The stored layer 0 and offsets.
         networks: Those of positions and scales are run, and those of features where asked for.
-        sizes: Of the hierarchy.
+        sizes: Sizes of the hierarchy.
         times: In the unit of the peaks; at its own peak an anchor stands at its centre.
         features: Whether the last anchors' features are wanted.
 
@@ -82,8 +82,8 @@ def decoded(
 
     Args:
         anchors: The stored layer 0 and offsets.
-        networks: Of the same sizes.
-        sizes: Of the hierarchy.
+        networks: Networks of the same sizes.
+        sizes: Sizes of the hierarchy.
         time: In the unit of the peaks.
         camera_centre: In the anchors' frame.
 
@@ -112,7 +112,7 @@ def together(networks: list[Mlp], inputs: Float[Tensor, "n a"]) -> list[Float[Te
     """Outputs of networks of one hidden layer that read the same: one product for all hidden layers.
 
     Args:
-        networks: Of two weight matrices each, and one hidden width.
+        networks: Networks of two weight matrices each, and one hidden width.
         inputs: One row a sample.
     """
     weight = torch.cat([network.weights[0] for network in networks], dim=1)

@@ -133,7 +133,7 @@ def weighted_outliers(
 
     Args:
         ranks: Soft ranks, divided by the number of pixels.
-        weight: Of each pixel, from `edge_weight`.
+        weight: Weight of each pixel, from `edge_weight`.
         delta: What e must be above.
     """
     mean = functional.avg_pool2d(

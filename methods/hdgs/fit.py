@@ -185,7 +185,7 @@ def schedule_of(name: str, settings: Settings) -> Schedule:
     """Rate of one tensor.
 
     Args:
-        name: Of a row or shared tensor.
+        name: Name of a row or shared tensor.
         settings: As for `schedules`.
     """
     if name == sky.SKY:

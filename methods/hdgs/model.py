@@ -80,7 +80,7 @@ class HdgsModel(Model):
         Args:
             parameters: As `start.started` makes them.
             schedules: Rate of each trained tensor.
-            sizes: Of the hierarchy.
+            sizes: Sizes of the hierarchy.
             frame: Where the model's coordinates lie.
             clock: What turns a view's seconds into model time.
             voxel: Edge of the consistency step's voxels in the frame's unit.

@@ -26,7 +26,7 @@ def drawn(sizes: HierarchySettings, seed: int, *, ice: bool) -> dict[str, Tensor
     """All networks at their start, as named tensors.
 
     Args:
-        sizes: Of the hierarchy.
+        sizes: Sizes of the hierarchy.
         seed: Seed of the draw.
         ice: Whether there is a consistency step.
     """

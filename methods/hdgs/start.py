@@ -76,7 +76,7 @@ def cells_of(positions: Float[Tensor, "m 3"], edge: float) -> Int[Tensor, "m 3"]
 
     Args:
         positions: In one unit with the edge.
-        edge: Of a voxel.
+        edge: Edge of a voxel.
     """
     return (positions / edge).floor().long()
 
@@ -136,7 +136,7 @@ def started(
 
     Args:
         at: Where and when.
-        sizes: Of the hierarchy.
+        sizes: Sizes of the hierarchy.
         spans: Life spans beta, in the unit of the times.
         lone: Scale of an anchor without neighbours.
         shared: Tensors of networks and sky.
@@ -180,7 +180,7 @@ def drawn_offsets(
     """Offsets of anchors at their start, by tensor: siblings at one place would stay there together.
 
     Args:
-        sizes: Of the hierarchy.
+        sizes: Sizes of the hierarchy.
         count: Number of anchors.
         generator: Source of the draw.
     """
