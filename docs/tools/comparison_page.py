@@ -226,8 +226,8 @@ def _lengths(rows: Sequence[Measured], named: Sequence[str]) -> str:
 HEAD = """# {title}
 
 Made by `python docs/tools/make_{suite}_page.py RUNS` from the records of `bench run {suite} --out RUNS` (here in
-[{suite}.json]({suite}.json)); a test compares. `bench run {suite} --quick` runs every row in miniature and judges
-nothing; `bench run {suite}-medium` is the larger scene. Measured on {machines}; times beside other work.
+[{suite}.json]({suite}.json)); a test compares. `bench run {suite} --quick` runs every method in miniature and
+judges nothing; `bench run {suite}-medium` is the larger scene. Measured on {machines}; times beside other work.
 
 {intro}
 
