@@ -127,7 +127,7 @@ def along_ray(
 def agreed(
     found: list[tuple[Float[Tensor, "h w"], Float[Tensor, "h w"]]], view: View
 ) -> DepthPrior:
-    """Of each pixel the disparity that most neighbours confirm; valid where at least two agree.
+    """The disparity of each pixel that most neighbours confirm; valid where at least two agree.
 
     Args:
         found: Disparity and weight by each neighbour.
