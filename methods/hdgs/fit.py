@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from splatproof.methods.contracts.model import Schedule
+from splatproof.methods.contracts.model import Model, Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic import sky
 from splatproof.methods.dynamic.sweep_motion import in_motion
@@ -18,6 +18,7 @@ from splatproof.methods.hdgs.model import CYCLE, Frame, HdgsModel
 from splatproof.methods.hdgs.settings import Settings
 from splatproof.methods.hdgs.start import sites, started, voxel_for
 from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.training.initialise import extent, require_points
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import log_linear
@@ -49,8 +50,9 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
     Source: Ge et al., "HDGS: Hierarchical Dynamic Gaussian Splatting for Urban Driving Scenes".
     """
 
-    def prepared() -> tuple[HdgsModel, Plan]:
-        return prepare(scene, settings, run)
+    def prepared() -> tuple[Model, Plan]:
+        model, plan = prepare(scene, settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
 
     return DecodedModel.of(KIND, train(run, prepared), scene, run.backend)
 

@@ -7,6 +7,7 @@ from typing import Literal
 from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
 from splatproof.methods.hdgs.consistency import Ice
 from splatproof.methods.hdgs.density import HdgsDensity
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.schedules import require
 from splatproof.reference.anchors.motion_hierarchy import HierarchySettings, by_leaf
 
@@ -141,6 +142,9 @@ class Settings:
     anchors: int = 10_000
     """Most anchors at the start where `voxel` is 0. With 4,000 training photos of world street are matched
     1.7 dB worse after 600 steps, and more steps hardly help."""
+    exposure: Exposure = "off"
+    """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
+    gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
     lidar: LidarSettings = field(

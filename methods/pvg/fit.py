@@ -1,11 +1,12 @@
 """Training of method pvg."""
 
-from splatproof.methods.contracts.model import Schedule
+from splatproof.methods.contracts.model import Model, Schedule
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.sky import SKY
 from splatproof.methods.dynamic.terms import scene_terms
 from splatproof.methods.dynamic.times import clock_of
 from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.pvg.control import MovingControl
 from splatproof.methods.pvg.model import VibrationModel
 from splatproof.methods.pvg.settings import Settings
@@ -36,8 +37,10 @@ def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
     Source: Chen et al. 2023, "Periodic Vibration Gaussian", Sec. 3 and its release.
     """
 
-    def prepared() -> tuple[VibrationModel, Plan]:
-        return prepare(with_points(scene, run, random_points=settings.random_points), settings, run)
+    def prepared() -> tuple[Model, Plan]:
+        pointed = with_points(scene, run, random_points=settings.random_points)
+        model, plan = prepare(pointed, settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
 
     return DecodedModel.of(KIND, train(run, prepared), scene, run.backend)
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.reference.rasterizer.rasterize import Mode
@@ -113,6 +114,9 @@ class Settings:
     random_points: int = 0
     """Points that a scene without any starts from, drawn in sight of its cameras; 0: such a scene is
     refused."""
+    exposure: Exposure = "off"
+    """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
+    gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
     dssim: float = 0.2
     """Weight of 1 - SSIM in the loss, 0 to 1; L1 has the rest (the release: 0.2)."""
     antialiased: bool = False
