@@ -43,13 +43,15 @@ class Rates:
     """Rate of velocities at the last step."""
     log_spans: float = 0.01
     """Rate of log life spans, constant."""
-    position: float = 2e-4
-    """Rate of the residual networks of positions at the first step; their unit is the model's."""
+    position: float = 2e-5
+    """Rate of the residual networks of positions at the first step; their unit is the model's. Ten times
+    this, and `residual`, lost 0.3 dB at moments between those that were trained on: the networks read the
+    time, and learn each moment by heart."""
     position_final: float = 2e-6
     """Rate of the residual networks of positions at the last step."""
-    residual: float = 2e-3
+    residual: float = 2e-4
     """Rate of the residual networks of features and scales at the first step."""
-    residual_final: float = 2e-4
+    residual_final: float = 2e-5
     """Rate of the residual networks of features and scales at the last step."""
     ice: float = 2e-3
     """Rate of the consistency step's networks at the first step."""
@@ -148,8 +150,10 @@ class Settings:
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
     lidar: LidarSettings = field(
-        default_factory=lambda: LidarSettings(weight=0.01, inverse=False, decay=0.0)
+        default_factory=lambda: LidarSettings(weight=0.1, inverse=False, decay=0.0)
     )
+    """The LiDAR's term, with depths in the model's unit (paper: weight 0.01, its unit unsaid; 0.1 gains 0.3 dB
+    at moments between those that were trained on)."""
     sky: SkySettings = field(default_factory=SkySettings)
     depth: DepthSettings = field(default_factory=DepthSettings)
     rates: Rates = field(default_factory=Rates)
