@@ -51,7 +51,7 @@ class Rates:
     """Rate of the residual networks of positions at the last step."""
     residual: float = 2e-4
     """Rate of the residual networks of features and scales at the first step."""
-    residual_final: float = 2e-5
+    residual_final: float = 2e-4
     """Rate of the residual networks of features and scales at the last step."""
     ice: float = 2e-3
     """Rate of the consistency step's networks at the first step."""
