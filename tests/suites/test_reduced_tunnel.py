@@ -1,0 +1,15 @@
+"""The reduced form of suite tunnel runs whole, as a user would start it; a file of its own, to run beside others."""
+
+from helpers.printed_rows import rows_of
+from splatproof.suites.suite_files import load_suite
+
+SHOWN = ("depth_abs_rel",)
+
+
+def test_tunnel_runs_every_method(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    rows = rows_of(["run", "tunnel", "--quick", "--out", str(tmp_path)], capsys)
+    assert len(rows) == len(load_suite("tunnel-quick").cases)
+    for row in rows:
+        assert row["psnr"] > 10, row
+        assert all(isinstance(row[name], float) for name in SHOWN), row
