@@ -30,6 +30,12 @@ effects, and above what seeds move."""
 SETTLED_SHARE = 0.1
 """The same of values that are no dB, as a share of the value."""
 
+TIMES = ("train_seconds", "render_ms")
+"""Metrics that other work on the machine changes."""
+WAITED = 1.2
+"""Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
+one thread, it has no more than 1."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
@@ -48,7 +54,8 @@ class Judged:
 def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator) -> Judged:
     """The verdict on a claim.
 
-    In this order: *not testable here* where something is missing or rows are not comparable; *too
+    In this order: *not testable here* where something is missing, rows are not comparable, or a time is
+    claimed and the machine had other work; *too
     short to judge* below three seeds, where nothing was ever densified, or where a row still changed by
     more than it differs from the other, see `still_changing`; else by the 95 % interval of the
     difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
@@ -69,6 +76,9 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(claim, "not testable here", fault)
     every = [run for pair in pairs for side in pair for run in side]
     seeds = min(len(side) for pair in pairs for side in pair)
+    if claim.metric in TIMES and (waited := sorted({run.row for run in every if _waited(run)})):
+        fault = f"{', '.join(waited)}: timed while the machine had other work"
+        return _without(claim, "not testable here", fault, seeds)
     if seeds < MIN_SEEDS:
         return _without(
             claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds
@@ -84,6 +94,12 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return replace(_without(claim, "too short to judge", still, seeds), difference=found)
     verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
+
+
+def _waited(run: Measured) -> bool:
+    """Whether a run's training took longer than its work."""
+    wall, cpu = (run.values.get(name, 0.0) for name in ("train_seconds", "cpu_seconds"))
+    return wall > WAITED * cpu
 
 
 Pair = tuple[list[Measured], list[Measured]]

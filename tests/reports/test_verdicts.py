@@ -56,6 +56,28 @@ def test_the_interval_decides(effect: float, expected: str):
     assert found.difference.mean == pytest.approx(effect, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("metric", "wall", "expected"),
+    [
+        ("train_seconds", 100.0, "holds"), ("train_seconds", 130.0, "not testable here"),
+        ("disk_mb", 130.0, "holds"),
+    ],
+)  # fmt: skip
+def test_times_of_a_machine_that_had_other_work_judge_nothing(metric, wall, expected):
+    """Wall seconds beyond CPU seconds are waiting; sizes do not mind."""
+    found = []
+    for row, factor in (("a", 1.0), ("b", 2.0)):
+        for seed in range(3):
+            own = {"train_seconds": factor * wall + seed, "cpu_seconds": factor * 105.0,
+                   "disk_mb": factor * 10 + 0.01 * seed}  # fmt: skip
+            found.append(run(row, seed, [20.0] * 6, values=own))
+    claim = dataclasses.replace(CLAIM, metric=metric, better="lower", relative=True, printed=-0.5)
+    judged = verdict(claim, found)
+    assert judged.verdict == expected, judged
+    if expected != "holds":
+        assert judged.reason == "a, b: timed while the machine had other work"
+
+
 def test_a_claim_that_less_is_better_turns_the_sides():
     less = dataclasses.replace(CLAIM, better="lower", printed=-1.0)
     assert verdict(less, runs(-1.0)).verdict == "holds"
