@@ -153,7 +153,7 @@ class Settings:
         default_factory=lambda: LidarSettings(weight=0.1, inverse=False, decay=0.0)
     )
     """The LiDAR's term, with depths in the model's unit (paper: weight 0.01, its unit unsaid; 0.1 gains 0.3 dB
-    at moments between those that were trained on)."""
+    at moments between those that were trained on, one seed)."""
     sky: SkySettings = field(default_factory=SkySettings)
     depth: DepthSettings = field(default_factory=DepthSettings)
     rates: Rates = field(default_factory=Rates)

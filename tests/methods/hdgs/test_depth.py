@@ -28,7 +28,7 @@ class Unseen(Model):
     """Depth terms do not look at the model."""
 
     def splats(self, view: View, moment: Moment) -> Splats:
-        raise NotImplementedError
+        raise AssertionError("a depth term looked at the model")
 
 
 def frame(depth: torch.Tensor, prior: DepthPrior | None = None, seed: int = 0) -> Frame:
