@@ -21,8 +21,8 @@ from splatproof.cli import main
 from splatproof.cli.output import finite
 from splatproof.datasets.photos import read_photo
 from splatproof.methods.contracts.reconstruction import Stored
-from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.parts import is_part_key
+from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import scene_metrics
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.render import RenderOutput
