@@ -114,7 +114,7 @@ def score_column(name: str, per_image: bool) -> Column:
     if plain != name:
         said = "of the mean squared error over all images, not the mean of each image's: "
     over_part = is_part_key(name)
-    for part in (*PARTS, SEEN) if over_part else ():
+    for part in (*PARTS, SEEN) if over_part and name != SEEN_SHARE else ():
         if plain.startswith(f"{part}_"):
             plain, said = plain.removeprefix(f"{part}_"), f"{said}over the part {part!r}: "
     for fit, words in FITS.items():
