@@ -74,6 +74,11 @@ COMMANDS = {
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
     ),
+    "protocols": Command(
+        module="protocols",
+        functions={"": "protocols"},
+        help="List and explain the rules by which views are held out and scored.",
+    ),
     "study": Command(
         module="study",
         functions={},
