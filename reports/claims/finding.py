@@ -81,7 +81,10 @@ def findings(
             replace(claim, missing=claim.missing or lacking), own, np.random.default_rng(0)
         )
         found.append(_of_rows(replace(judged, claim=claim), runs_of(claim, own)))
-    return [*found, *(_of_check(judge_check(one, checked.get(one.check)), checked) for one in checks)]
+    return [
+        *found,
+        *(_of_check(judge_check(one, checked.get(one.check)), checked) for one in checks),
+    ]
 
 
 def _of_rows(judged: Judged, runs: Sequence[Measured]) -> Finding:

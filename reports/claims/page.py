@@ -76,7 +76,10 @@ def summary(found: Sequence[Finding], papers: Iterable[str]) -> str:
     """
     counts = Counter((one.paper, one.verdict) for one in found)
     heads = [f"{MARKS[verdict]} {verdict}" for verdict in ORDER]
-    lines = ["| of | claims | " + " | ".join(heads) + " |", "|---|---:" + "|---:" * len(ORDER) + "|"]
+    lines = [
+        "| of | claims | " + " | ".join(heads) + " |",
+        "|---|---:" + "|---:" * len(ORDER) + "|",
+    ]
     for paper in papers:
         own = [counts[paper, verdict] for verdict in ORDER]
         cells = [str(n) if n else "" for n in own]

@@ -50,7 +50,9 @@ def twice(one: Fit, other: Fit, how: str) -> Callable[[bool, Path], Measurement]
         steps = QUICK_STEPS if reduced else STEPS
         values, sizes = [], []
         for method in SETTINGS:
-            a, b = (way(method, steps, folder / f"{method}{i}") for i, way in enumerate((one, other)))
+            a, b = (
+                way(method, steps, folder / f"{method}{i}") for i, way in enumerate((one, other))
+            )
             values.append(float(differing(a, b)))
             sizes.append(len(a))
         named = ", ".join(f"{m} ({n:,} bytes)" for m, n in zip(SETTINGS, sizes, strict=True))

@@ -1,5 +1,6 @@
 """Ratios of times: two implementations of one component in turns, in one process."""
 
+import math
 from functools import partial
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def ratio(
 def _shortest(session: Here) -> float:
     """Milliseconds of a turn's fastest run, both ways."""
     runs = session.ask("turn", 0.02)
-    return min(forward + (0.0 if backward != backward else backward) for forward, backward in runs)
+    return min(forward + (0.0 if math.isnan(backward) else backward) for forward, backward in runs)
 
 
 def _timed(component: str, size: Size, slow: str, fast: str) -> partial[Measurement]:

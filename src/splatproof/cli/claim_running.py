@@ -42,7 +42,9 @@ def work_for(
     from splatproof.suites.scenes import without_absent
     from splatproof.suites.suite_files import load_suite
 
-    testable = [one for one in claims if not one.missing and not (obstacle(one, known) and not quick)]
+    testable = [
+        one for one in claims if not one.missing and not (obstacle(one, known) and not quick)
+    ]
     suites, notes = [], []
     for name in dict.fromkeys(one.suite for one in testable):
         form = f"{name}{QUICK}" if quick else name
@@ -51,7 +53,9 @@ def work_for(
                 notes.append(f"suite {name} has no reduced form")
             continue
         whole = load_suite(form)
-        cases = tuple(c for c in whole.cases if _wanted(c, [o for o in testable if o.suite == name]))
+        cases = tuple(
+            c for c in whole.cases if _wanted(c, [o for o in testable if o.suite == name])
+        )
         if not cases:
             continue
         try:
@@ -99,7 +103,9 @@ def tell(work: Work, out: Path, *, quick: bool) -> None:
             (one.scene, one.row, one.protocol, one.seed) for one in read_finished(out / suite.name)
         }
         unmade = not_made(suite)
-        left = [c for c in suite.cases if (c.scene_name, c.row, c.protocol.name, c.seed) not in there]
+        left = [
+            c for c in suite.cases if (c.scene_name, c.row, c.protocol.name, c.seed) not in there
+        ]
         known = tuple(case for case in left if case.scene not in unmade)
         plain = without_side_effects(replace(suite, cases=known))
         seconds = sum(guess.seconds for guess in estimate_suite(plain, out, USUAL.backend))
@@ -111,7 +117,9 @@ def tell(work: Work, out: Path, *, quick: bool) -> None:
         )
     seconds = sum(CHECKS[name].seconds[quick] for name in work.checks)
     output.log(f"{len(work.checks)} checks to run, about {seconds:.0f} s")
-    output.log(f"about {total + seconds:.0f} s in all; what is finished is kept, however it is stopped")
+    output.log(
+        f"about {total + seconds:.0f} s in all; what is finished is kept, however it is stopped"
+    )
     for note in work.notes:
         output.log(f"not run: {note}")
 

@@ -35,7 +35,9 @@ class Evidence:
     def machines(self) -> list[str]:
         """Where it was measured."""
         cases = [run.machine for own in self.runs.values() for run in own]
-        return sorted({name for name in (*cases, *(c.machine for c in self.checked.values())) if name})
+        return sorted(
+            {name for name in (*cases, *(c.machine for c in self.checked.values())) if name}
+        )
 
 
 def known() -> Known:
@@ -142,7 +144,9 @@ def in_quick_form(claims: Iterable[Claim], suites: Mapping[str, frozenset]) -> l
     for claim in claims:
         cases = suites.get(f"{claim.suite}{QUICK}", frozenset())
         there = {protocol for _, protocol, _ in cases}
-        found.append(replace(claim, scenes=(), protocol=claim.protocol if claim.protocol in there else ""))
+        found.append(
+            replace(claim, scenes=(), protocol=claim.protocol if claim.protocol in there else "")
+        )
     return found
 
 

@@ -63,7 +63,9 @@ def claims(
     suites = [claim.suite for claim in every]
     failed = 0
     if not run and runs is None:
-        evidence = claim_sources.committed(page.parent if page else claim_sources.docs_folder(), suites)
+        evidence = claim_sources.committed(
+            page.parent if page else claim_sources.docs_folder(), suites
+        )
     else:
         if quick:
             every = claim_sources.in_quick_form(every, claim_sources.known().suites)
@@ -86,7 +88,9 @@ def _check_options(
     if quick and not run and runs is None:
         raise UsageError("--quick is about runs; add --run, or --runs FOLDER")
     if page and (quick or any(filters)):
-        raise UsageError("--page shows all claims; leave --quick, --paper, --suite and --verdict out")
+        raise UsageError(
+            "--page shows all claims; leave --quick, --paper, --suite and --verdict out"
+        )
 
 
 def _chosen(
@@ -130,9 +134,19 @@ def _print(found: "list[Finding]") -> None:
     for heading in ("verdict", "paper", "claim", "printed", "here, 95 % interval", "seeds", "why"):
         table.add_column(heading, overflow="fold")
     for one in found:
-        cells = (one.verdict, one.paper, one.text, one.asked, one.here, str(one.seeds or ""), one.reason)
+        cells = (
+            one.verdict,
+            one.paper,
+            one.text,
+            one.asked,
+            one.here,
+            str(one.seeds or ""),
+            one.reason,
+        )
         table.add_row(*cells)
-    Console(width=None if sys.stdout.isatty() else PIPED_WIDTH, highlight=False, markup=False).print(table)
+    Console(
+        width=None if sys.stdout.isatty() else PIPED_WIDTH, highlight=False, markup=False
+    ).print(table)
     counts = Counter(one.verdict for one in found)
     total = ", ".join(f"{counts[name]} {name}" for name in get_args(Verdict) if counts[name])
     output.print_text(f"{len(found)} claims: {total or 'none fits'}")
