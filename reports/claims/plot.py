@@ -101,8 +101,9 @@ def _names(axes: Axes, names: list[str]) -> None:
 
 
 def _legend(axes: Axes, found: Sequence[Finding]) -> None:
-    for verdict in dict.fromkeys(one.verdict for one in found):
-        axes.plot([], [], "o-", color=COLOURS[verdict], linewidth=3, label=verdict)
+    for one in {one.verdict: one for one in found}.values():
+        colour = COLOURS[one.verdict]
+        axes.plot([], [], "o-", color=colour, linewidth=3, label=one.verdict)
     axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.0 + 0.9 / (len(found) + 1)),
                 ncols=4, frameon=False)  # fmt: skip
 

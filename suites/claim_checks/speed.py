@@ -1,7 +1,7 @@
 """Ratios of times: two implementations of one component in turns, in one process."""
 
 import math
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
 
 from splatproof.base.errors import MissingError
@@ -56,11 +56,11 @@ def _shortest(session: Here) -> float:
     return min(forward + (0.0 if math.isnan(backward) else backward) for forward, backward in runs)
 
 
-def _timed(component: str, size: Size, slow: str, fast: str) -> partial[Measurement]:
+def _timed(component: str, size: Size, slow: str, fast: str) -> Callable[[bool, Path], Measurement]:
     def measure(reduced: bool, folder: Path) -> Measurement:
         return ratio(component, size, slow, fast, reduced=reduced, folder=folder)
 
-    return partial(measure)
+    return measure
 
 
 CPU = COMPONENTS["rasterizer"].usual

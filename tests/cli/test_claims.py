@@ -161,7 +161,7 @@ def claim(**changed) -> Claim:
 
 
 def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
-    known = claim_sources.known()
+    known = claim_sources.known(["tunnel", "sparse", "city"])
     work = claim_running.work_for([claim()], [], known, tmp_path, quick=False)
     (suite,) = work.suites
     assert {case.row for case in suite.cases} == {
@@ -176,7 +176,7 @@ def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
 
 
 def test_the_reduced_form_runs_reduced_suites_and_checks_once(tmp_path: Path):
-    known = claim_sources.known()
+    known = claim_sources.known(["tunnel", "sparse", "city"])
     check = CheckClaim(text="t", check="same_seed", better="lower", bar=0.0)
     reduced = claim_sources.in_quick_form([claim(), claim(suite="sparse")], known.suites)
     work = claim_running.work_for(reduced, [check], known, tmp_path, quick=True)
@@ -192,7 +192,7 @@ def test_the_reduced_form_runs_reduced_suites_and_checks_once(tmp_path: Path):
 
 
 def test_a_reduced_form_under_another_protocol_is_judged(tmp_path: Path):
-    known = claim_sources.known()
+    known = claim_sources.known(["tunnel", "sparse", "city"])
     one, other = claim_sources.in_quick_form(
         [claim(suite="city", protocol="city_400"), claim()], known.suites
     )

@@ -40,20 +40,32 @@ class Evidence:
         )
 
 
-def known() -> Known:
-    """The methods and the cases of the suites of this installation."""
+def known(suites: Iterable[str]) -> Known:
+    """The methods of this installation, and the cases of suites.
+
+    Args:
+        suites: Names of the suites, and of those whose reduced forms are meant too; a name that no suite
+            has is left out.
+    """
     from splatproof.methods.registry import methods
     from splatproof.suites.suite_files import load_suite, suite_names
 
+    existing = suite_names()
     return Known(
         methods=frozenset(methods()),
         suites={
             name: frozenset(
                 (case.scene_name, case.protocol.name, case.row) for case in load_suite(name).cases
             )
-            for name in suite_names()
+            for name in _with_forms(suites)
+            if name in existing
         },
     )
+
+
+def _with_forms(suites: Iterable[str]) -> list[str]:
+    """Each name and that of its reduced form."""
+    return [form for name in dict.fromkeys(suites) for form in (name, f"{name}{QUICK}")]
 
 
 def judged(
@@ -66,7 +78,9 @@ def judged(
         checks: Claims that checks measure.
         evidence: Runs and checks.
     """
-    return findings(claims, checks, evidence.runs, evidence.checked, known())
+    return findings(
+        claims, checks, evidence.runs, evidence.checked, known(one.suite for one in claims)
+    )
 
 
 def docs_folder() -> Path:

@@ -68,7 +68,7 @@ def claims(
         )
     else:
         if quick:
-            every = claim_sources.in_quick_form(every, claim_sources.known().suites)
+            every = claim_sources.in_quick_form(every, claim_sources.known(suites).suites)
         if run:
             failed = _run(every, checks, out, quick)
         evidence = claim_sources.of_runs(out if run else str(runs), suites, quick=quick)
@@ -115,7 +115,9 @@ def _run(every: "list[Claim]", checks: "list[CheckClaim]", out: Path, quick: boo
     from splatproof.cli import claim_running
     from splatproof.cli.claim_sources import known
 
-    work = claim_running.work_for(every, checks, known(), out, quick=quick)
+    work = claim_running.work_for(
+        every, checks, known(one.suite for one in every), out, quick=quick
+    )
     out.mkdir(parents=True, exist_ok=True)
     claim_running.tell(work, out, quick=quick)
     return claim_running.run(work, out, quick=quick)
