@@ -2,6 +2,7 @@
 
 import functools
 from pathlib import Path
+from typing import Any
 
 from splatproof.base.errors import MissingError
 from splatproof.methods.contracts.run import Run
@@ -25,7 +26,7 @@ def model(steps: int) -> ExplicitModel:
     return found
 
 
-def row(name: str, reduced: bool, folder: Path) -> dict[str, float]:
+def row(name: str, reduced: bool, folder: Path) -> dict[str, Any]:
     """Bytes a Gaussian and PSNR lost of one format of the study of sizes.
 
     Args:

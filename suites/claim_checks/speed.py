@@ -1,7 +1,7 @@
 """Ratios of times: two implementations of one component in turns, in one process."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from splatproof.base.errors import MissingError
@@ -41,7 +41,7 @@ def ratio(
         session.ask("turn", 0.0)  # warm
     values = []
     for _ in range(QUICK_REPETITIONS if reduced else REPETITIONS):
-        slow_ms, fast_ms = (_shortest(session) for session in both)
+        slow_ms, fast_ms = (shortest(session.ask("turn", 0.02)) for session in both)
         values.append(slow_ms / fast_ms)
     label = COMPONENTS[component].label(size)
     return Measurement(
@@ -50,9 +50,12 @@ def ratio(
     )
 
 
-def _shortest(session: Here) -> float:
-    """Milliseconds of a turn's fastest run, both ways."""
-    runs = session.ask("turn", 0.02)
+def shortest(runs: Sequence[tuple[float, float]]) -> float:
+    """Milliseconds of the fastest run of a turn, both ways.
+
+    Args:
+        runs: Milliseconds forward and backward of each run; nan where there is no way back.
+    """
     return min(forward + (0.0 if math.isnan(backward) else backward) for forward, backward in runs)
 
 
