@@ -21,7 +21,7 @@ OURS = f"gate {FileSettings().gate}"
 @functools.cache
 def model(steps: int) -> ExplicitModel:
     """The model that every format stores."""
-    found = fit("3dgs", steps, Run())
+    found = fit("3dgs", steps, Run(), {})
     assert isinstance(found, ExplicitModel)
     return found
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from splatproof.base.errors import MissingError
 from splatproof.suites.claim_checks.check import Check, Measurement
+from splatproof.suites.studies.speed.measure import TURN_SECONDS
 from splatproof.suites.studies.speed.session import Here, Task
 from splatproof.suites.twins.registry import COMPONENTS
 from splatproof.suites.twins.twin import Size
@@ -41,7 +42,7 @@ def ratio(
         session.ask("turn", 0.0)  # warm
     values = []
     for _ in range(QUICK_REPETITIONS if reduced else REPETITIONS):
-        slow_ms, fast_ms = (shortest(session.ask("turn", 0.02)) for session in both)
+        slow_ms, fast_ms = (shortest(session.ask("turn", TURN_SECONDS)) for session in both)
         values.append(slow_ms / fast_ms)
     label = COMPONENTS[component].label(size)
     return Measurement(

@@ -1,6 +1,7 @@
 """Short fits that checks look at."""
 
 import functools
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +25,20 @@ def scene() -> Scene:
     return open_scene(SCENE, load_protocol(PROTOCOL))
 
 
-def fit(method: str, steps: int, run: Run) -> Reconstruction:
+def fit(
+    method: str, steps: int, run: Run, special: Mapping[str, Any] | None = None
+) -> Reconstruction:
     """A fit of so many steps.
 
     Args:
         method: Name of a method.
         steps: Number of its steps.
         run: Seed, threads, and where checkpoints go.
+        special: Settings that are not the method's own; None: those of SETTINGS.
     """
     chosen = get_method(method)
-    settings = chosen.settings(iterations=steps, **SETTINGS.get(method, {}))
+    own = SETTINGS.get(method, {}) if special is None else special
+    settings = chosen.settings(iterations=steps, **own)
     return chosen.fit(scene().for_training(), settings, run)
 
 
