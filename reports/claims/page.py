@@ -55,11 +55,14 @@ def render_page(found: Sequence[Finding], sources: Sources) -> str:
     """
     papers = list(dict.fromkeys(one.paper for one in found if one.paper != HOUSE))
     papers = [*sorted(papers), *([HOUSE] if any(one.paper == HOUSE for one in found) else [])]
-    against = [one for one in found if one.paper != HOUSE and one.verdict in AGAINST]
+    against = sorted(
+        (one for one in found if one.verdict in AGAINST),
+        key=lambda one: (one.paper == HOUSE, ORDER.index(one.verdict)),
+    )
     parts = [
         HEAD.format(machines="; ".join(sources.machines) or "nothing yet", settled=SETTLED),
         summary(found, papers),
-        "## What came out against a paper\n",
+        "## What came out against its claim, papers first\n",
         _table(against, sources) if against else "Nothing that could be judged.\n",
         *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in sources.charts),
         *(_paper(name, [one for one in found if one.paper == name], sources) for name in papers),

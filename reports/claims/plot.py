@@ -17,8 +17,12 @@ COLOURS: Mapping[Verdict, str] = {
     "undecided": "#aa3377", "holds": "#228833", "too short to judge": "#999999",
     "not testable here": "#dddddd",
 }  # fmt: skip
+UNJUDGED: Verdict = "too short to judge"
+"""Drawn thin: it says nothing yet."""
 WIDEST = 3.0
 """Printed effects to both sides of 0 that are shown; intervals are cut there."""
+FURTHEST = 1e4
+"""Multiples of a bar that are shown at most."""
 LINE = 0.32
 """Height of a line in inches."""
 
@@ -31,19 +35,27 @@ def draw_effects(found: Sequence[Finding], path: Path) -> bool:
         path: PNG to write.
     Returns: Whether there was anything to draw.
     """
-    shown = [one for one in found if one.printed and None not in (one.effect, one.low, one.high)]
+    shown = sorted(
+        (one for one in found if one.printed and None not in (one.effect, one.low, one.high)),
+        key=lambda one: (one.verdict == UNJUDGED, one.paper),
+    )
     if not shown:
         return False
     figure, axes = _figure(len(shown))
     for line, one in enumerate(reversed(shown)):
         assert one.printed is not None
-        share = [_cut(v / one.printed) for v in (one.low, one.effect, one.high) if v is not None]
+        share = [
+            max(-WIDEST, min(WIDEST, v / one.printed))
+            for v in (one.low, one.effect, one.high) if v is not None
+        ]  # fmt: skip
         _interval(axes, line, sorted((share[0], share[2])), share[1], one.verdict)
     axes.axvline(0, color="#222222", linewidth=1)
     axes.axvline(1, color="#222222", linewidth=1, linestyle="--")
     axes.axvspan(0.5, WIDEST, color="#228833", alpha=0.06)
     axes.set_xlim(-WIDEST, WIDEST)
-    axes.set_xlabel("measured effect in printed effects (1: as printed; green: holds from here)")
+    axes.set_xlabel(
+        "measured effect in printed effects: 0 none, 1 as printed; holds: right of 0 and into the green"
+    )
     _names(axes, [f"{one.paper}: {one.text}" for one in reversed(shown)])
     _legend(axes, shown)
     _save(figure, path)
@@ -70,13 +82,13 @@ def draw_checks(found: Sequence[Finding], path: Path) -> bool:
     for line, one in enumerate(reversed(shown)):
         assert one.bar is not None
         upward = one.asked.startswith("at least")
-        share = [v / one.bar if upward else one.bar / v
+        share = [min(FURTHEST, v / one.bar if upward else one.bar / v)
                  for v in (one.low, one.effect, one.high) if v is not None]  # fmt: skip
         _interval(axes, line, sorted((share[0], share[2])), share[1], one.verdict)
     axes.set_xscale("log")
     axes.axvline(1, color="#222222", linewidth=1)
-    axes.set_xlabel("how many times better than asked (left of 1: missed)")
-    _names(axes, [f"{one.text} [{one.here}]" for one in reversed(shown)])
+    axes.set_xlabel(f"how many times better than asked (left of 1: missed; cut at {FURTHEST:g})")
+    _names(axes, [f"{one.text}: {one.here}" for one in reversed(shown)])
     _legend(axes, shown)
     _save(figure, path)
     return True
@@ -88,9 +100,9 @@ def _figure(lines: int) -> tuple[Figure, Axes]:
 
 
 def _interval(axes: Axes, line: int, ends: list[float], at: float, verdict: Verdict) -> None:
-    colour = COLOURS[verdict]
-    axes.plot(ends, [line, line], color=colour, linewidth=3, solid_capstyle="butt")
-    axes.plot([at], [line], "o", color=colour, markersize=6)
+    colour, judged = COLOURS[verdict], verdict != UNJUDGED
+    axes.plot(ends, [line, line], color=colour, linewidth=4 if judged else 1.5)
+    axes.plot([at], [line], "o", color=colour, markersize=7 if judged else 4)
 
 
 def _names(axes: Axes, names: list[str]) -> None:
@@ -106,10 +118,6 @@ def _legend(axes: Axes, found: Sequence[Finding]) -> None:
         axes.plot([], [], "o-", color=colour, linewidth=3, label=one.verdict)
     axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.0 + 0.9 / (len(found) + 1)),
                 ncols=4, frameon=False)  # fmt: skip
-
-
-def _cut(share: float) -> float:
-    return max(-WIDEST, min(WIDEST, share))
 
 
 def _save(figure: Figure, path: Path) -> None:

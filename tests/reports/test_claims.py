@@ -9,6 +9,7 @@ import pytest
 
 from splatproof.base.errors import UsageError
 from splatproof.cli.claim_sources import known as installed
+from splatproof.cli.claim_sources import of_runs
 from splatproof.metrics.registry import all_metrics
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.checked import Checked
@@ -330,7 +331,9 @@ def test_the_page_begins_with_what_went_against_a_paper():
     assert "| P | 2 | 1 |  |  |  |  |  | 1 |" in text
     assert "| this project | 2 |  |  |  |  | 2 |  |  |" in text
     head, rest = text.split("## P\n")
-    assert head.index("What came out against") < head.index("❌ contradicted | a is better")
+    assert head.index("What came out against its claim") < head.index(
+        "❌ contradicted | a is better"
+    )
     assert "[a](i/a.jpg) [curves](i/curves.png) [s](s.md#pictures)" in head
     assert "- **method c is not built**\n  - c is better | much: +1" in rest
     assert "[chart](i/checks.png)" in rest
@@ -351,3 +354,16 @@ def test_charts_show_what_was_measured(tmp_path):
     assert not draw_effects(found_of([CLAIM], []), tmp_path / "none.png")
     assert not draw_checks(found_of([CLAIM], []), tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
+
+
+def test_a_store_is_judged_as_its_folder_is(suite_folder):
+    def values(found):
+        return {
+            name: sorted((r.scene, r.row, r.seed, str(r.values)) for r in own)
+            for name, own in found.runs.items()
+        }
+
+    of_folder = of_runs(suite_folder, ["quick", "street"])
+    of_store = of_runs(f"sqlite:///{suite_folder}/mlflow.db", ["quick", "street"])
+    assert len(of_folder.runs["quick"]) == 18
+    assert values(of_folder) == values(of_store)
