@@ -16,10 +16,7 @@ ORDER: tuple[Verdict, ...] = (
 )  # fmt: skip
 """Verdicts, what goes against a claim first and what says nothing last."""
 AGAINST: tuple[Verdict, ...] = ("contradicted", "no difference", "direction only")
-MARKS: Mapping[Verdict, str] = {
-    "contradicted": "❌", "no difference": "➖", "direction only": "🔸", "undecided": "❔", "holds": "✅",
-    "too short to judge": "⏳", "not testable here": "⬜",
-}  # fmt: skip
+UNJUDGED: tuple[Verdict, ...] = ("too short to judge", "not testable here")
 OURS = "this project"
 """What the page calls HOUSE."""
 assert set(ORDER) == set(get_args(Verdict))
@@ -60,10 +57,12 @@ def render_page(found: Sequence[Finding], sources: Sources) -> str:
         key=lambda one: (one.paper == HOUSE, ORDER.index(one.verdict)),
     )
     parts = [
-        HEAD.format(machines="; ".join(sources.machines) or "nothing yet", settled=SETTLED),
+        "# Claims, and what became of them\n",
+        f"{_in_words(found)}\n",
         summary(found, papers),
+        ABOUT.format(machines="; ".join(sources.machines) or "nothing yet", settled=SETTLED),
         "## What came out against its claim, papers first\n",
-        _table(against, sources) if against else "Nothing that could be judged.\n",
+        _table(against, sources) if against else "Nothing so far.\n",
         *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in sources.charts),
         *(_paper(name, [one for one in found if one.paper == name], sources) for name in papers),
     ]
@@ -78,9 +77,8 @@ def summary(found: Sequence[Finding], papers: Iterable[str]) -> str:
         papers: Papers in the order of the lines.
     """
     counts = Counter((one.paper, one.verdict) for one in found)
-    heads = [f"{MARKS[verdict]} {verdict}" for verdict in ORDER]
     lines = [
-        "| of | claims | " + " | ".join(heads) + " |",
+        "| of | claims | " + " | ".join(ORDER) + " |",
         "|---|---:" + "|---:" * len(ORDER) + "|",
     ]
     for paper in papers:
@@ -103,7 +101,7 @@ def _paper(name: str, found: Sequence[Finding], sources: Sources) -> str:
         ordered = sorted(measured, key=lambda one: ORDER.index(one.verdict))
         parts.append(_table(ordered, sources))
     if rest:
-        parts.append(f"{MARKS['not testable here']} Not testable here, by what is missing:\n")
+        parts.append("Not testable here, by what is missing:\n")
         groups = itertools.groupby(sorted(rest, key=_missing), key=_missing)
         parts.append("\n".join(_group(reason, list(own)) for reason, own in groups) + "\n")
     return "\n".join(parts)
@@ -118,7 +116,8 @@ def _group(reason: str, found: Sequence[Finding]) -> str:
     for one in found:
         asked = f": {one.asked}" if one.asked else ""
         rows = f", {_experiment(one)}" if one.suite else ""
-        lines.append(f"  - {one.text}{asked}{_source(one)}{rows}")
+        source = f" ({_source(one)})" if one.source else ""
+        lines.append(f"  - {one.text}{asked}{source}{rows}")
     return "\n".join(lines)
 
 
@@ -128,15 +127,16 @@ def _table(found: Sequence[Finding], sources: Sources) -> str:
         "|---|---|---:|---:|---:|---|---|",
     ]
     for one in found:
-        claim = f"{one.text}{_source(one)}<br>{_experiment(one)}"
-        cells = (f"{MARKS[one.verdict]} {one.verdict}", claim, one.asked, one.here,
+        claim = "<br>".join(filter(None, (f"**{one.text}**", _source(one), _experiment(one))))
+        verdict = one.verdict if one.verdict in UNJUDGED else f"**{one.verdict}**"
+        cells = (verdict, claim, one.asked, one.here,
                  str(one.seeds or ""), one.reason, _links(one, sources))  # fmt: skip
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines) + "\n"
 
 
 def _source(one: Finding) -> str:
-    return f" ({one.paper}, {one.source})" if one.source else ""
+    return f"{one.paper}, {one.source}" if one.source else ""
 
 
 def _experiment(one: Finding) -> str:
@@ -164,20 +164,33 @@ def _links(one: Finding, sources: Sources) -> str:
     return " ".join([*strips, *curves, f"[{one.suite}]({one.suite}.md#pictures)"])
 
 
-HEAD = """# Claims, and what became of them
+def _in_words(found: Sequence[Finding]) -> str:
+    """What of the papers' claims and of ours could be judged, in a sentence each."""
+    sentences = []
+    for whose, own in (
+        ("the papers", [one for one in found if one.paper != HOUSE]),
+        (OURS, [one for one in found if one.paper == HOUSE]),
+    ):
+        counts = Counter(one.verdict for one in own)
+        judged = [f"{counts[v]} {v}" for v in ORDER if counts[v] and v not in UNJUDGED]
+        rest = [f"{counts[v]} are {v}" for v in UNJUDGED if counts[v]]
+        told = ", ".join(judged) or "none can be judged yet"
+        sentences.append(
+            f"Of {len(own)} claims of {whose}: **{told}**; {', '.join(rest) or 'no other'}."
+        )
+    return "\n".join(sentences)
 
-Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages (street.json, tunnel.json,
+
+ABOUT = """Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages (street.json, tunnel.json,
 city.json) and of the checks ([claims_checks.json](claims_checks.json)); a test compares. `bench claims` prints the same
-table, `--runs` judges other runs, `--run` makes what is missing. Measured on {machines}.
+table, `--runs` judges other runs, `--run` makes what is missing. Measured on {machines}. Printed effects are computed from
+the papers' tables (`bench published`); scenes here are other and smaller ones: a verdict is about the effect, not about
+the papers' numbers. It takes three seeds or more and a paired bootstrap over images and seeds (`reports/verdicts.py`):
 
-Printed effects are computed from the papers' tables (`bench published`). The scenes are other and smaller ones than
-the papers': a verdict is about the effect, not about their numbers. How it is found (`reports/verdicts.py`): three seeds or
-more, paired bootstrap over images and seeds, 95 %.
-
-- ✅ **holds**: the interval excludes 0 on the claimed side and reaches half the printed effect, or reaches the bar.
-- 🔸 **direction only**: it excludes 0 and ends below half the printed effect. ➖ **no difference**: it contains 0.
-- ❌ **contradicted**: it lies on the other side of 0, or misses the bar. ❔ **undecided**: on both sides of a bar.
-- ⏳ **too short to judge**: fewer than three seeds, nothing was ever densified, or a row still changed by more than
-  {settled} dB (a tenth, of sizes and times) and by more than the difference when its steps were doubled.
-- ⬜ **not testable here**: a method, a suite, a row or an idle machine is missing.
+- **holds**: the 95 % interval excludes 0 on the claimed side and reaches half the printed effect, or reaches the bar;
+  **direction only**: it excludes 0 and ends below half the printed effect; **no difference**: it contains 0;
+- **contradicted**: it lies on the other side of 0, or misses the bar; **undecided**: it has both sides of the bar;
+- too short to judge: fewer than three seeds, nothing was ever densified, or a row still changed by more than {settled} dB
+  (a tenth, of sizes and times) and by more than the difference when its steps were doubled;
+- not testable here: a method, a suite, a row or an idle machine is missing.
 """

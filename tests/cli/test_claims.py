@@ -138,7 +138,7 @@ def test_measured_checks_are_kept_and_given_to_the_page(tmp_path: Path):
         "same_seed"
     }  # the reduced form judges nothing
     text = (tmp_path / "claims.md").read_text()
-    assert "✅ holds | one seed gives the same model twice" in text
+    assert "| **holds** | **one seed gives the same model twice" in text
     assert committed(tmp_path, ["street"]).runs == {}
 
 
