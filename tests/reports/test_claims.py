@@ -14,7 +14,6 @@ from splatproof.metrics.registry import all_metrics
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.checked import Checked
 from splatproof.reports.claims import claim as claim_module
-from splatproof.reports.claims.checks import LEAST, judge_check
 from splatproof.reports.claims.claim import (
     HOUSE,
     CheckClaim,
@@ -24,11 +23,12 @@ from splatproof.reports.claims.claim import (
     load_checks,
     load_claims,
 )
-from splatproof.reports.claims.finding import findings
 from splatproof.reports.claims.obstacles import Known, method_of, obstacle
-from splatproof.reports.claims.page import ORDER, Shown, Sources, render_page
-from splatproof.reports.claims.plot import draw_checks, draw_effects
 from splatproof.reports.claims.printed import Cells, effect_of, source_of
+from splatproof.reports.findings.checks import LEAST, judge_check
+from splatproof.reports.findings.finding import findings
+from splatproof.reports.findings.page import ORDER, Shown, Sources, render_page
+from splatproof.reports.findings.plot import draw_checks, draw_effects
 from splatproof.reports.measured import Measured
 from splatproof.reports.verdicts import judge
 from splatproof.suites.claim_checks.registry import CHECKS

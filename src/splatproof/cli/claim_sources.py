@@ -12,8 +12,8 @@ from splatproof.base.files import write_text
 from splatproof.reference.types.checked import Checked
 from splatproof.reference.types.result import Result
 from splatproof.reports.claims.claim import CheckClaim, Claim
-from splatproof.reports.claims.finding import Finding, findings
 from splatproof.reports.claims.obstacles import Known
+from splatproof.reports.findings.finding import Finding, findings
 from splatproof.reports.measured import Measured, measured, measured_row
 
 CHECKS_NAME = "claims_checks.json"

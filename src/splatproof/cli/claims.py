@@ -15,8 +15,8 @@ from splatproof.reports.verdicts import Verdict
 if TYPE_CHECKING:
     from splatproof.cli.claim_sources import Evidence
     from splatproof.reports.claims.claim import CheckClaim, Claim
-    from splatproof.reports.claims.finding import Finding
-    from splatproof.reports.claims.page import Sources
+    from splatproof.reports.findings.finding import Finding
+    from splatproof.reports.findings.page import Sources
 
 PIPED_WIDTH = 160
 """Characters a line where stdout is no terminal."""
@@ -163,7 +163,7 @@ def write_page(page: Path, measured: "Evidence | None" = None) -> None:
     """
     from splatproof.base.files import write_text
     from splatproof.cli.claim_sources import CHECKS_NAME, read_checked, write_checked
-    from splatproof.reports.claims.plot import draw_checks, draw_effects
+    from splatproof.reports.findings.plot import draw_checks, draw_effects
 
     folder = page.parent
     path = folder / CHECKS_NAME
@@ -198,7 +198,7 @@ def page_text(folder: Path) -> str:
     Args:
         folder: As of `write_page`.
     """
-    from splatproof.reports.claims.page import render_page
+    from splatproof.reports.findings.page import render_page
 
     found, evidence = of_page(folder)
     return render_page(found, _sources(folder, evidence))
@@ -215,7 +215,7 @@ def _sources(folder: Path, evidence: "Evidence") -> "Sources":
     """What the page may link to."""
     import json
 
-    from splatproof.reports.claims.page import Shown, Sources
+    from splatproof.reports.findings.page import Shown, Sources
 
     pictures = {}
     for name in evidence.runs:

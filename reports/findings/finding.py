@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from splatproof.reference.types.checked import Checked
-from splatproof.reports.claims.checks import CheckJudged, judge_check
 from splatproof.reports.claims.claim import HOUSE, CheckClaim, Claim
 from splatproof.reports.claims.obstacles import Known, obstacle
+from splatproof.reports.findings.checks import CheckJudged, judge_check
 from splatproof.reports.measured import Measured
 from splatproof.reports.verdicts import Judged, Verdict, judge, runs_of
 

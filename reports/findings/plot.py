@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from splatproof.base.files import whole_file
-from splatproof.reports.claims.finding import Finding
+from splatproof.reports.findings.finding import Finding
 from splatproof.reports.verdicts import Verdict
 
 matplotlib.use("Agg")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from splatproof.reports.claims.claim import HOUSE
-from splatproof.reports.claims.finding import Finding
+from splatproof.reports.findings.finding import Finding
 from splatproof.reports.verdicts import SETTLED, Verdict
 
 ORDER: tuple[Verdict, ...] = (
