@@ -2,7 +2,7 @@
 
 import pytest
 
-from helpers.printed_rows import rows_of
+from helpers.printed_rows import judged_in_reduced_form, rows_of
 from helpers.real_scenes import real_scene
 from splatproof.suites.suite_files import load_suite
 
@@ -18,6 +18,8 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
         assert row["psnr"] > 10  # a grey image has less
         if row["method"] != "3dgs":
             assert all(isinstance(row[name], float) for name in SEAMS), row
+    reasons = judged_in_reduced_form("city", tmp_path, capsys)
+    assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
 
 
 @pytest.mark.parametrize("study", ["stability", "speed"])
