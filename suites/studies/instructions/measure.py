@@ -95,7 +95,9 @@ def count_pieces() -> list[Row]:
     """
     valgrind = shutil.which("valgrind")
     if valgrind is None:
-        raise MissingError("valgrind is not installed; it counts instructions (apt-get install valgrind)")
+        raise MissingError(
+            "valgrind is not installed; it counts instructions (apt-get install valgrind)"
+        )
     from splatproof import _ext
 
     level = next(level for level in LEVELS if level in _ext.simd_levels())

@@ -26,23 +26,23 @@ K, FEATURES, HIDDEN = 5, 16, 16
 """Gaussians an anchor, features of an anchor, and width of the networks' hidden layers."""
 
 
-def floats(*shape: int, draw: Callable[[], float] = float) -> memoryview:
-    """Float32 numbers of a shape that the kernels take: zeros, or what `draw` gives."""
-    return _shaped(array("f", (draw() for _ in range(prod(shape)))), "f", shape)
+def zeros(*shape: int, kind: str = "f") -> memoryview:
+    """Zeros of a shape, as the kernels take them: float32, or of another `kind` of module array."""
+    return memoryview(bytearray(array(kind).itemsize * prod(shape))).cast(kind, shape)
 
 
-def doubles(rows: list[list[float]]) -> memoryview:
+def filled(values: memoryview, draw: Callable[[], float]) -> memoryview:
+    """The array itself with every number drawn."""
+    flat = values.cast("B").cast(values.format)
+    for i in range(len(flat)):
+        flat[i] = draw()
+    return values
+
+
+def matrix(rows: list[list[float]]) -> memoryview:
     """A float64 matrix."""
-    return _shaped(array("d", sum(rows, [])), "d", (len(rows), len(rows[0])))
-
-
-def integers(count: int) -> memoryview:
-    """Int64 zeros."""
-    return memoryview(array("q", [0] * count))
-
-
-def _shaped(values: array, kind: str, shape: tuple[int, ...]) -> memoryview:
-    return memoryview(values).cast("B").cast(kind, shape)
+    numbers = (x for row in rows for x in row)
+    return filled(zeros(len(rows), len(rows[0]), kind="d"), lambda: next(numbers))
 
 
 class Scene:
@@ -56,28 +56,32 @@ class Scene:
         """
         random, n = Random(1), GAUSSIANS
         self.raw = {
-            "means": floats(n, 3, draw=lambda: random.uniform(-1, 1)),
-            "quaternions": floats(n, 4, draw=lambda: random.gauss(0, 1)),
-            "log_scales": floats(n, 3, draw=lambda: random.uniform(-3.2, -2.0)),
-            "opacity_logits": floats(n, draw=lambda: random.uniform(-2, 2)),
-            "sh_dc": floats(n, 1, 3, draw=lambda: random.gauss(0, 0.5)),
-            "sh_rest": floats(n, 3, 3, draw=lambda: random.gauss(0, 0.1)),
+            "means": filled(zeros(n, 3), lambda: random.uniform(-1, 1)),
+            "quaternions": filled(zeros(n, 4), lambda: random.gauss(0, 1)),
+            "log_scales": filled(zeros(n, 3), lambda: random.uniform(-3.2, -2.0)),
+            "opacity_logits": filled(zeros(n), lambda: random.uniform(-2, 2)),
+            "sh_dc": filled(zeros(n, 1, 3), lambda: random.gauss(0, 0.5)),
+            "sh_rest": filled(zeros(n, 3, 3), lambda: random.gauss(0, 0.1)),
         }
-        self.gradients = {name: floats(*value.shape) for name, value in self.raw.items()}
-        self.moments = [
-            [floats(*value.shape) for value in self.raw.values()] for _ in range(2)
-        ]
-        self.photo = floats(HEIGHT, WIDTH, 3, draw=random.random)
+        self.gradients = {name: zeros(*value.shape) for name, value in self.raw.items()}
+        self.moments = [[zeros(*value.shape) for value in self.raw.values()] for _ in range(2)]
+        self.photo = filled(zeros(HEIGHT, WIDTH, 3), random.random)
         intrinsics = [[80.0, 0.0, WIDTH / 2], [0.0, 80.0, HEIGHT / 2], [0.0, 0.0, 1.0]]
         pose = [[float(i == j) for j in range(4)] for i in range(4)]
         pose[2][3] = 3.0
-        self.camera = (doubles(intrinsics), doubles(pose), WIDTH, HEIGHT, 0.01)
+        self.camera = (matrix(intrinsics), matrix(pose), WIDTH, HEIGHT, 0.01)
         self.model = ext.Model(
-            *list(self.raw.values())[:4], None, self.raw["sh_dc"], 4, True, False, self.raw["sh_rest"]
+            *list(self.raw.values())[:4],
+            None,
+            self.raw["sh_dc"],
+            4,
+            True,
+            False,
+            self.raw["sh_rest"],
         )
-        self.flat = [floats(HEIGHT, WIDTH) for _ in range(2)]
-        self.image = floats(HEIGHT, WIDTH, 3)
-        self.radii, self.screen = floats(n), floats(n, 2)
+        self.flat = [zeros(HEIGHT, WIDTH) for _ in range(2)]
+        self.image = zeros(HEIGHT, WIDTH, 3)
+        self.radii, self.screen = zeros(n), zeros(n, 2)
 
 
 def pieces(ext: Any) -> Iterator[tuple[str, Callable[[], None], dict[str, int]]]:
@@ -107,7 +111,7 @@ def pieces(ext: Any) -> Iterator[tuple[str, Callable[[], None], dict[str, int]]]
         values, by = list(scene.raw.values()), list(scene.gradients.values())
         ext.adam(values, by, *scene.moments, [1e-3] * len(values), 1, 0.9, 0.999, 1e-15, None)
 
-    gradient = floats(HEIGHT, WIDTH, 3)
+    gradient = zeros(HEIGHT, WIDTH, 3)
     size = {"gaussians": GAUSSIANS, "pixels": WIDTH * HEIGHT}
     size["pairs"] = render().pairs
     yield "render", render, size
@@ -129,22 +133,22 @@ def anchor_decoding(ext: Any) -> tuple[str, Callable[[], None], dict[str, int]]:
         return random.gauss(0, 0.5)
 
     stored = [
-        floats(ANCHORS, 3, draw=normal), floats(ANCHORS, K, 3, draw=normal),
-        floats(ANCHORS, FEATURES, draw=normal), floats(ANCHORS, 6, draw=normal),
+        filled(zeros(ANCHORS, 3), normal), filled(zeros(ANCHORS, K, 3), normal),
+        filled(zeros(ANCHORS, FEATURES), normal), filled(zeros(ANCHORS, 6), normal),
     ]  # fmt: skip
     networks = [
-        floats(*shape, draw=normal)
+        filled(zeros(*shape), normal)
         for outputs in (K, 7 * K, 3 * K)
         for shape in ((FEATURES + 3, HIDDEN), (HIDDEN,), (HIDDEN, outputs), (outputs,))
     ]
-    centre = floats(3)
+    centre = zeros(3)
     anchors = ext.Anchors(*stored, None, centre, False, False, networks)
-    by_stored = [floats(*value.shape) for value in stored]
-    by_networks = [floats(*value.shape) for value in networks]
+    by_stored = [zeros(*value.shape) for value in stored]
+    by_networks = [zeros(*value.shape) for value in networks]
     count = ext.open_anchors(anchors).count
-    made = [floats(count, 3), floats(count, 4), floats(count, 3), floats(count), floats(count, 3)]
-    by_made = [floats(*value.shape, draw=normal) for value in made]
-    rows, slots = integers(count), integers(count)
+    made = [zeros(count, 3), zeros(count, 4), zeros(count, 3), zeros(count), zeros(count, 3)]
+    by_made = [filled(zeros(*value.shape), normal) for value in made]
+    rows, slots = zeros(count, kind="q"), zeros(count, kind="q")
 
     def decode() -> None:
         state = ext.open_anchors(anchors)
