@@ -1,0 +1,87 @@
+"""Counters of work compared: exactly, where the same code would have given the same numbers."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from splatproof.reports.comparing.cases import CaseRecord
+from splatproof.reports.comparing.matching import Group
+
+SAME_BITS = ("simd", "backend", "torch", "numpy")
+"""Parts of the environment that must agree for the same code to give the same bits."""
+WORK = {"pairs": 0.1, "render_pairs": 0.1}
+"""Counters of which more is worse, and the share by which they may grow. Other counters say that
+something changed, and not whether for better or worse."""
+Verdict = Literal["same", "changed", "worse", "not compared"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Counted:
+    """One counter of a group on both sides."""
+
+    group: Group
+    counter: str
+    verdict: Verdict
+    base: int
+    """Sum over the seeds that both sides have."""
+    new: int
+    reason: str
+    """Why this verdict, in one line."""
+
+
+def counted(groups: Sequence[Group]) -> list[Counted]:
+    """Every counter that both sides of a group have.
+
+    *same*, *changed*: the numbers of each seed are, or are not, the very same. *worse*: the sum over seeds
+    grew by more than the counter's share in WORK. *not compared*: the sides were computed differently (see
+    SAME_BITS) or have no seed in common; of these the sums are told where they have seeds in common.
+
+    Args:
+        groups: Groups that are compared.
+    Source: ours.
+    """
+    return [
+        _counted(group, name)
+        for group in groups
+        for name in sorted(_names(group.base) & _names(group.new))
+    ]
+
+
+def _names(side: Sequence[CaseRecord]) -> set[str]:
+    """Counters that all cases of a side have."""
+    names = [set(case.measured.counters) for case in side]
+    return set.intersection(*names) if names else set()
+
+
+def _counted(group: Group, name: str) -> Counted:
+    base, new = (
+        {case.measured.seed: case.measured.counters[name] for case in side}
+        for side in (group.base, group.new)
+    )
+    seeds = sorted(base.keys() & new.keys())
+    sums = sum(base[seed] for seed in seeds), sum(new[seed] for seed in seeds)
+    verdict, reason = _verdict(group, name, sums)
+    if not seeds:
+        verdict, reason = "not compared", "no seed is on both sides"
+    elif verdict == "changed" and all(base[seed] == new[seed] for seed in seeds):
+        verdict, reason = "same", "the same number in each seed"
+    return Counted(
+        group=group, counter=name, verdict=verdict, base=sums[0], new=sums[1], reason=reason
+    )
+
+
+def _verdict(group: Group, name: str, sums: tuple[int, int]) -> tuple[Verdict, str]:
+    """What the sums say where seeds differ: a reason in one line goes with it."""
+    for part in SAME_BITS:
+        values = [
+            {case.environment.get(part, "") for case in side} for side in (group.base, group.new)
+        ]
+        if values[0] != values[1]:
+            told = [", ".join(sorted(own)) or "unknown" for own in values]
+            return "not compared", f"computed with other {part}: {told[0]} and {told[1]}"
+    band = WORK.get(name)
+    if band is not None and sums[1] > sums[0] * (1 + band):
+        return "worse", f"more than {band:.0%} more work"
+    return "changed", "other numbers, and more or less of it is neither better nor worse" if (
+        band is None
+    ) else f"within {band:.0%} of the work"
