@@ -1,4 +1,4 @@
-"""Writes scene/: thumbnails of the courtyard, committed because a machine that ray-casts them again may
+"""Writes courtyard96/: thumbnails of the courtyard, committed because a machine that ray-casts them again may
 round a few pixels otherwise, and other pixels cannot be compared.
 
     python tests/regression/make_scene.py
@@ -17,7 +17,7 @@ from splatproof.datasets.scene_file import SceneFile, write_scene_file
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene
 
-FOLDER = Path(__file__).parent / "scene"
+FOLDER = Path(__file__).parent / "courtyard96"
 WIDTH = 96
 """Pixels: 28 views then take 0.4 MB."""
 EVERY = 3
