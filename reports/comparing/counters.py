@@ -32,9 +32,9 @@ class Counted:
 def counted(groups: Sequence[Group]) -> list[Counted]:
     """Every counter that both sides of a group have.
 
-    *same*, *changed*: the numbers of each seed are, or are not, the very same. *worse*: the sum over seeds
-    grew by more than the counter's share in WORK. *not compared*: the sides were computed differently (see
-    SAME_BITS) or have no seed in common; of these the sums are told where they have seeds in common.
+    *same*: each seed that both sides have has the very same number. Where not: *not compared* if the sides
+    were computed differently (see SAME_BITS) or have no seed in common, *worse* if the sum over those seeds
+    grew by more than the counter's share in WORK, else *changed*.
 
     Args:
         groups: Groups that are compared.
@@ -63,7 +63,7 @@ def _counted(group: Group, name: str) -> Counted:
     verdict, reason = _verdict(group, name, sums)
     if not seeds:
         verdict, reason = "not compared", "no seed is on both sides"
-    elif verdict == "changed" and all(base[seed] == new[seed] for seed in seeds):
+    elif all(base[seed] == new[seed] for seed in seeds):
         verdict, reason = "same", "the same number in each seed"
     return Counted(
         group=group, counter=name, verdict=verdict, base=sums[0], new=sums[1], reason=reason
@@ -71,17 +71,17 @@ def _counted(group: Group, name: str) -> Counted:
 
 
 def _verdict(group: Group, name: str, sums: tuple[int, int]) -> tuple[Verdict, str]:
-    """What the sums say where seeds differ: a reason in one line goes with it."""
+    """Verdict on sums over the common seeds whose numbers are not all the same, and its reason."""
     for part in SAME_BITS:
-        values = [
-            {case.environment.get(part, "") for case in side} for side in (group.base, group.new)
-        ]
-        if values[0] != values[1]:
-            told = [", ".join(sorted(own)) or "unknown" for own in values]
-            return "not compared", f"computed with other {part}: {told[0]} and {told[1]}"
-    band = WORK.get(name)
-    if band is not None and sums[1] > sums[0] * (1 + band):
-        return "worse", f"more than {band:.0%} more work"
-    return "changed", "other numbers, and more or less of it is neither better nor worse" if (
-        band is None
-    ) else f"within {band:.0%} of the work"
+        base, new = (
+            {case.environment.get(part) or "unknown" for case in side}
+            for side in (group.base, group.new)
+        )
+        if len(base | new) > 1:
+            told = f"{', '.join(sorted(base))} and {', '.join(sorted(new))}"
+            return "not compared", f"computed with other {part}: {told}"
+    if name not in WORK:
+        return "changed", "other numbers in the same seeds"
+    if sums[1] > sums[0] * (1 + WORK[name]):
+        return "worse", f"more than {WORK[name]:.0%} more work"
+    return "changed", f"not more than {WORK[name]:.0%} more work"

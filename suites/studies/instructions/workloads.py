@@ -27,12 +27,22 @@ K, FEATURES, HIDDEN = 5, 16, 16
 
 
 def zeros(*shape: int, kind: str = "f") -> memoryview:
-    """Zeros of a shape, as the kernels take them: float32, or of another `kind` of module array."""
+    """Zeros, as the kernels take them.
+
+    Args:
+        shape: Length of each axis.
+        kind: Type code of module array: f, d or q.
+    """
     return memoryview(bytearray(array(kind).itemsize * prod(shape))).cast(kind, shape)
 
 
 def filled(values: memoryview, draw: Callable[[], float]) -> memoryview:
-    """The array itself with every number drawn."""
+    """The array itself, with every number drawn anew.
+
+    Args:
+        values: Array that is written to.
+        draw: Gives the next number.
+    """
     flat = values.cast("B").cast(values.format)
     for i in range(len(flat)):
         flat[i] = draw()
