@@ -44,4 +44,8 @@ def compare(
     )  # fmt: skip
     for one in found.compared:
         output.print_text(f"{one.group.name} {one.measure.metric}: {one.verdict} ({one.reason})")
+    for one in found.counters:
+        output.print_text(
+            f"{one.group.name} {one.counter}: {one.verdict}, {one.base} -> {one.new} ({one.reason})"
+        )
     return int(bool(found.regressions))
