@@ -83,12 +83,13 @@ def test_the_suite_does_what_density_control_can_do(now: Side):
 
 
 def test_the_same_code_is_identical(now: Side, tmp_path: Path):
-    found = compare(now, run(tmp_path, SEEDS[:1]))
-    scored = [one for one in found.compared if one.measure.metric in verdicts(found)]
-    identical = compare(replace(now, cases=now.cases[:1]), run(tmp_path, SEEDS[:1]))
-    del scored, found
-    assert verdicts(identical) == {"psnr": "equal", "ssim_3dgs": "equal"}
-    assert all(one.verdict == "same" for one in identical.counters)
+    first = replace(now, cases=now.cases[:1])
+    found = compare(first, run(tmp_path, SEEDS[:1]))
+    judged = [one for one in found.compared if one.measure.metric in verdicts(found)]
+    assert {(one.verdict, one.reason) for one in judged} == {
+        ("equal", "identical: the same models and scores")
+    }, told(found)
+    assert {one.verdict for one in found.counters} == {"same"}
 
 
 def test_other_seeds_are_not_called_worse(baseline: Side, tmp_path: Path):
