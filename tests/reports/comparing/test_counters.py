@@ -5,9 +5,12 @@ import dataclasses
 import pytest
 
 from helpers.case_folders import result
+from splatproof.reports.comparing import wording
 from splatproof.reports.comparing.compare import compare
 from splatproof.reports.comparing.counters import SAME_BITS, WORK, Counted
+from splatproof.reports.comparing.markdown import markdown
 from splatproof.reports.comparing.sides import side_of
+from splatproof.reports.comparing.terminal import records
 
 HERE = {"simd": "avx2", "backend": "cpu", "torch": "2.13.0", "numpy": "2.1"}
 COUNTERS = {"pairs": 1_000_000, "resets": 3}
@@ -82,3 +85,29 @@ def test_other_seeds_are_not_compared():
 def test_a_counter_that_a_case_lacks_is_left_out():
     older = side_of("BASE", [result(seed=seed, environment=HERE) for seed in (0, 1)])
     assert not compare(older, side("NEW")).counters
+
+
+def test_people_and_machines_are_told_what_changed_and_worse_work_first():
+    found = compare(side("BASE"), side("NEW", pairs=2_000_000, resets=4))
+    assert "REGRESSED" in wording.verdict_line(found)
+    assert "more work: pairs" in wording.verdict_line(found)
+    rows = [wording.counter_texts(one) for one in wording.counters_shown(found)]
+    case = "quick/town/3dgs/ours_250"
+    assert rows == [
+        ["worse", case, "pairs", "2,000,000", "4,000,000", "+100.00 %", "more than 10% more work"],
+        ["changed", case, "resets", "6", "8", "+33.33 %", "other numbers in the same seeds"],
+    ]
+    assert "| **worse** | quick/town/3dgs/ours_250 | pairs |" in markdown(found, [], [])
+    told = [record for record in records(found, []) if record["kind"] == "counter"]
+    assert told[0] == {
+        "kind": "counter", "case": case, "counter": "pairs", "verdict": "worse", "base": 2_000_000,
+        "new": 4_000_000, "reason": "more than 10% more work",
+    }  # fmt: skip
+
+
+def test_the_same_counters_are_one_remark():
+    found = compare(side("BASE"), side("NEW"))
+    assert not wording.counters_shown(found)
+    assert "counters that are the same in every seed: 2 of 2" in wording.remarks(found)
+    changed = compare(side("BASE"), side("NEW", resets=4))
+    assert "<details><summary>Counters (1 differ)</summary>" in markdown(changed, [], [])
