@@ -28,7 +28,7 @@ def write_scene(scene: Scene, folder: Path) -> None:
     """A scene as photos and a COLMAP model in text without tracks.
 
     Args:
-        scene: What is written; its views are pinhole cameras.
+        scene: What is written, in metres; its views are pinhole cameras.
         folder: Photos go to photos/, the model to sparse/0.
     """
     cameras, images, points = ([f"# {kind}"] for kind in ("cameras", "images", "points"))
@@ -56,7 +56,7 @@ def write_scene(scene: Scene, folder: Path) -> None:
         write_text(model / f"{name}.txt", "\n".join(lines) + "\n")
     facts = {"made_of": f"courtyard at {WIDTH} px, one of {EVERY} sparse points"}
     up = (float(scene.up[0]), float(scene.up[1]), float(scene.up[2]))
-    write_scene_file(folder, SceneFile(units=scene.units, up=up, facts=facts))
+    write_scene_file(folder, SceneFile(units="metres", up=up, facts=facts))
 
 
 def quaternion(turn: np.ndarray) -> np.ndarray:

@@ -59,10 +59,10 @@ def judged(row: Mapping[str, Any], baseline: Sequence[Mapping[str, Any]]) -> Row
     same = [old for old in baseline if all(old.get(k) == row[k] for k in ("workload", "simd", "compiler"))]  # fmt: skip
     if not same:
         return {"ok": True, "note": "no baseline of this work, compiler and SIMD level"}
-    change = row["instructions"] / same[0]["instructions"] - 1
-    worse = change > BAND
-    note = f"more than {BAND:.0%} above the baseline's {same[0]['instructions']:,}" if worse else ""
-    return {"change": change, "ok": not worse, "note": note}
+    before = same[0]["instructions"]
+    worse = row["instructions"] > (1 + BAND) * before
+    note = f"more than {BAND:.0%} above the baseline's {before:,}" if worse else ""
+    return {"change": row["instructions"] / before - 1, "ok": not worse, "note": note}
 
 
 def differs(one: Mapping[str, Any], other: Mapping[str, Any]) -> float:

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from math import prod
 from random import Random
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 WIDTH, HEIGHT = 96, 64
 """Pixels of the images: 24 tiles."""
@@ -26,14 +26,21 @@ K, FEATURES, HIDDEN = 5, 16, 16
 """Gaussians an anchor, features of an anchor, and width of the networks' hidden layers."""
 
 
-def zeros(*shape: int, kind: str = "f") -> memoryview:
+def zeros(*shape: int, kind: Literal["f", "d", "q"] = "f") -> memoryview:
     """Zeros, as the kernels take them.
 
     Args:
         shape: Length of each axis.
-        kind: Type code of module array: f, d or q.
+        kind: Type code of module array.
     """
-    return memoryview(bytearray(array(kind).itemsize * prod(shape))).cast(kind, shape)
+    found: Any = memoryview(bytearray(array(kind).itemsize * prod(shape))).cast(kind, shape)
+    return found
+
+
+def zeros_like(values: memoryview) -> memoryview:
+    """Float32 zeros of another array's shape."""
+    assert values.shape is not None
+    return zeros(*values.shape)
 
 
 def filled(values: memoryview, draw: Callable[[], float]) -> memoryview:
@@ -43,7 +50,8 @@ def filled(values: memoryview, draw: Callable[[], float]) -> memoryview:
         values: Array that is written to.
         draw: Gives the next number.
     """
-    flat = values.cast("B").cast(values.format)
+    kind: Any = values.format
+    flat = values.cast("B").cast(kind)
     for i in range(len(flat)):
         flat[i] = draw()
     return values
@@ -73,8 +81,8 @@ class Scene:
             "sh_dc": filled(zeros(n, 1, 3), lambda: random.gauss(0, 0.5)),
             "sh_rest": filled(zeros(n, 3, 3), lambda: random.gauss(0, 0.1)),
         }
-        self.gradients = {name: zeros(*value.shape) for name, value in self.raw.items()}
-        self.moments = [[zeros(*value.shape) for value in self.raw.values()] for _ in range(2)]
+        self.gradients = {name: zeros_like(value) for name, value in self.raw.items()}
+        self.moments = [[zeros_like(value) for value in self.raw.values()] for _ in range(2)]
         self.photo = filled(zeros(HEIGHT, WIDTH, 3), random.random)
         intrinsics = [[80.0, 0.0, WIDTH / 2], [0.0, 80.0, HEIGHT / 2], [0.0, 0.0, 1.0]]
         pose = [[float(i == j) for j in range(4)] for i in range(4)]
@@ -153,11 +161,11 @@ def anchor_decoding(ext: Any) -> tuple[str, Callable[[], None], dict[str, int]]:
     ]
     centre = zeros(3)
     anchors = ext.Anchors(*stored, None, centre, False, False, networks)
-    by_stored = [zeros(*value.shape) for value in stored]
-    by_networks = [zeros(*value.shape) for value in networks]
+    by_stored = [zeros_like(value) for value in stored]
+    by_networks = [zeros_like(value) for value in networks]
     count = ext.open_anchors(anchors).count
     made = [zeros(count, 3), zeros(count, 4), zeros(count, 3), zeros(count), zeros(count, 3)]
-    by_made = [filled(zeros(*value.shape), normal) for value in made]
+    by_made = [filled(zeros_like(value), normal) for value in made]
     rows, slots = zeros(count, kind="q"), zeros(count, kind="q")
 
     def decode() -> None:

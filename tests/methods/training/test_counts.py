@@ -100,11 +100,11 @@ def pairs_of_the_start(tensors: dict[str, torch.Tensor]) -> int:
         None, tensors["sh_dc"], 1, True, False, tensors["sh_rest"],
     )  # fmt: skip
     image = torch.empty(where.height, where.width, 3)
-    flat = [torch.empty(where.height, where.width) for _ in range(2)]
+    alpha, depth = torch.empty(2, where.height, where.width)
     before = pairs_listed()
     state = _ext.render(
-        model, *native_camera(where), None, image, *flat, torch.empty(len(tensors["means"])),
-        None, None, None, None, None,
+        model, *native_camera(where), None, image, alpha, depth,
+        torch.empty(len(tensors["means"])), None, None, None, None, None,
     )  # fmt: skip
     assert pairs_listed() - before == state.pairs
     return state.pairs
