@@ -18,7 +18,8 @@ CUT = 0.25
 THRESHOLDS = 81
 """Points of a performance profile."""
 
-Gains = Float[np.ndarray, "seeds images"]
+Gains = Float[np.ndarray, "_ _"]
+"""A row a seed, a column an image."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +112,7 @@ def _aggregate(scenes: Sequence[Compared], generator: np.random.Generator) -> Ag
     base = np.concatenate([pair[0].ravel() for pair in pairs])
     most = max(float(np.abs(np.concatenate([new, base])).max()), 1e-12)
     thresholds = np.linspace(-most, most, THRESHOLDS)
-    draws = [_drawn(pairs, thresholds, generator) for _ in range(DRAWS)]
-    middles, chances, bases, news = (np.array(values) for values in zip(*draws, strict=True))
+    middles, chances, bases, news = _drawn(pairs, thresholds, generator)
     return Aggregate(
         suite=group.suite, protocol=group.protocol, row=group.row, measure=measure,
         scenes=len(scenes), scores=new.size,
@@ -138,12 +138,15 @@ def _gains(one: Compared) -> tuple[Gains, Gains]:
 
 def _improvement(pairs: Sequence[tuple[Gains, Gains]]) -> float:
     """Mean over scenes and images of Mann and Whitney's U over its most, n m."""
-    chances = []
-    for base, new in pairs:
-        better = (new[:, None] > base[None]).mean(axis=(0, 1))
-        same = (new[:, None] == base[None]).mean(axis=(0, 1))
-        chances.append(better + same / 2)
-    return float(np.concatenate(chances).mean())
+    return float(np.concatenate([_chances(base, new) for base, new in pairs]).mean())
+
+
+def _chances(
+    base: Float[np.ndarray, "... _ images"], new: Float[np.ndarray, "... _ images"]
+) -> Float[np.ndarray, "... images"]:
+    """Share of pairs of runs in which NEW is better, of each image; ties count half."""
+    one, other = new[..., :, None, :], base[..., None, :, :]
+    return (one > other).mean(axis=(-3, -2)) + (one == other).mean(axis=(-3, -2)) / 2
 
 
 def _shares(
@@ -153,24 +156,35 @@ def _shares(
     return 1 - np.searchsorted(np.sort(gains), thresholds, side="left") / gains.size
 
 
+Draws = Float[np.ndarray, " draws"]
+Curves = Float[np.ndarray, "draws n"]
+
+
 def _drawn(
     pairs: Sequence[tuple[Gains, Gains]],
     thresholds: Float[np.ndarray, " n"],
     generator: np.random.Generator,
-) -> tuple[float, float, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Interquartile mean, chance of improvement and both profiles of one draw of seeds and images."""
-    drawn = []
-    for base, new in pairs:
-        images = generator.integers(0, base.shape[1], base.shape[1])
-        rows = [generator.integers(0, len(side), len(side)) for side in (base, new)]
-        drawn.append((base[rows[0]][:, images], new[rows[1]][:, images]))
-    base, new = (np.concatenate([pair[k].ravel() for pair in drawn]) for k in (0, 1))
-    return (
-        float(stats.trim_mean(new, CUT)), _improvement(drawn), _shares(base, thresholds),
-        _shares(new, thresholds),
-    )  # fmt: skip
+) -> tuple[Draws, Draws, Curves, Curves]:
+    """Interquartile mean, chance of improvement and both profiles of each draw of seeds and images."""
+    drawn: list[list[Gains]] = [[], []]
+    chances = []
+    for pair in pairs:
+        images = generator.integers(0, pair[0].shape[1], (DRAWS, 1, pair[0].shape[1]))
+        own = [
+            side[generator.integers(0, len(side), (DRAWS, len(side), 1)), images] for side in pair
+        ]
+        chances.append(_chances(own[0], own[1]))
+        for kept, scores in zip(drawn, own, strict=True):
+            kept.append(scores.reshape(DRAWS, -1))
+    base, new = (np.sort(np.concatenate(kept, axis=1), axis=1) for kept in drawn)
+    curves = [
+        1 - np.array([np.searchsorted(own, thresholds) for own in side]) / side.shape[1]
+        for side in (base, new)
+    ]
+    middles = stats.trim_mean(new, CUT, axis=1)
+    return middles, np.concatenate(chances, axis=1).mean(axis=1), curves[0], curves[1]
 
 
-def _interval(value: float, draws: Float[np.ndarray, " draws"]) -> Interval:
+def _interval(value: float, draws: Draws) -> Interval:
     low, high = np.percentile(draws, [2.5, 97.5])
     return Interval(value=value, low=min(float(low), value), high=max(float(high), value))

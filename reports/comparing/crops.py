@@ -29,8 +29,8 @@ GAP, CAPTION = 6, 20
 """Pixels between panels, and of the line below them."""
 FONT = 13
 
-Colours = Float[np.ndarray, "h w 3"]
-Canvas = UInt8[np.ndarray, "h w 3"]
+Colours = Float[np.ndarray, "_ _ 3"]
+Canvas = UInt8[np.ndarray, "_ _ 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,12 +131,12 @@ def draw(view: View) -> bytes | str:
     marked = _marked(truth, top, left, side)
     panels = [
         (marked, "truth"), (truth[cut], "truth"), (base[cut], "BASE"), (new[cut], "NEW"),
-        (_coloured(change[cut]), f"error: red +, blue - {FULL:g}"),
+        (_coloured(change[cut]), f"error: red more, blue less (to {FULL:g})"),
     ]  # fmt: skip
     return _sheet([(_scaled(panel), caption) for panel, caption in panels], view.title)
 
 
-def place(change: Float[np.ndarray, "h w"], one: Compared) -> tuple[int, int, int]:
+def place(change: Float[np.ndarray, "_ _"], one: Compared) -> tuple[int, int, int]:
     """Top, left and side in pixels of the square in which the error changed most.
 
     Args:
@@ -164,7 +164,7 @@ def _decoded(png: bytes, where: str) -> Colours:
     return pixels[..., ::-1].astype(np.float64) / 255
 
 
-def _coloured(change: Float[np.ndarray, "h w"]) -> Colours:
+def _coloured(change: Float[np.ndarray, "_ _"]) -> Colours:
     """White where nothing changed, red where the error rose, blue where it fell."""
     share = np.clip(change / FULL, -1, 1)[..., None]
     red, blue = np.array([0.75, 0.05, 0.1]), np.array([0.1, 0.25, 0.75])
@@ -196,6 +196,8 @@ def _sheet(panels: Sequence[tuple[Canvas, str]], title: str) -> bytes:
     left = 0
     for panel, caption in panels:
         sheet.paste(Image.fromarray(panel), (left, CAPTION))
+        corners = (left, CAPTION, left + panel.shape[1] - 1, CAPTION + HEIGHT - 1)
+        pen.rectangle(corners, outline="lightgrey")  # the change is white where there is none
         pen.text((left + 2, CAPTION + HEIGHT + 2), caption, fill="black", font=font)
         left += panel.shape[1] + GAP
     stream = io.BytesIO()

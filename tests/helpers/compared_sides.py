@@ -24,7 +24,8 @@ def case(scene: str, seed: int, scores: Mapping[str, np.ndarray], **changed) -> 
     """A finished case with scores of each image by metric."""
     count = len(next(iter(scores.values())))
     images = {
-        f"view_{i}": {name: float(values[i]) for name, values in scores.items()} for i in range(count)
+        f"view_{i}": {name: float(values[i]) for name, values in scores.items()}
+        for i in range(count)
     }
     values = {name: float(np.mean(own)) for name, own in scores.items()} | changed.pop("values", {})
     run = {"scene": scene, "row": "3dgs", "protocol": "p", "seed": seed, "steps": 10, "grown": 2,

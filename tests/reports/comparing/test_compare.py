@@ -96,7 +96,10 @@ def test_missing_cases_are_said_by_name():
     base, new = drawn_pair(0)
     found = compare(base, dataclasses.replace(new, cases=new.cases[1:3]), bands=BANDS)
     said = {one.what: one.why for one in found.not_comparable}
-    assert said == {"s/scene_0/3dgs/p/seed0": "missing on NEW", "s/scene_1/3dgs/p": "missing on NEW"}
+    assert said == {
+        "s/scene_0/3dgs/p/seed0": "missing on NEW",
+        "s/scene_1/3dgs/p": "missing on NEW",
+    }
     assert {one.group.scene for one in found.compared} == {"scene_0"}
 
 
@@ -155,7 +158,9 @@ def test_a_score_that_is_no_number_is_said(odd: str, on: str, verdict: str, why:
         measured=dataclasses.replace(one.measured, images=images),
     )  # fmt: skip
     found = compare(sides["base"], sides["new"], bands=BANDS)
-    (psnr,) = [o for o in found.compared if (o.group.scene, o.measure.metric) == ("scene_0", "psnr")]
+    (psnr,) = [
+        o for o in found.compared if (o.group.scene, o.measure.metric) == ("scene_0", "psnr")
+    ]
     assert psnr.verdict == verdict
     assert f"psnr of view_3 is {why}" in psnr.reason
     assert bool(found.regressions) == (verdict == "worse")
@@ -169,7 +174,9 @@ def test_an_image_without_a_number_on_either_side_is_left_out(odd: str):
             images = {k: dict(v) for k, v in one.measured.images.items()}
             del images["view_3"]["psnr"]
             run = dataclasses.replace(one.measured, images=images)
-            cases.append(dataclasses.replace(one, measured=run, not_finite={"view_3": {"psnr": odd}}))
+            cases.append(
+                dataclasses.replace(one, measured=run, not_finite={"view_3": {"psnr": odd}})
+            )
         return dataclasses.replace(side, cases=tuple(cases))
 
     base, new = map(without, drawn_pair(0))
@@ -179,9 +186,7 @@ def test_an_image_without_a_number_on_either_side_is_left_out(odd: str):
 
 def test_renders_that_equal_the_truth_everywhere_are_equal():
     odd = {f"view_{i}": {"psnr": "inf"} for i in range(8)}
-    cases = tuple(
-        case("scene_0", seed, {"flip": np.zeros(8)}, not_finite=odd) for seed in range(2)
-    )
+    cases = tuple(case("scene_0", seed, {"flip": np.zeros(8)}, not_finite=odd) for seed in range(2))
     side = Side(label="exact", cases=cases)
     other = dataclasses.replace(side, cases=tuple(dataclasses.replace(c, model="m") for c in cases))
     found = {one.measure.metric: one for one in compare(side, other, bands=BANDS).compared}
