@@ -97,7 +97,7 @@ def test_people_and_machines_are_told_what_changed_and_worse_work_first():
         ["worse", case, "pairs", "2,000,000", "4,000,000", "+100.00 %", "more than 10% more work"],
         ["changed", case, "resets", "6", "8", "+33.33 %", "other numbers in the same seeds"],
     ]
-    assert "| **worse** | quick/town/3dgs/ours_250 | pairs |" in markdown(found, [], [])
+    assert "| **worse** | quick/town/3dgs/ours\\_250 | pairs |" in markdown(found, [], [])
     told = [record for record in records(found, []) if record["kind"] == "counter"]
     assert told[0] == {
         "kind": "counter", "case": case, "counter": "pairs", "verdict": "worse", "base": 2_000_000,
