@@ -122,7 +122,7 @@ def _write(path: Path, found: "Comparison", aggregates: "list[Aggregate]") -> No
     ]
     linked = []
     for number, (title, png) in enumerate(pictures, start=1):
-        plain = re.sub(r"[^a-zA-Z0-9.]+", "-", title.split(":")[0]).strip("-")
+        plain = re.sub(r"[^a-zA-Z0-9.]+", "-", title.split(":")[0].removesuffix(".png")).strip("-")
         name = f"{number:02d}-{plain}.png"
         write_bytes(folder / name, png)
         linked.append((title, f"{folder.name}/{name}"))
