@@ -73,7 +73,7 @@ def read(path: Path, label: str) -> Side:
             f"{path}: its content does not fit its checksum, so it was edited or badly merged; {AGAIN}"
         )
     try:
-        cases = tuple(_case(path, number, body) for number, _ in enumerate(body["cases"]))
+        cases = tuple(_case(path, number, body) for number, _ in enumerate(body["cases"] or ()))
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise DataError(f"{path}: damaged ({type(error).__name__}: {error}); {AGAIN}") from None
     return Side(label=label, cases=cases)

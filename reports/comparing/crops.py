@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from splatproof.base.errors import DataError
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.compare import Compared, Comparison
+from splatproof.reports.store import Picture
 
 VIEWS = 6
 """Number of views that are shown."""
@@ -113,9 +114,10 @@ def draw(view: View) -> bytes | str:
     Raises: DataError naming a picture that is no image, or of another size than the others.
     """
     pictures: list[Colours] = []
-    for case, kind, side in (
+    wanted: list[tuple[CaseRecord, Picture, str]] = [
         (view.new, "truth", "NEW"), (view.base, "render", "BASE"), (view.new, "render", "NEW"),
-    ):  # fmt: skip
+    ]  # fmt: skip
+    for case, kind, side in wanted:
         png = case.pictures(kind, view.image) if case.pictures else None
         if png is None:
             return f"{side} has no pictures of {case.name}"

@@ -83,7 +83,7 @@ class Estimate:
         )
         if not beyond(low) < 0 < beyond(high):
             return math.exp(high if beyond(high) <= 0 else low)
-        return math.exp(float(optimize.brentq(beyond, low, high, xtol=1e-9)))
+        return math.exp(optimize.root_scalar(beyond, bracket=(low, high), xtol=1e-9).root)
 
     def detectable(self, alpha: float, band: float) -> float:
         """Smallest true difference that such runs would show in POWER of all experiments.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PIPED_WIDTH = 200
 """Characters a line where stdout is no terminal."""
 SEED = 0
-"""Of the bootstrap's draws for whole suites, so that the same results give the same numbers."""
+"""Seed of the draws for whole suites, so that the same results give the same numbers."""
 
 
 def compare(

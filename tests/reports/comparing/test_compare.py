@@ -149,7 +149,7 @@ def test_a_metric_of_one_side_is_said_by_name():
     ],
 )  # fmt: skip
 def test_a_score_that_is_no_number_is_said(odd: str, on: str, verdict: str, why: str):
-    sides = dict(zip(("base", "new"), drawn_pair(0), strict=True))
+    sides: dict[str, Side] = dict(zip(("base", "new"), drawn_pair(0), strict=True))
     one = sides[on].cases[0]
     images = {k: dict(v) for k, v in one.measured.images.items()}
     del images["view_3"]["psnr"]

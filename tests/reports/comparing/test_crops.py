@@ -68,7 +68,9 @@ def test_the_sheet_shows_the_change():
     view = changed_views(compare(with_pictures(base, 128), with_pictures(new, 220), bands={}))[0]
     drawn = draw(view)
     assert isinstance(drawn, bytes)
-    sheet = cv2.imdecode(np.frombuffer(drawn, np.uint8), cv2.IMREAD_COLOR).astype(int)
+    decoded = cv2.imdecode(np.frombuffer(drawn, np.uint8), cv2.IMREAD_COLOR)
+    assert decoded is not None
+    sheet = decoded.astype(int)
     blue, green, red = sheet[..., 0], sheet[..., 1], sheet[..., 2]
     strong = (red - blue > 100) & (red - green > 100)
     assert strong[:, -240:].sum() > 2000  # the error rose: red, in the last panel

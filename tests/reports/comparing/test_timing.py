@@ -13,7 +13,7 @@ from splatproof.reports.comparing.sides import Side
 BANDS = {"train_seconds": band(0.02, "relative"), "psnr": band(0.1)}
 
 
-def timed(label: str, turns: list[int], seconds: float, *, work: float = 1.0, **where: str) -> Side:
+def timed(label: str, turns: list[int], seconds: float, work: float = 1.0, **where: str) -> Side:
     """A side whose runs began in these minutes of an hour."""
     rng = np.random.default_rng(turns)
     cases = []
@@ -67,7 +67,7 @@ def test_one_side_after_the_other_is_not_judged(base: list[int], new: list[int])
     ],
 )  # fmt: skip
 def test_another_machine_is_never_judged(where: dict[str, str], why: str):
-    said = verdict(timed("a", [0, 2, 4], 40.0), timed("b", [1, 3, 5], 50.0, **where))
+    said = verdict(timed("a", [0, 2, 4], 40.0), timed("b", [1, 3, 5], 50.0, 1.0, **where))
     assert said[0] == "not judged"
     assert why in said[1]
 
