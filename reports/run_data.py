@@ -48,7 +48,7 @@ def params(result: Result) -> dict[str, str]:
 
 
 def metrics(result: Result) -> dict[str, float]:
-    """Scores by their names, wall seconds a stage, memory, primitives, bytes and render time."""
+    """Scores by their names, wall seconds a stage, memory, primitives, bytes, render time and counters."""
     named = {
         **result.metrics,
         "seconds": result.stages,
@@ -57,6 +57,7 @@ def metrics(result: Result) -> dict[str, float]:
         "primitives": float(result.primitives),
         "bytes_on_disk": float(result.bytes_on_disk),
         "render_ms": result.render_ms,
+        "counters": result.counters,
     }
     return {_name(name): float(str(value)) for name, value in flatten(named)}
 

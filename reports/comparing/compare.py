@@ -9,6 +9,7 @@ from splatproof.base.errors import DataError
 from splatproof.reports.comparable import MIN_SEEDS
 from splatproof.reports.comparing.bands import Band, load_bands
 from splatproof.reports.comparing.corrections import Correction, corrected, levels
+from splatproof.reports.comparing.counters import Counted, counted
 from splatproof.reports.comparing.deciding import Verdict, decide
 from splatproof.reports.comparing.differing import Differing, differing
 from splatproof.reports.comparing.estimate import Estimate, estimate
@@ -78,16 +79,19 @@ class Comparison:
     not_comparable: tuple[NotComparable, ...]
     not_judged: tuple[str, ...]
     """Names of metrics that are there and are not judged: no better side, or no band and not asked for."""
+    counters: tuple[Counted, ...]
+    """Work that was done, compared exactly: no test, and not among `tests`."""
     differing: tuple[Differing, ...]
     remarks: tuple[str, ...]
     """What else must be said: results of a side that were left out."""
 
     @property
     def regressions(self) -> tuple[str, ...]:
-        """A name for everything that got worse: metrics of groups, and cases that newly fail."""
+        """A name for everything that got worse: metrics and counters of groups, and cases that newly fail."""
         worse = [
             f"{c.group.name} {c.measure.metric}" for c in self.compared if c.verdict == "worse"
         ]
+        worse += [f"{c.group.name} {c.counter}" for c in self.counters if c.verdict == "worse"]
         return (*worse, *(f"{f.case} fails" for f in self.failures if f.on == "NEW"))
 
     @property
@@ -146,6 +150,7 @@ def compare(
         failures=matched.failures,
         not_comparable=tuple(faults),
         not_judged=tuple(left_out),
+        counters=tuple(counted(matched.groups)),
         differing=tuple(differing(matched.groups)),
         remarks=(*base.remarks, *new.remarks),
     )

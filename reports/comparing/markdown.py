@@ -28,6 +28,10 @@ def markdown(
     changed = [one for one in wording.ordered(found) if one.verdict in LOUD]
     if changed:
         blocks.append(_table(wording.HEADINGS, [wording.texts(one) for one in changed]))
+    if counters := wording.counters_shown(found):
+        table = _table(wording.COUNTERS, [wording.counter_texts(one) for one in counters])
+        more = any(one.verdict == "worse" for one in counters)
+        blocks.append(table if more else _folded(f"Counters ({len(counters)} differ)", table))
     if found.differing:
         rows = [[d.kind, d.name, d.base, d.new, d.where] for d in found.differing]
         blocks += ["What differed:", _table(("", "name", "BASE", "NEW", "where"), rows)]

@@ -11,7 +11,7 @@ from splatproof.reports.comparing.aggregates import Aggregate
 from splatproof.reports.comparing.compare import Compared, Comparison
 
 COLOURS = {"worse": "bold red", "better": "bold green", "equal": "", "undecided": "yellow",
-           "not judged": "dim"}  # fmt: skip
+           "not judged": "dim", "changed": "yellow", "not compared": "dim"}  # fmt: skip
 LEFT = 3
 """Number of columns that are text."""
 
@@ -33,6 +33,8 @@ def terminal(found: Comparison, aggregates: Sequence[Aggregate]) -> Lines:
         parts += [Text(), _table(wording.HEADINGS, map(wording.texts, judged))]
     if aggregates:
         parts += [Text(), _table(wording.AGGREGATES, map(wording.aggregate_texts, aggregates))]
+    if counters := wording.counters_shown(found):
+        parts += [Text(), _table(wording.COUNTERS, map(wording.counter_texts, counters))]
     if found.differing:
         rows = ([d.kind, d.name, d.base, d.new, d.where] for d in found.differing)
         parts += [Text(), _table(("differed", "name", "BASE", "NEW", "where"), rows, left=5)]
@@ -69,6 +71,11 @@ def records(found: Comparison, aggregates: Sequence[Aggregate]) -> Iterator[dict
         yield {"kind": "failure", "case": failure.case, "on": failure.on, "error": failure.error}
     for fault in found.not_comparable:
         yield {"kind": "not comparable", "what": fault.what, "why": fault.why}
+    for c in found.counters:
+        yield {
+            "kind": "counter", "case": c.group.name, "counter": c.counter, "verdict": c.verdict,
+            "base": c.base, "new": c.new, "reason": c.reason,
+        }  # fmt: skip
     for d in found.differing:
         yield {
             "kind": "differing", "what": d.kind, "name": d.name, "base": d.base, "new": d.new,

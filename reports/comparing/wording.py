@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from splatproof.reports.comparing.aggregates import Aggregate
 from splatproof.reports.comparing.compare import Compared, Comparison
 from splatproof.reports.comparing.corrections import TOLD
+from splatproof.reports.comparing.counters import Counted
 from splatproof.reports.comparing.deciding import Verdict
 
 ORDER: tuple[Verdict, ...] = ("worse", "better", "undecided", "equal", "not judged")
@@ -29,6 +30,8 @@ def verdict_line(found: Comparison) -> str:
         found: What was compared.
     """
     counts = ", ".join(f"{found.counts[v]} {v}" for v in ORDER if found.counts[v])
+    if more := [one.counter for one in found.counters if one.verdict == "worse"]:
+        counts += f"; more work: {', '.join(more[:3])}{_more(more, 3)}"
     said = counts or "nothing could be compared"
     if found.not_comparable:
         said += f"; {len(found.not_comparable)} not comparable"
@@ -120,6 +123,30 @@ def difference(one: Compared, number: float) -> str:
     return f"{number:+.{one.measure.digits + (one.measure.unit == 'dB')}f}"
 
 
+COUNTERS = ("counter", "case", "name", "BASE", "NEW", "change", "why")
+
+
+def counter_texts(one: Counted) -> list[str]:
+    """The cells of a counter, in the order of COUNTERS.
+
+    Args:
+        one: The counter.
+    """
+    change = f"{100 * (one.new / one.base - 1):+.2f} %" if one.base else DASH
+    numbers = [f"{one.base:,}", f"{one.new:,}", change]
+    return [one.verdict, one.group.name, one.counter, *numbers, one.reason]
+
+
+def counters_shown(found: Comparison) -> list[Counted]:
+    """Counters that are not the same on both sides, worse ones first.
+
+    Args:
+        found: What was compared.
+    """
+    other = [one for one in found.counters if one.verdict != "same"]
+    return sorted(other, key=lambda one: one.verdict != "worse")
+
+
 def told_apart(items: Sequence[tuple[str, str]]) -> Iterator[tuple[str, list[str]]]:
     """Things by what is said of them, so that one reason is said once.
 
@@ -156,6 +183,8 @@ def remarks(found: Comparison) -> list[str]:
         lines.append(
             f"no noise band and not asked for with --metrics: {', '.join(found.not_judged)}"
         )
+    if same := sum(one.verdict == "same" for one in found.counters):
+        lines.append(f"counters that are the same in every seed: {same} of {len(found.counters)}")
     return [*lines, *found.remarks]
 
 

@@ -50,7 +50,8 @@ def compare(
     interval lies inside the band, or both are the same bits. Else undecided, with the smallest difference
     that these runs would have shown. Times and memory are judged only between runs that took turns on one
     machine. Exit code 1: something got worse, or a case fails that did not. With --json each line is an
-    object with "kind": comparison, aggregate, failure, not comparable, differing, summary.
+    object with "kind": comparison, aggregate, failure, not comparable, counter, differing,
+    summary.
 
     Args:
         base: What is compared with.
