@@ -4,6 +4,7 @@ import hashlib
 import os
 import socket
 import tempfile
+import urllib.parse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -70,7 +71,7 @@ class StoredResult:
         Returns: The file's bytes; None where the case has no such picture.
         """
         path = f"{FOLDERS[kind]}/{picture_name(image)}"
-        return _artifact(self.artifact_uri, self.uri, path)
+        return read_file(self.artifact_uri, self.uri, path)
 
 
 def find_cases(out: Path) -> list[Path]:
@@ -141,21 +142,57 @@ def read_results(uri: str) -> list[StoredResult]:
         return []
     client = open_client(uri)
     newest: dict[tuple[str, str], tuple[int, StoredResult]] = {}
-    for run in _runs(client, f"tags.`{STATE}` = 'complete'"):
+    for run in complete_runs(client):
         files = run.info.artifact_uri or ""
-        text = _artifact(files, uri, "record.json")
-        if text is None:
-            raise MissingError(
-                f"tracking store {shown_uri(uri)}: the files of run {run.info.run_id} "
-                f"({run.info.run_name}) are not at {files}; if the "
-                "folder was moved, delete its mlflow.db and run `bench report` again"
-            )
-        result = result_from_json(text.decode(), f"{shown_uri(uri)} run {run.info.run_id}")
+        result = read_run(uri, run.info.run_id, files)
         case = (run_data.case_name(result), run_data.case_key(result))
         ended = run.info.end_time or 0
         if case not in newest or newest[case][0] < ended:
             newest[case] = (ended, StoredResult(result, uri, files))
     return [newest[case][1] for case in sorted(newest)]
+
+
+def complete_runs(client: "MlflowClient") -> list["Run"]:
+    """Every run of ours that was logged to its end: all runs of a case, not its newest alone."""
+    return _runs(client, f"tags.`{STATE}` = 'complete'")
+
+
+def read_run(uri: str, run: str, files: str) -> Result:
+    """The record of one run.
+
+    Args:
+        uri: Tracking URI.
+        run: MLflow's name of the run, for errors.
+        files: Where its files are, as MLflow tells it.
+    Raises:
+        MissingError: They are not there.
+        DataError: The record is damaged.
+    """
+    text = read_file(files, uri, "record.json")
+    if text is None:
+        raise MissingError(
+            f"tracking store {shown_uri(uri)}: the files of run {run} are not at {files}; if the "
+            "folder was moved, delete its mlflow.db and run `bench report` again"
+        )
+    return result_from_json(text.decode(), f"{shown_uri(uri)} run {run}")
+
+
+def read_file(files: str, uri: str, path: str) -> bytes | None:
+    """The bytes of a logged file; None where there is none of that name.
+
+    Files on this machine are read where they lie: MLflow would copy each of them first.
+
+    Args:
+        files: Where the run's files are, as MLflow tells it.
+        uri: Tracking URI.
+        path: The file's path below them; one that leads out of them names no file.
+    """
+    parts = urllib.parse.urlsplit(files)
+    if parts.scheme not in ("", "file"):
+        return _artifact(files, uri, path)
+    root = Path(urllib.parse.unquote(parts.path)).resolve()
+    file = (root / path).resolve()
+    return file.read_bytes() if file.is_relative_to(root) and file.is_file() else None
 
 
 @contextmanager
