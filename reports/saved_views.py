@@ -23,6 +23,7 @@ TABLE = ("scene", "row", "seed", "protocol")
 MOST_SETTINGS = 8
 """Settings that differ shown as columns; MLflow's column menu and compare page have all."""
 COSTS = ("cost/train_seconds", "cost/primitives", "cost/bytes_on_disk", "cost/render_ms")
+RUN_NAME = "attributes.`Run Name`"
 ONLY_CASES = f"tags.`{STATE}` = 'complete'"
 
 
@@ -96,31 +97,31 @@ def description(experiment: str, suite: str) -> str:
     """
     runs = f"#/experiments/{experiment}/runs?viewStateShareKey="
     return (
-        f"Suite **{suite}** of splatproof: a run is a case (scene x method x protocol x seed), "
-        "below the run of its execution.\n\n"
-        f"[Scores]({runs}{SCORES}) · [Means over seeds]({runs}{MEANS}) (also under *Views*)"
+        f"[**Scores**]({runs}{SCORES}) · [**Means over seeds**]({runs}{MEANS}) of suite {suite}: "
+        "each run is a case, below the run of its execution."
     )
 
 
-def view_path(experiment: str) -> str:
-    """Path of the view of scores on an MLflow server.
-
-    Args:
-        experiment: MLflow's identity of the experiment.
-    """
-    return f"#/experiments/{experiment}/runs?viewStateShareKey={SCORES}"
-
-
 def _scores(shown: Shown) -> dict[str, Any]:
-    return {"selectedColumns": shown.columns, **_sorted_by(shown.metrics)}
+    return _in_order(shown.columns) | _sorted_by(shown.metrics)
 
 
 def _means(shown: Shown) -> dict[str, Any]:
     keys = [{"mode": "param", "groupByData": name} for name in ("scene", "row")]
+    columns = [name for name in shown.columns if name.startswith("metrics.")]
     return {
-        "selectedColumns": [name for name in shown.columns if name.startswith("metrics.")],
+        **_in_order(columns),
         "groupBy": {"aggregateFunction": "average", "groupByKeys": keys},
         **_sorted_by(shown.metrics),
+    }
+
+
+def _in_order(columns: list[str]) -> dict[str, Any]:
+    """Columns as given, where MLflow would sort them by name; a run's whole name is seen."""
+    return {
+        "selectedColumns": columns,
+        "columnOrder": [RUN_NAME, *columns],
+        "columnWidths": {RUN_NAME: 260},
     }
 
 

@@ -18,8 +18,8 @@ NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 
 
 def run_name(result: Result) -> str:
-    """Row, scene, protocol and seed: what tells a run from its neighbours, first things first."""
-    return f"{result.row} {result.scene} {result.protocol} seed{result.seed}"
+    """Row, scene, seed and protocol: MLflow's pages cut names short, so what differs most comes first."""
+    return f"{result.row} {result.scene} seed{result.seed} {result.protocol}"
 
 
 def shown_tags(result: Result) -> dict[str, str]:

@@ -99,7 +99,7 @@ def test_two_processes_make_one_execution(tmp_path: Path, uri: str):
         subprocess.Popen([sys.executable, "-c", command, tmp_path, uri, order])
         for order in ("1", "-1")
     ]
-    assert [one.wait(60) for one in both] == [0, 0]
+    assert [one.wait(180) for one in both] == [0, 0]
     (parent,), cases = runs(uri)
     assert len(cases) == 4
     assert {case.data.tags[PARENT] for case in cases} == {parent.info.run_id}
@@ -122,7 +122,7 @@ def test_an_execution_whose_sync_was_killed_is_finished_by_the_next(tmp_path: Pa
     """Every case is in the store then, so that nothing else is left to do."""
     folder = write(tmp_path, seed=0)
     command = [sys.executable, "-c", textwrap.dedent(KILLED), "finish", str(folder), uri]
-    assert subprocess.run(command, check=False, timeout=60).returncode == -signal.SIGKILL
+    assert subprocess.run(command, check=False, timeout=180).returncode == -signal.SIGKILL
     ((half,), _) = runs(uri)
     assert half.info.status == "RUNNING"
     assert NOTE not in half.data.tags
