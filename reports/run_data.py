@@ -42,8 +42,6 @@ def params(result: Result) -> dict[str, str]:
         "protocol": result.protocol,
         "settings": result.settings,
         "protocol_rules": result.protocol_rules,
-        "split_sha256": result.split_sha256,
-        "model_sha256": result.model_sha256,
     }
     return {_name(name): str(value) for name, value in flatten(named)}
 
@@ -77,8 +75,10 @@ def curves(result: Result) -> list[tuple[str, int, float]]:
 
 
 def tags(result: Result) -> dict[str, str]:
-    """Versions, commit and machine, facts of the scene, and the error of a failed case."""
+    """Versions, commit and machine, facts of the scene, hashes, and the error of a failed case."""
     named = {
+        "split_sha256": result.split_sha256,
+        "model_sha256": result.model_sha256,
         "environment": result.environment,
         "scene_facts": result.scene_facts,
         "error": result.error,

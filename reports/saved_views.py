@@ -55,11 +55,12 @@ class Shown:
 
     @property
     def columns(self) -> list[str]:
-        """MLflow's names of the columns: the case, settings that differ, scores, costs."""
+        """MLflow's names of the columns: scores, the case, settings that differ, costs."""
         named = [name for name in TABLE if name in self._differing or name in ("scene", "row")]
         settings = [name for name in self._differing if name.startswith("settings.")]
+        scores, costs = ([f"metrics.`{name}`" for name in own] for own in (self._metrics, COSTS))
         params = [f"params.`{name}`" for name in (*named, *settings[:MOST_SETTINGS])]
-        return params + [f"metrics.`{name}`" for name in (*self._metrics, *COSTS)]
+        return [*scores, *params, *costs]
 
 
 def write_views(client: "MlflowClient", experiment: "Experiment", suite: str, shown: Shown) -> None:

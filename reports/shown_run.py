@@ -18,8 +18,8 @@ NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 
 
 def run_name(result: Result) -> str:
-    """Row, scene, seed and protocol: MLflow's pages cut names short, so what differs most comes first."""
-    return f"{result.row} {result.scene} seed{result.seed} {result.protocol}"
+    """Row, seed, scene and protocol: MLflow's pages cut names short, and show the scene beside them."""
+    return f"{result.row} seed{result.seed} {result.scene} {result.protocol}"
 
 
 def shown_tags(result: Result) -> dict[str, str]:

@@ -164,9 +164,10 @@ def test_the_view_of_scores_has_what_differs_and_the_metrics_that_rank(tmp_path:
     sync(folders, uri)
     view = state(uri, SCORES)
     assert view["selectedColumns"][:6] == [
-        "params.`scene`", "params.`row`", "params.`seed`", "params.`settings.iterations`",
         "metrics.`psnr`", "metrics.`ssim_3dgs`",
+        "params.`scene`", "params.`row`", "params.`seed`", "params.`settings.iterations`",
     ]  # fmt: skip
+    assert view["columnOrder"][1:] == view["selectedColumns"]
     assert (view["orderByKey"], view["orderByAsc"]) == ("metrics.`psnr`", False)
     shown = set(view["selectedColumns"])
     client = open_client(uri)

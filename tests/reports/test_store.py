@@ -73,7 +73,7 @@ def test_what_mlflow_itself_shows(tmp_path: Path, uri: str):
     sync([folder], uri)
     (run,) = runs_of(uri)
     case = case_folders.result()
-    assert run.info.run_name == "3dgs town seed0 ours_250"
+    assert run.info.run_name == "3dgs seed0 town ours_250"
     assert run.info.status == "FINISHED"
     assert run.data.metrics["psnr"] == case.metrics["psnr"]
     assert run.data.metrics["seconds/train"] == case.stages["train"]

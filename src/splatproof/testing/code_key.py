@@ -1,6 +1,5 @@
 """A name for the code that results depend on: where it changes, cases run again."""
 
-import functools
 import hashlib
 import sys
 from collections.abc import Iterable
@@ -43,7 +42,6 @@ def _place(file: str) -> Path:
     return path.parent if path.name == "__init__.py" else path
 
 
-@functools.cache
 def _digest(place: Path) -> bytes:
     """Hash of a file, or of all code in a folder and the folders that it links to."""
     found = hashlib.sha256()

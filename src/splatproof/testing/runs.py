@@ -17,7 +17,7 @@ from splatproof.reports.comparing.sides import PicturesOnDisk, Side, newest
 from splatproof.suites.runner import Outcome, run_suite, select
 from splatproof.suites.scenes import check_scene, without_absent
 from splatproof.suites.suite_files import Suite, load_suite
-from splatproof.suites.workers import Launch, in_worker
+from splatproof.suites.workers import in_worker
 from splatproof.testing.code_key import code_key
 from splatproof.testing.words import faults, told
 
@@ -46,8 +46,6 @@ class Runs:
     """Whether an undecided comparison fails a check."""
     say: Callable[[str], None] = print
     """Hears what a check found that did not fail."""
-    launch: Launch = in_worker
-    """Runs a case to its record."""
     _finished: "dict[tuple[str, str | None], Ran]" = field(default_factory=dict)
 
     def __call__(self, suite: str | Path, *, only: str | None = None) -> "Ran":
@@ -94,7 +92,7 @@ class Runs:
             self.say(f"left out: {reason}")
         folder = self.out / code_key({case.method for case in suite.cases})
         with locked(folder / f".{suite.name}.lock"):
-            outcomes = run_suite(chosen, folder, launch=self.launch)
+            outcomes = run_suite(chosen, folder, launch=in_worker)
         for outcome in outcomes:
             if outcome.result.error:
                 raise CaseFailed(f"{outcome.case.label}: {outcome.result.error} ({outcome.folder})")
