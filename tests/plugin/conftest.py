@@ -54,16 +54,17 @@ description = "Painted points"
 [[cases]]
 scenes = ["./scene"]
 methods = ["painted"]
-protocols = ["default"]
+protocols = ["./half.toml"]
 seeds = [0, 1, 2]
 """
+PROTOCOL = 'source = "ours"\nhold = 2\nmetrics = ["psnr", "ssim_3dgs"]\n'
 
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene folder of a few photos of 96 x 72 pixels."""
     folder = tmp_path_factory.mktemp("tiny") / "scene"
-    colmap_scenes.write_scene(folder, colmap_scenes.Flight(views=9))
+    colmap_scenes.write_scene(folder, colmap_scenes.Flight(views=12))
     return folder
 
 
@@ -74,6 +75,7 @@ def project(pytester: pytest.Pytester, tiny: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(runs, "in_worker", in_process)
     (pytester.path / "scene").symlink_to(tiny)
     (pytester.path / "mine.splat.toml").write_text(SUITE)
+    (pytester.path / "half.toml").write_text(PROTOCOL)
     (pytester.path / "painted.py").write_text(METHOD)
     pytester.makeconftest("import painted")
     pytester.syspathinsert()

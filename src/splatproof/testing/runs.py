@@ -13,6 +13,7 @@ from splatproof.reference.types.result import Result
 from splatproof.reports.comparing import baselines
 from splatproof.reports.comparing.cases import case_record
 from splatproof.reports.comparing.compare import Comparison, compare
+from splatproof.reports.comparing.matching import match
 from splatproof.reports.comparing.sides import PicturesOnDisk, Side, newest
 from splatproof.suites.runner import Outcome, run_suite, select
 from splatproof.suites.scenes import check_scene, without_absent
@@ -138,7 +139,7 @@ class Ran:
                 return None
             if not path.exists():
                 pytest.fail(f"{path}: no such baseline; run pytest with --splatproof-save", False)
-            found = compare(baselines.read(path, str(named)), self.side, metrics=metrics)
+            found = _compared(baselines.read(path, str(named)), self.side, metrics)
         except SplatproofError as error:
             pytest.fail(str(error), False)
         text = told(found, self.folder.parent)
@@ -155,6 +156,12 @@ class Ran:
             case_record(one.result, PicturesOnDisk(one.folder)) for one in self.outcomes
         ]  # fmt: skip
         return newest("this run", records)
+
+
+def _compared(base: Side, new: Side, metrics: Sequence[str]) -> Comparison:
+    """All verdicts; where no case can be compared no metric is known, and the reasons are wanted."""
+    known = match(base.cases, new.cases).groups
+    return compare(base, new, metrics=metrics if known else ())
 
 
 def skip_without(scene: str) -> None:
