@@ -12,8 +12,8 @@
   const fitting = (table, width, all) => {
     const columns = ordered(table);
     if (all) return columns;
-    const left = width < 640 ? width - 32 - 40 - 120 - 108 : width - 40 - 44 - 230 - 150 - 110;
-    return columns.slice(0, 1 + Math.max(1, Math.floor(left / 92)));
+    const left = width < 640 ? width - 310 : width - 680; // what rank, name, first column, interval and seeds take
+    return columns.slice(0, 1 + Math.max(1, Math.floor(left / 108)));
   };
   const sorted = (table, key, down) => {
     if (!key) return table.rows;
@@ -50,11 +50,11 @@
         rows += own.length;
         const columns = fitting(table, width, all), main = table.columns[0], narrow = width < 640;
         const grid = narrow ? `2rem minmax(0, 1fr) 6.7rem ${columns.slice(1).map(() => "5.2rem").join(" ")}`
-          : `2.6rem minmax(12rem, 1fr) 9.4rem ${all ? "" : "6.8rem "}${columns.slice(1).map(() => "minmax(5.6rem, 7rem)").join(" ")} 3.4rem`;
+          : `2.6rem minmax(12rem, 1fr) 9.4rem ${all ? "" : "6.8rem "}${columns.slice(1).map(() => "minmax(5.9rem, 7rem)").join(" ")} 3.4rem`;
         const whiskers = !narrow && !all ? whisker(own, main.key) : null;
         items.push({ height: 58, draw: () => head(table) });
         for (const warning of table.warnings) items.push({ height: 26, draw: () => h("div.warning", { title: warning }, h("span", { role: "gridcell" }, `⚠ ${warning}`)) });
-        items.push({ height: 34, draw: () => heads(table, columns, grid, values, narrow, whiskers) });
+        items.push({ height: 44, draw: () => heads(table, columns, grid, values, narrow, whiskers) });
         for (const row of own) items.push({
           height: row.note ? 50 : 34,
           open: () => { location.hash = S.link("row", { t: table.id, r: row.label }); },
@@ -83,7 +83,7 @@
       const down = values.sort ? values.dir === "desc" : table.columns[0].better === true;
       const up = on && !down;
       return h("span", { role: "columnheader", "aria-sort": on ? (up ? "ascending" : "descending") : null, className: key === "label" ? "text" : "" },
-        h("button", { type: "button", title: about, onclick: () => S.change({ sort: key, dir: values.sort === key && values.dir !== "desc" ? "desc" : values.sort === key ? "" : startsDown(table, key) ? "desc" : "" }) }, text));
+        h("button", { type: "button", title: about, onclick: () => S.change({ sort: key, dir: values.sort === key && values.dir !== "desc" ? "desc" : values.sort === key ? "" : startsDown(table, key) ? "desc" : "" }) }, S.breaking(text)));
     };
     return h("div.line.heads", { style: { "--grid": grid } },
       h("span", { role: "columnheader" }, narrow ? "#" : "rank"), sorter("label", "row", "The method with its variant"),

@@ -18,6 +18,8 @@
   };
   S.heading = (column) => column.title + (column.unit ? ` [${column.unit}]` : "") +
     (column.better === true ? " ↑" : column.better === false ? " ↓" : "");
+  // Breaks behind underscores, and never before the arrow.
+  S.breaking = (text) => text.replace(/ ([↑↓])$/, "\u00a0$1").split(/(?<=_)/).flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part]));
   S.date = (ms) => {
     if (!ms) return "–";
     const d = new Date(ms), two = (n) => String(n).padStart(2, "0");

@@ -47,7 +47,8 @@
     const at = all.at.get(run);
     if (!at) return { names: [], values: {} };
     const values = {};
-    for (const [name, column] of Object.entries(all.values)) {
+    const rank = (name) => { const at = [...S.known.columns.keys()].indexOf(name); return at < 0 ? 999 : at; };
+    for (const [name, column] of Object.entries(all.values).sort(([a], [b]) => rank(a) - rank(b))) {
       const own = column.slice(at.start, at.start + at.names.length);
       if (own.some((v) => v !== null)) values[name] = own;
     }

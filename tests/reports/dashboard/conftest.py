@@ -1,0 +1,77 @@
+"""A small store with everything that the dashboard shows: two commits, hostile names, a failed case."""
+
+import dataclasses
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from helpers import case_folders
+from splatproof.reference.types.result import Result
+from splatproof.reports.dashboard.cache import Cache
+from splatproof.reports.dashboard.site import Site
+from splatproof.reports.store import sync
+
+HOSTILE = "<img src=x onerror=alert(1)>'\"& \u202eevil"
+"""A variant that is markup, has both quotes and turns the direction of writing."""
+COMMITS = ("1111111aaaa", "2222222bbbb")
+GAIN = 0.8
+"""dB that method 3dgs gains from the first commit to the second."""
+
+
+def cases() -> Iterator[Result]:
+    """Every result of the store, from the oldest to the newest."""
+    scenes = ("town", "beach")
+    for commit, gain in zip(COMMITS, (0.0, GAIN), strict=True):
+        for scene in scenes:
+            for method, psnr in {"3dgs": 24.0 + gain, "slow": 22.0, "hidden": 23.0}.items():
+                for seed in range(3):
+                    made = case_folders.result(
+                        scene=scene, method="slow" if method == "hidden" else method, seed=seed,
+                        psnr=psnr,
+                    )  # fmt: skip
+                    own = made.environment | {"commit": commit}
+                    yield dataclasses.replace(
+                        made, suite_scenes=scenes, environment=own,
+                        variant=HOSTILE if method == "hidden" else "",
+                        settings=made.settings | ({"note": HOSTILE} if method == "hidden" else {}),
+                        render_ms={"3dgs": 12.5, "slow": 30.0, "hidden": 21.0}[method],
+                    )  # fmt: skip
+    failed = case_folders.result(method="broken")
+    yield dataclasses.replace(failed, error="out of memory", images=(), metrics={}, curve=())
+
+
+def logged(out: Path) -> str:
+    """Log the store's cases to OUT/mlflow.db, oldest first; pictures of the newest alone."""
+    import os
+
+    folders = []
+    for number, case in enumerate(cases()):
+        folder = out / f"case{number}"
+        newest = case.environment["commit"] == COMMITS[1]
+        if newest:
+            case_folders.write_case(out / "made", case, height=36, width=48).rename(folder)
+        else:
+            folder.mkdir(parents=True)
+        (folder / "record.json").write_text(case_folders.result_to_json(case), encoding="utf-8")
+        when = 1_780_000_000 + 60 * number
+        os.utime(folder / "record.json", (when, when))
+        folders.append(folder)
+    uri = f"sqlite:///{out}/mlflow.db"
+    assert sync(folders, uri) == []
+    for folder in folders:
+        shutil.rmtree(folder)  # the dashboard has the store alone
+    return uri
+
+
+@pytest.fixture(scope="session")
+def store_uri(migrated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
+    out = tmp_path_factory.mktemp("dashboard_store")
+    shutil.copy(migrated, out / "mlflow.db")
+    return logged(out)
+
+
+@pytest.fixture(scope="session")
+def site(store_uri: str) -> Site:
+    return Site(store_uri, Cache(None), ())
