@@ -137,19 +137,31 @@ def read_results(uri: str) -> list[StoredResult]:
         MissingError: The store does not answer, or the files of a run are gone.
         DataError: A record in the store is damaged.
     """
+    newest = {
+        (run_data.case_name(one.result), run_data.case_key(one.result)): one
+        for one in read_history(uri)
+    }
+    return [newest[case] for case in sorted(newest)]
+
+
+def read_history(uri: str) -> list[StoredResult]:
+    """Every result in the store, from the one that ended first to the one that ended last.
+
+    Args:
+        uri: Tracking URI. Nothing but this store is read.
+    Raises: As `read_results`.
+    """
     file = sqlite_file(uri)
     if file is not None and not file.exists():
         return []
     client = open_client(uri)
-    newest: dict[tuple[str, str], tuple[int, StoredResult]] = {}
+    found: list[tuple[int, StoredResult]] = []
     for run in complete_runs(client):
         files = run.info.artifact_uri or ""
         result = read_run(uri, run.info.run_id, files)
-        case = (run_data.case_name(result), run_data.case_key(result))
-        ended = run.info.end_time or 0
-        if case not in newest or newest[case][0] < ended:
-            newest[case] = (ended, StoredResult(result, uri, files))
-    return [newest[case][1] for case in sorted(newest)]
+        found.append((run.info.end_time or 0, StoredResult(result, uri, files)))
+    found.reverse()  # the store gives what began last first, which decides where two ended at once
+    return [one for _, one in sorted(found, key=lambda pair: pair[0])]
 
 
 def complete_runs(client: "MlflowClient") -> list["Run"]:

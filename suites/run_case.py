@@ -21,12 +21,12 @@ from splatproof.methods.registry import get_method
 from splatproof.methods.training.threads import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
-from splatproof.reference.types.result import ImageScore, Result, prior_name
+from splatproof.reference.types.result import BEGAN, BOOT, ENDED, ImageScore, Result, prior_name
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
 from splatproof.suites.case_keys import case_key
-from splatproof.suites.environment import environment
+from splatproof.suites.environment import boot, environment, now
 from splatproof.suites.held_out import score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
@@ -256,6 +256,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
         tell("train", step, total, values)
 
     tell("init", 0, 0, {})
+    spent.facts |= {BEGAN: now(), BOOT: boot()}
     model = method.fit(
         scene.for_training(),
         job.case.settings,
@@ -275,6 +276,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             say=lambda line: tell("train", 0, 0, {}, line),
         ),
     )
+    spent.facts[ENDED] = now()
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
         save_model(model, folder, job.case.origin)

@@ -7,7 +7,11 @@ from pathlib import PurePosixPath
 
 AROUND = ("load", "init", "save", "score")
 """Stages that every method has around its own."""
-
+BEGAN, ENDED, BOOT = "training began", "training ended", "boot"
+"""Where an environment says when a case was trained (ISO 8601, UTC), and by a hash that changes with the
+machine and its every start, on which."""
+MOMENTS = (BEGAN, ENDED, BOOT)
+"""What differs between two runs of the same code in the same place."""
 
 TRUE_POSES = "none"
 """Level of pose noise of a case whose training views keep their poses."""

@@ -5,9 +5,9 @@ them there. What readers see is the same.
 """
 
 import dataclasses
-import json
 import shutil
 import sqlite3
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from pathlib import Path
 
@@ -23,6 +23,41 @@ METRICS = ("psnr", "ssim_3dgs", "lpips", "flip")
 RUNS_EVERY = 60_000
 """Milliseconds between the ends of two runs."""
 START = 1_780_000_000_000
+Write = Callable[[Path, Result], object]
+
+
+def record_alone(folder: Path, case: Result) -> None:
+    """Write a case's record and nothing else.
+
+    Args:
+        folder: Its folder, which is made.
+        case: The case.
+    """
+    folder.mkdir(parents=True)
+    (folder / "record.json").write_text(result_to_json(case), encoding="utf-8")
+
+
+
+
+def write_store(out: Path, cases: Iterable[Result], write: Write = record_alone) -> str:
+    """A store that has these cases, as if they had ended a minute after one another.
+
+    Args:
+        out: Folder of the store; an empty migrated store may lie there.
+        cases: From the oldest to the newest, of any suites.
+        write: Writes the files of a case into a folder.
+    Returns: Its tracking URI.
+    """
+    uri = f"sqlite:///{out}/mlflow.db"
+    model = out / "model_case"
+    record_alone(model, case_folders.result())
+    assert sync([model], uri) == []
+    shutil.rmtree(model)
+    with closing(sqlite3.connect(out / "mlflow.db")) as connection:
+        connection.row_factory = sqlite3.Row
+        with connection:
+            _fill(connection, out, cases, write)
+    return uri
 
 
 def large_store(
@@ -39,22 +74,13 @@ def large_store(
         suites: Suites, with the same scenes' names.
     Returns: Its tracking URI.
     """
-    uri = f"sqlite:///{out}/mlflow.db"
-    first = next(_results(1, 1, 1, images, 1))
-    model = out / "model_case"
-    model.mkdir(parents=True)
-    (model / "record.json").write_text(result_to_json(first), encoding="utf-8")
-    assert sync([model], uri) == []
-    shutil.rmtree(model)
-    with closing(sqlite3.connect(out / "mlflow.db")) as connection:
-        connection.row_factory = sqlite3.Row
-        with connection:
-            _fill(connection, out, _results(scenes, rows, seeds, images, suites))
-    return uri
+    return write_store(out, _results(scenes, rows, seeds, images, suites))
 
 
-def _fill(connection: sqlite3.Connection, out: Path, results) -> None:
-    """Put the results in the place of the one real run."""
+def _fill(
+    connection: sqlite3.Connection, out: Path, cases: Iterable[Result], write: Write
+) -> None:
+    """Put the cases in the place of the one real run."""
     run = dict(connection.execute("SELECT * FROM runs").fetchone())
     experiment = dict(connection.execute(
         "SELECT * FROM experiments WHERE name LIKE ?", (f"{EXPERIMENTS}%",)).fetchone())  # fmt: skip
@@ -63,7 +89,7 @@ def _fill(connection: sqlite3.Connection, out: Path, results) -> None:
     for table in (*tables, "runs"):
         connection.execute(f"DELETE FROM {table}")
     numbers: dict[str, int] = {}
-    for place, result in enumerate(results):
+    for place, result in enumerate(cases):
         if result.suite not in numbers:
             numbers[result.suite] = experiment["experiment_id"] + len(numbers)
             own = experiment | {
@@ -72,8 +98,7 @@ def _fill(connection: sqlite3.Connection, out: Path, results) -> None:
             _insert(connection, "experiments", [own], replace=True)
         name = f"{place:032x}"
         folder = out / "mlartifacts" / name / "artifacts"
-        folder.mkdir(parents=True)
-        (folder / "record.json").write_text(result_to_json(result), encoding="utf-8")
+        write(folder, result)
         ends = START + place * RUNS_EVERY
         row = {
             "run_uuid": name, "name": run_data.case_name(result), "artifact_uri": folder.as_uri(),
@@ -128,9 +153,3 @@ def _result(base: Result, suite: str, method: str, seed: int, towns: tuple[str, 
         render_ms=float(10 + 20 * rng.random()), bytes_on_disk=int(4e6 * (1 + rng.random())),
     )  # fmt: skip
 
-
-def numbers_of(out: Path) -> dict[str, int]:
-    """How many runs and images a store's records hold, counted from the files alone."""
-    records = list((out / "mlartifacts").glob("*/artifacts/record.json"))
-    images = sum(len(json.loads(path.read_text("utf-8"))["images"]) for path in records)
-    return {"runs": len(records), "images": images}

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
+from helpers.generated_store import record_alone, write_store
 from splatproof.reference.types.result import Result
 from splatproof.reports.dashboard.cache import Cache
 from splatproof.reports.dashboard.site import Site
-from splatproof.reports.store import sync
 
 HOSTILE = "<img src=x onerror=alert(1)>'\"& \u202eevil"
 """A variant that is markup, has both quotes and turns the direction of writing."""
@@ -42,34 +42,19 @@ def cases() -> Iterator[Result]:
     yield dataclasses.replace(failed, error="out of memory", images=(), metrics={}, curve=())
 
 
-def logged(out: Path) -> str:
-    """Log the store's cases to OUT/mlflow.db, oldest first; pictures of the newest alone."""
-    import os
-
-    folders = []
-    for number, case in enumerate(cases()):
-        folder = out / f"case{number}"
-        newest = case.environment["commit"] == COMMITS[1]
-        if newest:
-            case_folders.write_case(out / "made", case, height=36, width=48).rename(folder)
-        else:
-            folder.mkdir(parents=True)
-        (folder / "record.json").write_text(case_folders.result_to_json(case), encoding="utf-8")
-        when = 1_780_000_000 + 60 * number
-        os.utime(folder / "record.json", (when, when))
-        folders.append(folder)
-    uri = f"sqlite:///{out}/mlflow.db"
-    assert sync(folders, uri) == []
-    for folder in folders:
-        shutil.rmtree(folder)  # the dashboard has the store alone
-    return uri
+def write(folder: Path, case: Result) -> None:
+    """Write a case's files; pictures of the newest alone."""
+    if case.environment["commit"] == COMMITS[1]:
+        case_folders.fill_folder(folder, case, height=36, width=48)
+    else:
+        record_alone(folder, case)
 
 
 @pytest.fixture(scope="session")
 def store_uri(migrated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
     out = tmp_path_factory.mktemp("dashboard_store")
     shutil.copy(migrated, out / "mlflow.db")
-    return logged(out)
+    return write_store(out, cases(), write)
 
 
 @pytest.fixture(scope="session")
