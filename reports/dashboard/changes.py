@@ -4,13 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from splatproof.reports.comparing.cases import CaseRecord
-from splatproof.reports.comparing.compare import ALPHA
+from splatproof.reports.comparing.compare import ALPHA, Compared, compare
 from splatproof.reports.comparing.corrections import levels
 from splatproof.reports.comparing.deciding import Verdict, decide
-from splatproof.reports.comparing.estimate import Estimate, estimate
-from splatproof.reports.comparing.matching import match
-from splatproof.reports.comparing.measures import Measure, Unusable, tables
-from splatproof.reports.comparing.timing import MACHINE_METRICS, why_not_timed
+from splatproof.reports.comparing.sides import Side
 
 RULE = (
     "A change point is a version whose paired interval against the version before it, over images and "
@@ -30,57 +27,47 @@ class Change:
     verdict: Verdict
     """better and worse are change points."""
     reason: str
-    mean: float | None
-    """Difference, of logarithms where the metric is compared by ratios; None: not estimated."""
-    low: float | None
-    high: float | None
+    mean: float | None = None
+    """Difference, of logarithms where `relative`; None: not estimated."""
+    low: float | None = None
+    high: float | None = None
     """Ends of the interval at the corrected level."""
+    relative: bool = False
+    """Whether the metric is compared by ratios."""
 
 
-def changes(versions: Sequence[Sequence[CaseRecord]], measure: Measure) -> list[Change]:
-    """What every version is against the one before it.
+def changes(versions: Sequence[Sequence[CaseRecord]]) -> dict[str, list[Change]]:
+    """What every version is against the one before it, in every metric that `compare` judges.
 
-    With no true change, the chance that any neighbours are called changed is at most ALPHA.
+    With no true change, the chance that any neighbours of a metric are called changed is at most ALPHA.
 
     Args:
         versions: Finished cases of each version of one row on one scene, from the oldest to the newest.
-        measure: The metric.
-    Returns: One change for each version but the first.
+    Returns: By metric, a change for each version that could be compared with the one before it.
     Source: Holm 1979 over the neighbours; the rule is ours.
     """
-    found: list[Estimate | tuple[Verdict, str]] = [
-        _neighbours(before, after, measure)
-        for before, after in zip(versions[:-1], versions[1:], strict=True)
-    ]
-    tested = [one for one in found if isinstance(one, Estimate)]
-    p_values = [one.p_value for one in tested]
-    bounds = iter(levels(p_values, "holm", ALPHA))
+    found: dict[str, list[tuple[int, Compared]]] = {}
+    for at, (before, after) in enumerate(zip(versions[:-1], versions[1:], strict=True), start=1):
+        sides = [Side(label=f"version {n}", cases=tuple(own)) for n, own in ((at, before), (at + 1, after))]
+        for one in compare(*sides).compared:
+            found.setdefault(one.measure.metric, []).append((at, one))
+    return {metric: _corrected(own) for metric, own in found.items()}
+
+
+def _corrected(neighbours: Sequence[tuple[int, Compared]]) -> list[Change]:
+    """Verdicts on one metric's neighbours, corrected for their number."""
+    tested = [one.estimate.p_value for _, one in neighbours if one.estimate is not None]
+    bounds = iter(levels(tested, "holm", ALPHA))
     told = []
-    for at, one in enumerate(found, start=1):
-        if not isinstance(one, Estimate):
-            verdict, reason = one
-            told.append(Change(at=at, verdict=verdict, reason=reason, mean=None, low=None, high=None))
+    for at, one in neighbours:
+        if one.estimate is None:
+            told.append(Change(at=at, verdict=one.verdict, reason=one.reason))
             continue
         level = next(bounds)
-        verdict, reason = decide(one, measure, level, ALPHA)
-        low, high = one.interval(level)
-        told.append(Change(at=at, verdict=verdict, reason=reason, mean=one.mean, low=low, high=high))
+        verdict, reason = decide(one.estimate, one.measure, level, ALPHA)
+        low, high = one.estimate.interval(level)
+        told.append(Change(
+            at=at, verdict=verdict, reason=reason, mean=one.estimate.mean, low=low, high=high,
+            relative=one.measure.relative,
+        ))  # fmt: skip
     return told
-
-
-def _neighbours(
-    before: Sequence[CaseRecord], after: Sequence[CaseRecord], measure: Measure
-) -> Estimate | tuple[Verdict, str]:
-    """The difference of two versions, or why there is none."""
-    matched = match(before, after)
-    if not matched.groups:
-        return "undecided", matched.not_comparable[0].why
-    group = matched.groups[0]
-    if measure.metric in MACHINE_METRICS and (why := why_not_timed(measure.metric, group)):
-        return "not judged", why
-    scores = tables(group, measure)
-    if isinstance(scores, Unusable):
-        return scores.verdict, scores.why
-    if min(len(scores.base), len(scores.new)) < 2:
-        return "undecided", "one seed gives no interval"
-    return estimate(scores.new, scores.base)

@@ -3,11 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from splatproof.reports.comparing.bands import load_bands
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.differing import differing
 from splatproof.reports.comparing.matching import Group
-from splatproof.reports.comparing.measures import Measure, measures
 from splatproof.reports.dashboard.changes import RULE, changes
 from splatproof.reports.dashboard.history import Version, versions
 from splatproof.reports.dashboard.numbers import short
@@ -20,7 +18,7 @@ CaseOf = Callable[[str], CaseRecord]
 
 
 def history_payload(runs: Sequence[Summary], case_of: CaseOf) -> dict[str, Any]:
-    """A row's versions and the change points of every metric that has a better side.
+    """A row's versions, and its change points in every metric that is judged.
 
     Args:
         runs: Runs of one series, from the oldest to the newest.
@@ -28,35 +26,22 @@ def history_payload(runs: Sequence[Summary], case_of: CaseOf) -> dict[str, Any]:
     """
     found = versions(runs)
     cases = [[case_of(run.run) for run in version.runs] for version in found]
-    first = found[0].runs[0].numbers
-    every = Group(
-        suite=found[0].runs[0].suite, scene=first.scene, protocol=first.protocol, row=first.row,
-        base=tuple(cases[0]), new=tuple(case for own in cases for case in own),
-    )  # fmt: skip
-    there = {name for run in runs for name in run.numbers.values}
-    judged, _ = measures([every], load_bands(), sorted(there))
-    judged = sorted(judged, key=lambda one: _place(every, one))
+    judged = changes(cases)
+    others = sorted({name for run in runs for name in run.numbers.values} - judged.keys())
     return {
-        "metrics": [one.metric for one in judged],
+        "metrics": [*judged, *others],
         "rule": RULE,
         "versions": [_version(found, cases, place) for place in range(len(found))],
         "changes": {
-            one.metric: [
-                {"at": c.at, "verdict": c.verdict, "reason": c.reason, "mean": short(c.mean),
-                 "low": short(c.low), "high": short(c.high), "relative": one.relative}
-                for c in changes(cases, one)
+            metric: [
+                {"at": one.at, "verdict": one.verdict, "reason": one.reason,
+                 "mean": short(one.mean), "low": short(one.low), "high": short(one.high),
+                 "relative": one.relative}
+                for one in own
             ]
-            for one in judged
+            for metric, own in judged.items()
         },
     }  # fmt: skip
-
-
-def _place(every: Group, measure: Measure) -> tuple[int, str]:
-    """The protocol's metrics come first, in its order."""
-    named = every.base[0].rules.get("metrics")
-    order = [str(name) for name in named] if isinstance(named, (list, tuple)) else []
-    known = measure.metric in order
-    return (order.index(measure.metric) if known else len(order)), measure.metric
 
 
 def _version(

@@ -8,7 +8,7 @@ DIGITS = 6
 """Significant digits; the record has all of them."""
 
 
-def short(value: float | None) -> float | str | None:
+def short(value: float | None) -> float | int | str | None:
     """A number with DIGITS significant digits; None where undefined, text where infinite."""
     if value is None or math.isnan(value):
         return None

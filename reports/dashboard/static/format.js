@@ -16,6 +16,8 @@
     const half = missing(low) || missing(high) ? null : (high - low) / 2;
     return half === null ? S.number(mean, digits) : `${S.number(mean, digits)} ± ${S.number(half, digits)}`;
   };
+  // A difference as it was compared: of logarithms it reads as a ratio, in per cent.
+  S.difference = (value, digits, relative) => (value === null || value === undefined ? "–" : relative ? `${S.signed(100 * Math.expm1(value), 1)} %` : S.signed(value, digits));
   S.heading = (column) => column.title + (column.unit ? ` [${column.unit}]` : "") +
     (column.better === true ? " ↑" : column.better === false ? " ↓" : "");
   // Breaks behind underscores, and never before the arrow.

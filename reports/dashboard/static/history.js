@@ -53,7 +53,7 @@
       ["version", (n) => h("span", {}, `${n + 1} · `, h("code", {}, S.commit(found.versions[n].commit))), { text: true }],
       ["last run", (n) => S.date(found.versions[n].ended)],
       [metric, (n) => S.interval(found.versions[n].values[metric], digits)],
-      ["change", (n) => { const c = changes.get(n); return c ? [S.verdict(c.verdict), c.low === null ? "" : ` ${S.signed(c.mean, digits)} [${S.signed(c.low, digits)}, ${S.signed(c.high, digits)}]`] : "–"; }, { text: true }],
+      ["change", (n) => { const c = changes.get(n); return c ? [S.verdict(c.verdict), c.low === null ? "" : ` ${S.difference(c.mean, digits, c.relative)} [${S.difference(c.low, digits, c.relative)}, ${S.difference(c.high, digits, c.relative)}]`] : "–"; }, { text: true }],
       ["what changed", (n) => whatChanged(found.versions[n]), { text: true }],
       ["runs", (n) => found.versions[n].runs.map((run, k) => [k ? " " : "", h("a", { href: S.link("run", { id: run }), title: `seed ${S.known.runs.seed[S.known.place.get(run)]}` }, `seed ${S.known.runs.seed[S.known.place.get(run)]}`)]), { text: true }],
       ["", (n) => (n ? h("a", { href: S.link("compare", { a: found.versions[n - 1].side, b: found.versions[n].side }) }, "compare") : ""), { text: true }],

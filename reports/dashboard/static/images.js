@@ -17,7 +17,7 @@
         S.choice("First", "dir", [["", "worst"], ["best", "best"]], { value: values.dir }), count);
       const matches = S.matches(values.q), narrow = innerWidth < 640;
       const others = metrics.filter((m) => m !== by).slice(0, narrow ? 0 : 4);
-      const grid = `4.6rem minmax(7rem, 1.3fr) minmax(7rem, 1.3fr) ${narrow ? "" : "minmax(6rem, 1fr) 3rem "}5.4rem ${others.map(() => "5.4rem").join(" ")}`;
+      const grid = narrow ? "4.6rem minmax(0, 1fr) 5rem" : `4.6rem minmax(7rem, 1.3fr) minmax(7rem, 1fr) minmax(6rem, 1fr) 3rem 5.4rem ${others.map(() => "5.4rem").join(" ")}`;
       fill = () => {
         const runs = [], wanted = ["suite", "scene", "protocol", "row"].filter((n) => values[n]);
         all.run.forEach((run, r) => {
@@ -45,9 +45,8 @@
         const href = go(run, name);
         return h("div.line.row", { style: { "--grid": grid }, onclick: (e) => { if (!e.target.closest("a")) location.hash = href; } },
           h("span", { role: "gridcell" }, S.thumb(run, name, n)),
-          h("span.text", { role: "rowheader" }, h("a.label", { href }, h("bdi", {}, name)), h("small", {}, h("bdi", {}, narrow ? `${K.text("row", i)} · seed ${K.runs.seed[i]}` : K.text("suite", i)))),
-          h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("scene", i)), h("small", {}, K.text("protocol", i))),
-          narrow ? null : [h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("row", i))), h("span", { role: "gridcell" }, K.runs.seed[i])],
+          h("span.text", { role: "rowheader" }, h("a.label", { href }, h("bdi", {}, name)), h("small", {}, narrow && [h("bdi", {}, K.text("scene", i)), " · "], h("bdi", {}, narrow ? `${K.text("row", i)}, seed ${K.runs.seed[i]}` : K.text("suite", i)))),
+          narrow ? null : [h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("scene", i)), h("small", {}, K.text("protocol", i))), h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("row", i))), h("span", { role: "gridcell" }, K.runs.seed[i])],
           h("span.best", { role: "gridcell" }, S.number(score, S.digits(by)), h("small", {}, by)),
           others.map((m) => h("span", { role: "gridcell" }, S.number(all.values[m][at], S.digits(m)), h("small", {}, m))));
       };
