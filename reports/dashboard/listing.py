@@ -12,7 +12,7 @@ from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
 from splatproof.reports.store import complete_runs
 
 QUERY = """
-SELECT runs.run_uuid, runs.artifact_uri, runs.end_time
+SELECT runs.run_uuid, runs.artifact_uri, runs.end_time, runs.start_time
 FROM runs
 JOIN experiments ON experiments.experiment_id = runs.experiment_id
 JOIN tags ON tags.run_uuid = runs.run_uuid
@@ -28,6 +28,8 @@ class Listed:
 
     ended: int
     """When it ended, in milliseconds since 1970 (UTC)."""
+    began: int
+    """When it began: decides where two ended at once."""
     run: str
     """MLflow's name of it."""
     files: str
@@ -48,13 +50,18 @@ def list_runs(uri: str) -> list[Listed]:
     file = sqlite_file(uri)
     if file is None:
         runs = complete_runs(open_client(uri))
-        rows = [(r.info.run_id, r.info.artifact_uri, r.info.end_time) for r in runs]
+        rows = [
+            (r.info.run_id, r.info.artifact_uri, r.info.end_time, r.info.start_time) for r in runs
+        ]
     elif not file.exists():
         return []
     else:
         with _read_only(file, uri) as connection:
             rows = connection.execute(QUERY, (f"{EXPERIMENTS}%", STATE)).fetchall()
-    return sorted(Listed(ended=end or 0, run=run, files=at or "") for run, at, end in rows)
+    return sorted(
+        Listed(ended=end or 0, began=start or 0, run=run, files=at or "")
+        for run, at, end, start in rows
+    )
 
 
 @contextmanager

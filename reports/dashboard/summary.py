@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from splatproof.reference.types.result import Result
+from splatproof.reference.types.result import MOMENTS, Result
 from splatproof.reports import run_data
 from splatproof.reports.dashboard.listing import Listed
 from splatproof.reports.measured import Measured, measured
@@ -31,7 +31,7 @@ class Summary:
     commit: str
     """Git commit that it was run from; empty where the record does not say."""
     environment: str
-    """Hash of the environment without the commit."""
+    """Hash of the environment without the commit and what differs from run to run."""
     numbers: Measured
 
     @property
@@ -48,7 +48,7 @@ def summarised(listed: Listed, result: Result) -> Summary:
         listed: The run as the store lists it.
         result: Its record.
     """
-    elsewhere = {name: v for name, v in result.environment.items() if name != "commit"}
+    elsewhere = {k: v for k, v in result.environment.items() if k not in ("commit", *MOMENTS)}
     return Summary(
         run=listed.run,
         files=listed.files,
