@@ -3,13 +3,12 @@
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.dashboard_store import COMMITS, HOSTILE
 
 from helpers import chromium
+from helpers.dashboard_store import COMMITS, HOSTILE
 from splatproof.reports.dashboard.server import listening, server_of
 from splatproof.reports.dashboard.site import Site
 from splatproof.reports.dashboard.static_site import build_site
