@@ -55,6 +55,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }  # fmt: skip
 
 
+@pytest.mark.slow  # six cases of 7 s of CPU each, most of it geometry scores, and eight starts of python
 def test_every_command_of_the_page_does_what_it_says(tmp_path: Path, environment: dict[str, str]):
     failed = []
     for file, kind, text in blocks():

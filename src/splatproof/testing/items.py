@@ -27,7 +27,7 @@ class SuiteCollector(pytest.File):
             raise self.CollectError(str(error)) from None
         for case in suite.cases:
             yield CaseItem.from_parent(self, name=case.label, runs=runs, suite=suite)
-        if runs.baseline is not None or runs.save:
+        if runs.baseline is not None:
             yield CheckItem.from_parent(self, name=CHECK, runs=runs, suite=suite)
 
 
