@@ -174,6 +174,18 @@ def test_absent_scenes_skip_with_the_reason(
     result.stdout.fnmatch_lines(["*did you mean*brighton_beach*"])
 
 
+def test_a_baseline_holds_several_suites(project: pytest.Pytester):
+    saved(project)
+    other = (project.path / "mine.splat.toml").read_text()
+    (project.path / "other.splat.toml").write_text(other.replace("[0, 1, 2]", "[3, 4]"))
+    options = ["other.splat.toml", "--splatproof-baseline", "base.json"]
+    result = project.runpytest_inprocess(*options)
+    result.stdout.fnmatch_lines(["*base.json: no case, so there is nothing to compare"])
+    project.runpytest_inprocess(*options, "--splatproof-save").assert_outcomes(passed=3)
+    project.runpytest_inprocess(*options).assert_outcomes(passed=3)
+    project.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(passed=1)
+
+
 def test_processes_of_xdist_run_each_case_once(project: pytest.Pytester):
     """Two workers ask for the same suite at once; both pass, and each record is written once."""
     text = CHECK.replace("def test_mine", "def test_{}")

@@ -2,7 +2,7 @@
 
 import glob
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -134,12 +134,16 @@ class Ran:
         path = self.runs.root / named
         try:
             if self.runs.save:
-                baselines.write(path, self.side.cases)
+                kept = baselines.read(path, str(named)).cases if path.exists() else ()
+                others = [case for case in kept if case.suite != self.suite]
+                baselines.write(path, [*others, *self.side.cases])
                 self.runs.say(f"frozen: {len(self.side.cases)} cases in {path}")
                 return None
             if not path.exists():
                 pytest.fail(f"{path}: no such baseline; run pytest with --splatproof-save", False)
-            found = _compared(baselines.read(path, str(named)), self.side, metrics)
+            base = baselines.read(path, str(named))
+            own = tuple(case for case in base.cases if case.suite == self.suite)
+            found = _compared(replace(base, cases=own), self.side, metrics)
         except SplatproofError as error:
             pytest.fail(str(error), False)
         text = told(found, self.folder.parent)
