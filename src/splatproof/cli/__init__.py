@@ -95,6 +95,11 @@ COMMANDS = {
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
     ),
+    "dashboard": Command(
+        module="dashboard",
+        functions={"": "dashboard"},
+        help="Show leaderboards, histories, claims, plots and pictures of a store in the browser.",
+    ),
     "compare": Command(
         module="compare",
         functions={"": "compare"},

@@ -1,0 +1,64 @@
+// Every scored image of the store, sorted by any metric.
+"use strict";
+(() => {
+  const S = splatproof, { h } = S;
+  S.views.images = (values) => {
+    const K = S.known;
+    const bar = h("form.filters", { role: "search", "aria-label": "Filters", onsubmit: (e) => e.preventDefault() }, S.search(values.q, "Text"),
+      ...["suite", "scene", "protocol", "row"].map((n) => S.choice(n[0].toUpperCase() + n.slice(1), n, K.options(n), { value: values[n], any: "all" })));
+    const count = h("output.count", { "aria-live": "polite" });
+    const list = S.virtual({ label: "Images", draw: (item) => item.draw() });
+    const page = h("section.listing", {}, h("h1.hidden", {}, "Images"), bar, list.element);
+    let fill = () => {};
+    S.imageData().then((all) => {
+      const metrics = Object.keys(all.values), by = metrics.includes(values.by) ? values.by : metrics.includes("psnr") ? "psnr" : metrics[0];
+      const better = K.columns.get(by)?.better, worst = values.dir !== "best";
+      bar.append(S.choice("Sort by", "by", metrics.map((m) => [m, m]), { value: by }),
+        S.choice("First", "dir", [["", "worst"], ["best", "best"]], { value: values.dir }), count);
+      const matches = S.matches(values.q), narrow = innerWidth < 640;
+      const others = metrics.filter((m) => m !== by).slice(0, narrow ? 0 : 4);
+      const grid = narrow ? "4.6rem minmax(0, 1fr) 5rem" : `4.6rem minmax(7rem, 1.3fr) minmax(7rem, 1fr) minmax(6rem, 1fr) 3rem 5.4rem ${others.map(() => "5.4rem").join(" ")}`;
+      fill = () => {
+        const runs = [], wanted = ["suite", "scene", "protocol", "row"].filter((n) => values[n]);
+        all.run.forEach((run, r) => {
+          const i = K.place.get(run);
+          if (i !== undefined && wanted.every((n) => K.text(n, i) === values[n])) runs.push([run, i, all.at.get(run)]);
+        });
+        const column = all.values[by] ?? [], found = [];
+        for (const [run, i, { names, start }] of runs) {
+          const own = values.q ? `${K.text("suite", i)} ${K.text("scene", i)} ${K.text("row", i)} seed${K.runs.seed[i]} ` : "";
+          for (let n = 0; n < names.length; n++) if (!values.q || matches(own + names[n])) found.push([column[start + n], run, i, n, names[n], start + n]);
+        }
+        const down = better === false ? worst : !worst;
+        // numbers by their own order, undefined ones last: the general comparison is slow for 100,000
+        const key = (v) => (v === null || v === undefined ? (down ? -Infinity : Infinity) : Number(v));
+        const keys = Float64Array.from(found, (f) => key(f[0])), order = Uint32Array.from(found, (_, n) => n);
+        order.sort(down ? (a, b) => keys[b] - keys[a] || a - b : (a, b) => keys[a] - keys[b] || a - b);
+        list.set(Array.from(order, (n) => {
+          const f = found[n];
+          return { height: 56, open: () => { location.hash = go(f[1], f[4]); }, draw: () => line(f) };
+        }), true);
+        count.textContent = S.plural(found.length, "image");
+      };
+      const go = (run, name) => S.link("view", { t: K.rowOf.get(run)?.[0].id, i: name, a: "truth", b: run });
+      const line = ([score, run, i, n, name, at]) => {
+        const href = go(run, name);
+        return h("div.line.row", { style: { "--grid": grid }, onclick: (e) => { if (!e.target.closest("a")) location.hash = href; } },
+          h("span", { role: "gridcell" }, S.thumb(run, name, n)),
+          h("span.text", { role: "rowheader" }, h("a.label", { href }, h("bdi", {}, name)), h("small", {}, narrow && [h("bdi", {}, K.text("scene", i)), " · "], h("bdi", {}, narrow ? `${K.text("row", i)}, seed ${K.runs.seed[i]}` : K.text("suite", i)))),
+          narrow ? null : [h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("scene", i)), h("small", {}, K.text("protocol", i))), h("span.text", { role: "gridcell" }, h("bdi", {}, K.text("row", i))), h("span", { role: "gridcell" }, K.runs.seed[i])],
+          h("span.best", { role: "gridcell" }, S.number(score, S.digits(by)), h("small", {}, by)),
+          others.map((m) => h("span", { role: "gridcell" }, S.number(all.values[m][at], S.digits(m)), h("small", {}, m))));
+      };
+      fill();
+    }).catch(S.failed(page));
+    return { element: page, list, filled: () => fill() };
+  };
+  S.thumb = (run, name, place) => {
+    const src = S.picture(run, "render", name, place, true);
+    if (!src) return h("span.thumb.none", { title: "this page was built without it" });
+    const img = h("img.thumb", { src, alt: "", loading: "lazy", decoding: "async", width: 64, height: 48 });
+    img.onerror = () => img.replaceWith(h("span.thumb.none", { title: "not in the store" }));
+    return img;
+  };
+})();
