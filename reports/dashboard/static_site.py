@@ -1,5 +1,6 @@
 """The dashboard as a folder of plain files that a browser opens from disk."""
 
+import itertools
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -107,7 +108,10 @@ def _neighbours(sides: dict[str, Side]) -> Iterator[tuple[Side, Side]]:
 def _pictures(
     site: Site, folder: Path, budget: float, progress: Progress
 ) -> tuple[dict[str, list[int]], int]:
-    """Write pictures until the budget is spent: places of the images that are there by run, and how many there could be."""
+    """Write pictures until the budget is spent.
+
+    Returns: Places of the images that are there by run, and how many images there could be.
+    """
     chosen = list(_first_seeds(site))
     wanted = sum(len(run.numbers.images) for run in chosen)
     have: dict[str, list[int]] = {run.run: [] for run in chosen}
@@ -117,19 +121,16 @@ def _pictures(
         if one.run in have:
             truths.setdefault(one.numbers.data, one.run)
     spent = 0
-    for turn in range(longest):
-        for run in chosen:
-            order = spread(len(run.numbers.images))
-            if turn >= len(order):
-                continue
-            kinds = ["render", "error", *(["truth"] if truths[run.numbers.data] == run.run else [])]
-            spent += _write_image(site, folder, run, order[turn], kinds)
-            have[run.run].append(order[turn])
-            if spent > budget:
-                break
-        progress("pictures", int(spent), int(budget))
-        if spent > budget:
+    for turn, run in itertools.product(range(longest), chosen):
+        if spent >= budget:
             break
+        order = spread(len(run.numbers.images))
+        if turn >= len(order):
+            continue
+        kinds = ["render", "error", *(["truth"] if truths[run.numbers.data] == run.run else [])]
+        spent += _write_image(site, folder, run, order[turn], kinds)
+        have[run.run].append(order[turn])
+        progress("pictures", spent, int(budget))
     return {run: sorted(places) for run, places in have.items() if places}, wanted
 
 
