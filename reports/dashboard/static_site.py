@@ -35,9 +35,7 @@ class Built:
     """What it does not have and the store has, in one line; empty: nothing."""
 
 
-def build_site(
-    site: Site, folder: Path, picture_mb: float, progress: Progress = silent
-) -> Built:
+def build_site(site: Site, folder: Path, picture_mb: float, progress: Progress = silent) -> Built:
     """Write the whole dashboard below a folder; one that an earlier build made is replaced.
 
     Pictures are carried of each row's first seed, as JPEG, image by image from worst and best by name to
@@ -54,7 +52,9 @@ def build_site(
         raise UsageError(f"--static {folder}: holds something else; name a new or empty folder")
     if folder.exists():
         shutil.rmtree(folder)
-    write_bytes(folder / MARK, b"made by bench dashboard --static; a new build replaces this folder\n")
+    write_bytes(
+        folder / MARK, b"made by bench dashboard --static; a new build replaces this folder\n"
+    )
     have, wanted = _pictures(site, folder, picture_mb * 2**20, progress)
     names, computed, pairs = _names(site)
     said = []
@@ -100,7 +100,7 @@ def _neighbours(sides: dict[str, Side]) -> Iterator[tuple[Side, Side]]:
             series.setdefault((side.suite, side.label, side.protocol), []).append(side)
     for own in series.values():
         ordered = sorted(own, key=lambda side: max(run.ended for run in side.runs))
-        for before, after in zip(ordered[:-1], ordered[1:], strict=True):
+        for before, after in itertools.pairwise(ordered):
             yield before, after
             yield after, before
 

@@ -20,7 +20,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_static_page_is_written_and_told(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_a_static_page_is_written_and_told(
+    out: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
     page = tmp_path / "page"
     assert main(["dashboard", "--out", str(out), "--static", str(page), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

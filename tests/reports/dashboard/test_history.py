@@ -62,7 +62,9 @@ def test_a_planted_change_is_called_where_it_is():
 def test_without_a_change_histories_are_called_changed_at_most_at_the_stated_rate():
     """40 histories of 4 versions; three standard errors of a share of 40 are allowed on top of 5 %."""
     called = sum(
-        any(one.verdict in ("better", "worse") for one in changes(history([24.0] * 4, draw))["psnr"])
+        any(
+            one.verdict in ("better", "worse") for one in changes(history([24.0] * 4, draw))["psnr"]
+        )
         for draw in range(40)
     )
     assert called <= 40 * (ALPHA + 3 * np.sqrt(ALPHA * (1 - ALPHA) / 40))

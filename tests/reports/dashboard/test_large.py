@@ -40,7 +40,7 @@ def test_ten_thousand_results_are_listed_in_two_seconds(migrated: Path, tmp_path
     with serving(site) as port:
         for context in chromium.started(tmp_path / "profile"):
             for view, what in (("board", "row"), ("runs", "runs"), ("images", "images")):
-                times = []
+                times, count = [], ""
                 for _ in range(3):
                     tab = context.new_page()
                     tab.goto(f"http://127.0.0.1:{port}/#/{view}", wait_until="commit")

@@ -13,6 +13,7 @@ from splatproof.reports.dashboard.cache import Cache
 from splatproof.reports.dashboard.server import listening
 from splatproof.reports.dashboard.site import Site
 
+
 @dataclass(frozen=True, kw_only=True)
 class Answer:
     """What a server said."""
@@ -50,7 +51,9 @@ def test_the_page_comes_with_its_policy(port: int):
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
-@pytest.mark.parametrize("name", ["evil.example", "evil.example:PORT", "127.0.0.1:1", "", "127.0.0.1.evil.example:PORT"])
+@pytest.mark.parametrize(
+    "name", ["evil.example", "evil.example:PORT", "127.0.0.1:1", "", "127.0.0.1.evil.example:PORT"]
+)
 def test_another_name_is_refused(port: int, name: str):
     answer = ask(port, "/data/index.js", host=name.replace("PORT", str(port)))
     assert answer.status == 421

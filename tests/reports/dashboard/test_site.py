@@ -27,7 +27,7 @@ def handed(text: str) -> tuple[str, Any]:
     """Name and data of a call of splatproof.take."""
     call = "splatproof.take("
     assert text.startswith(call)
-    name, content = json.loads(f"[{text.strip()[len(call):-2]}]")
+    name, content = json.loads(f"[{text.strip()[len(call) : -2]}]")
     return name, json.loads(content)
 
 
@@ -49,7 +49,11 @@ def test_every_name_of_the_index_leads_to_its_file(site: Site):
         *(f"data/run/{run}.js" for run in runs["run"]),
         *(f"record/{run}.json" for run in runs["run"]),
         *(f"data/table/{table['id']}.js" for table in runs["tables"]),
-        *(f"data/history/{one}.js" for one in runs["texts"]["series"]["known"] if one in site.state.series),
+        *(
+            f"data/history/{one}.js"
+            for one in runs["texts"]["series"]["known"]
+            if one in site.state.series
+        ),
     ]:
         assert site.read(name), name
     sides = [side["id"] for side in index["sides"] if side["kind"] == "row"]
@@ -73,12 +77,16 @@ def test_history_says_what_changed_and_where(site: Site):
     assert found["versions"][1]["changed"] == [["commit", [["commit", COMMITS[0], COMMITS[1]]]]]
     assert [change["verdict"] for change in found["changes"]["psnr"]] == ["better"]
     same = next(k for k, v in site.state.series.items() if v[0].numbers.row == "slow")
-    verdicts = [c["verdict"] for own in data(site, f"history/{same}")["changes"].values() for c in own]
+    verdicts = [
+        c["verdict"] for own in data(site, f"history/{same}")["changes"].values() for c in own
+    ]
     assert set(verdicts) <= {"equal", "not judged"}
 
 
 def test_claims_are_judged_by_the_stores_runs(store_uri: str):
-    said = Claim(paper="p", text="t", suite="quick", row="3dgs", other="slow", metric="psnr", printed=2.0)
+    said = Claim(
+        paper="p", text="t", suite="quick", row="3dgs", other="slow", metric="psnr", printed=2.0
+    )
     elsewhere = Claim(paper="p", text="t", suite="other", row="3dgs", other="slow", metric="psnr")
     claims = data(Site(store_uri, Cache(None), [said, elsewhere]), "claims")["claims"]
     assert len(claims) == 1
