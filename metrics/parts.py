@@ -1,4 +1,4 @@
-"""Metrics over a part of an image: what moves, one kind of it, or what stands still."""
+"""Metrics over a part of an image: what moves, what stands still, or what training photos show."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +17,10 @@ from splatproof.metrics.ssim import WINDOW, kornia_map, skimage_map, ssim_map, w
 
 PARTS = ("moving", "vehicles", "people", "still")
 """What `Protocol.parts` may name: all that moves, either kind of it, all that does not."""
+SEEN = "seen"
+"""The part that some training photo can have shown; scored under every protocol, see seen_part.py."""
+SEEN_SHARE = "seen_share"
+"""Name of its share of the scored pixels."""
 
 
 def parts_of(moving: Mapping[str, Bool[Tensor, "h w"]]) -> dict[str, Bool[Tensor, "h w"]]:
@@ -58,15 +62,17 @@ def part_key(part: str, metric: str) -> str:
     """Name of a metric over a part, such as moving_psnr.
 
     Args:
-        part: Name of the part, one of PARTS.
+        part: Name of the part, SEEN or one of PARTS.
         metric: Name of a metric in OVER.
     """
     return f"{part}_{metric}"
 
 
 def is_part_key(key: str) -> bool:
-    """Whether a metric's name is one over a part."""
-    return any(key == part_key(part, metric) for part in PARTS for metric in OVER)
+    """Whether a metric's name is one over a part, or says how large a part is."""
+    return key == SEEN_SHARE or any(
+        key == part_key(part, metric) for part in (*PARTS, SEEN) for metric in OVER
+    )
 
 
 def mean_over_images(values: Sequence[float]) -> float:

@@ -32,12 +32,28 @@ def load_protocol(name_or_path: str | Path) -> Protocol:
         path = FOLDER / f"{name_or_path}.toml"
         if str(name_or_path) not in protocol_names():
             raise unknown(
-                "protocol (a name, or the path of a .toml file)",
+                "protocol (a name as `bench protocols` lists them, or the path of a .toml file)",
                 str(name_or_path),
                 protocol_names(),
             )
     rules = read_toml(path)
     return protocol_from_rules(path.stem, rules, str(path))
+
+
+def resized(protocol: Protocol, width: int | None) -> Protocol:
+    """The protocol with images of another width, under a name that says so.
+
+    Args:
+        protocol: Any.
+        width: Width in pixels; None: the protocol as it is.
+    Raises: UsageError for a width below 1.
+    """
+    if width is None:
+        return protocol
+    if width < 1:
+        raise UsageError(f"--width {width}: expected pixels, 1 or more")
+    name = f"{protocol.name}-{width}px"
+    return dataclasses.replace(protocol, name=name, width=width, max_width=None, factor=1.0)
 
 
 def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Protocol:

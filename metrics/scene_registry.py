@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from splatproof.metrics.parts import SEEN_SHARE
+
 
 @dataclass(frozen=True, kw_only=True)
 class SceneMetric:
@@ -67,6 +69,8 @@ _ALL = (
     _metric("geometry_f_score", TRUTH, True, most=1.0),
     _metric("geometry_blind_completeness", "share found of the facades that only test views see",
             True, most=1.0),
+    _metric(SEEN_SHARE, "share of the scored pixels that a training photo can have shown (docs/seen.md)",
+            None, most=1.0),
 )  # fmt: skip
 
 SCENE_METRICS: dict[str, SceneMetric] = {metric.name: metric for metric in _ALL}

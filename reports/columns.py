@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from splatproof.base.errors import DataError
-from splatproof.metrics.parts import PARTS, is_part_key
+from splatproof.metrics.parts import PARTS, SEEN, SEEN_SHARE, is_part_key
 from splatproof.metrics.registry import all_metrics
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.result import Result
@@ -114,7 +114,7 @@ def score_column(name: str, per_image: bool) -> Column:
     if plain != name:
         said = "of the mean squared error over all images, not the mean of each image's: "
     over_part = is_part_key(name)
-    for part in PARTS if over_part else ():
+    for part in (*PARTS, SEEN) if over_part and name != SEEN_SHARE else ():
         if plain.startswith(f"{part}_"):
             plain, said = plain.removeprefix(f"{part}_"), f"{said}over the part {part!r}: "
     for fit, words in FITS.items():
@@ -130,8 +130,10 @@ def score_column(name: str, per_image: bool) -> Column:
         higher_is_better=metric.higher_is_better if metric else None,
         digits=2 if unit == "dB" else 4,
         source=CASE + name,
-        # images without the part have no value
-        per_image=per_image and not over_part and name not in SCENE_METRICS,
+        # images without the part have no value; nearly all have a seen one
+        per_image=per_image
+        and (not over_part or name.startswith(SEEN))
+        and (name == SEEN_SHARE or name not in SCENE_METRICS),
     )
 
 

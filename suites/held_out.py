@@ -16,11 +16,13 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.folders import new_folder
 from splatproof.datasets.photos import write_png
+from splatproof.datasets.seen import seen_in_training
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.metrics.flip import flip_map
 from splatproof.metrics.pairs import check_pair
 from splatproof.metrics.registry import find_metric
 from splatproof.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
+from splatproof.metrics.seen_part import with_seen
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore, picture_name
 from splatproof.reference.types.scene import Scene, View
@@ -28,6 +30,9 @@ from splatproof.suites import appearance
 
 TIMED_FRAMES = 15
 """Frames whose render time is measured, spread over the test views."""
+SEEN_WHOLE = 0.99
+"""Share of an image from which what training photos show of it is scored as the image itself; the part
+is scored apart where any image of the scene has less."""
 TIMED_SECONDS = 5.0
 """No further frame is measured after this long, but at least three are."""
 
@@ -78,6 +83,9 @@ def score_views(
     background = torch.tensor(protocol.background)
     scores = []
     masked = any(view.load_mask is not None for view in views)
+    seen = seen_in_training(scene)
+    known = [part for part in seen.values() if part is not None]
+    apart = any(float(part.double().mean()) < SEEN_WHOLE for part in known)
     with (
         new_folder(folder / "renders") as renders,
         new_folder(folder / "truth") as truths,
@@ -89,9 +97,12 @@ def score_views(
             render, shown = kept(image, protocol.rounding)
             truth, true = kept(view.load(), "float")
             mask = None if view.load_mask is None else view.load_mask()
-            scores.append(
-                score_image(view.name, render, truth, protocol, mask, _moving(view, protocol))
-            )
+            score = score_image(view.name, render, truth, protocol, mask, _moving(view, protocol))
+            if known:
+                score = with_seen(
+                    score, render, truth, protocol, mask, seen[view.name], apart=apart
+                )
+            scores.append(score)
             write_png(renders / name, shown)
             write_png(truths / name, true)
             write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))

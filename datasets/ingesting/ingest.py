@@ -108,12 +108,11 @@ def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:
         return True
     shutil.rmtree(work, ignore_errors=True)
     for photo in survey.photos:
-        link = work / "scene/photos" / photo.name
-        link.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(photo.path, link)
-        except OSError:  # another file system
-            shutil.copy2(photo.path, link)
+        copy = work / "scene/photos" / photo.name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(
+            photo.path, copy
+        )  # a link would let an edit of the scene reach the user's photos
     write_text(known, job)
     return False
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.methods.storage.packed.writer import PARTS
-from splatproof.suites.studies import memory, partition, priors, size, size_plot, stability
+from splatproof.suites.studies import memory, partition, priors, seen, size, size_plot, stability
 from splatproof.suites.studies.speed import measure as speed
 from splatproof.suites.studies.speed import page as speed_page
 
@@ -66,5 +66,11 @@ STUDIES = {
         description="depth priors against true depth on street and tunnel, scale and zero put right",
         columns=("scene", "prior", "views", "abs_rel", "delta1", "rank", "valid", "note"),
         rows=priors.rows, pictures=priors.draw, logged=True,
+    ),
+    "seen": Study(
+        description="what training photos show of held-out views: by sparse points and in truth",
+        columns=("scene", "protocol", "views", "seen_in_truth", "seen_by_points",
+                 "called_unseen_wrongly", "called_seen_wrongly", "note"),
+        rows=seen.rows, pictures=seen.draw,
     ),
 }  # fmt: skip

@@ -266,3 +266,12 @@ def test_a_scene_that_is_not_there_is_told_before_anything_is_written(town, caps
     assert fit(scene="twon") == 2
     assert "unknown 'twon'" in capsys.readouterr().err
     assert not (town / "out").exists()
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_width_is_part_of_the_protocol_that_the_record_names(town):
+    assert fit("--iterations", 6, "--width", 20) == 0
+    record = read_record(town / "out")
+    assert record.protocol == "default-20px"
+    assert record.protocol_rules["width"] == 20
+    assert main(["run", "quick", "--width", "60", "--dry-run", "--quiet"]) == 0

@@ -178,3 +178,31 @@ def test_exit_code_is_what_the_command_returns(doctor):
     assert cli.main(["doctor"]) == 1
     doctor(lambda: None)
     assert cli.main(["doctor"]) == 0
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("3dg", "3dgs"), ("scafold-gs", "scaffold-gs")])
+def test_a_method_that_is_nearly_one_is_named(typed, meant, capsys):
+    assert main(["fit", typed, "courtyard", "--out", "x"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert repr(typed) in line
+    assert repr(meant) in line
+
+
+def test_outside_a_terminal_progress_is_a_line_now_and_then(capsys, monkeypatch):
+    clock = iter([0.0, 4.0, 11.0, 11.0, 12.0, 30.0, 30.0])
+    monkeypatch.setattr(output.time, "monotonic", lambda: next(clock))
+    with output.progress() as bar:
+        task = bar.add_task("town train", total=100, values="")
+        for step in (10, 20, 30, 40):
+            bar.update(task, completed=step, values=f"loss 0.{step}")
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[:4] for line in lines] == [
+        ["town", "train", "20/100", "loss"], ["town", "train", "40/100", "loss"],
+    ]  # fmt: skip
+
+
+def test_quiet_means_no_lines_of_progress_either(capsys, monkeypatch):
+    monkeypatch.setattr(output, "LINE_SECONDS", 0.0)
+    with output.speaking(output.Style(quiet=True)), output.progress() as bar:
+        bar.update(bar.add_task("x", total=2, values=""), completed=1)
+    assert capsys.readouterr().err == ""

@@ -33,6 +33,23 @@ def test_list(capsys):
     assert not any(record["present"] for record in records)
 
 
+def names(capsys, *args):
+    assert run("list", *args, "--json") == 0
+    return [json.loads(line)["name"] for line in capsys.readouterr().out.splitlines()]
+
+
+def test_list_can_be_narrowed(capsys, places):
+    assert names(capsys, "city*") == ["city", "city/medium", "city/unseen"]
+    assert set(names(capsys, "3das")) == set(names(capsys, "3das/*"))
+    made = names(capsys, "--kind", "made")
+    assert "courtyard" in made
+    assert "seneca" not in made
+    (places / "data" / "seneca").mkdir(parents=True)
+    assert names(capsys, "--present") == ["seneca"]
+    assert run("list", "nothing-of-that-name") == 2
+    assert "'nothing-of-that-name'" in capsys.readouterr().err
+
+
 def test_show(capsys, places):
     (places / "data" / "seneca").mkdir(parents=True)
     assert run("show", "seneca") == 0

@@ -16,12 +16,13 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 from tyro.extras import SubcommandApp
 
-from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.base.errors import MissingError, SplatproofError, UsageError
 from splatproof.cli import output
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
@@ -73,6 +74,11 @@ COMMANDS = {
         module="run",
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
+    ),
+    "protocols": Command(
+        module="protocols",
+        functions={"": "protocols"},
+        help="List and explain the rules by which views are held out and scored.",
     ),
     "study": Command(
         module="study",
@@ -223,6 +229,8 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
     if "" in functions:
         app.command(name=name)(functions[""])
         return
+    if below and below not in functions and (near := get_close_matches(below, functions, n=1)):
+        raise UsageError(f"bench {name}: unknown {below!r}, did you mean {near[0]!r}?")
     group = SubcommandApp()
     for key, function in functions.items():
         first = inspect.cleandoc(function.__doc__ or "").splitlines()[0]

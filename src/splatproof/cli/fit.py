@@ -42,6 +42,7 @@ def fit(
     *,
     out: Path,
     protocol: str = "default",
+    width: int | None = None,
     seed: int = 0,
     pose_noise: Literal["none", "L1", "L2", "L3"] = "none",
     depth_prior: str = "none",
@@ -68,8 +69,9 @@ def fit(
         scene: Name of a registered scene, or a scene folder.
         settings: The method's settings.
         out: Folder for everything; new, or one that the same command has begun.
-        protocol: Name of a protocol, or the path of a .toml file: size and split of the images, and
-            how renders are scored.
+        protocol: Name of a protocol (`bench protocols` lists and explains them), or the path of a
+            .toml file: size and split of the images, and how renders are scored.
+        width: Width of the images in pixels, in training and in scoring. None: the protocol's.
         seed: Number that every random draw depends on; equal seeds give equal models.
         pose_noise: Level of the noise on the poses of training views, drawn with the seed: L1 turns
             each by 0.5 degrees and shifts it by 0.001 of the scene's extent (standard deviations),
@@ -82,7 +84,7 @@ def fit(
     """
     from splatproof.cli.report import sync_cases
     from splatproof.methods.priors.kinds import resolved
-    from splatproof.metrics.protocol_files import load_protocol
+    from splatproof.metrics.protocol_files import load_protocol, resized
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.chosen_folder import check_chosen
     from splatproof.suites.run_case import Job
@@ -94,7 +96,7 @@ def fit(
     where = str(Path(scene).resolve()) if Path(scene).is_dir() else scene
     case = Case(
         scene=where, method=method, settings=settings, seed=seed,
-        protocol=load_protocol(protocol), pose_noise=pose_noise,
+        protocol=resized(load_protocol(protocol), width), pose_noise=pose_noise,
         depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"),
     )  # fmt: skip
     suite = Suite(name=SUITE, description="", cases=(case,), scenes=())

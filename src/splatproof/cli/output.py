@@ -3,22 +3,31 @@
 import json
 import math
 import sys
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 
 from splatproof.base.quiet import is_quiet, silenced
+
+LINE_SECONDS = 10.0
+"""Seconds between lines of progress where stderr is no terminal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,20 +97,65 @@ def warn(text: str) -> None:
     print(f"bench: {text}", file=sys.stderr)
 
 
+class _Lines(Progress):
+    """A bar where there is a terminal; elsewhere a line now and then, which a log can hold."""
+
+    def __init__(
+        self, *columns: ProgressColumn, console: Console, silent: bool, **named: Any
+    ) -> None:
+        """Start without tasks.
+
+        Args:
+            columns: What a bar shows.
+            console: Where it goes.
+            silent: Whether neither bar nor line is shown.
+            named: What else rich's Progress takes.
+        """
+        super().__init__(
+            *columns, console=console, disable=silent or not console.is_terminal, **named
+        )
+        self._lines = not silent and not console.is_terminal
+        self._told = time.monotonic()
+
+    def update(self, task_id: TaskID, **values: Any) -> None:
+        """Take new values of a task, and tell them where the last line is LINE_SECONDS old.
+
+        Args:
+            task_id: Which task.
+            values: As rich's Progress takes them.
+        """
+        super().update(task_id, **values)
+        if self._lines and time.monotonic() - self._told >= LINE_SECONDS:
+            self._told = time.monotonic()
+            self._tell(next(task for task in self.tasks if task.id == task_id))
+
+    def _tell(self, task: Task) -> None:
+        left = task.time_remaining
+        parts = [
+            task.description,
+            f"{task.completed:g}" + (f"/{task.total:g}" if task.total else ""),
+            str(task.fields.get("values", "")),
+            f"{timedelta(seconds=round(left))} left" if left else "",
+        ]
+        log("  ".join(part for part in parts if part))
+
+
 def progress() -> Progress:
-    """A progress bar on stderr with time left and `values` (a text field of each task)."""
-    screen = console()
-    return Progress(
+    """A progress bar on stderr with time left and `values` (a text field of each task).
+
+    Where stderr is no terminal, a line every LINE_SECONDS in its place.
+    """
+    return _Lines(
         TextColumn("{task.description}"),
         BarColumn(bar_width=24),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[values]}"),
-        console=screen,
+        console=console(),
         transient=True,
         redirect_stdout=False,  # results must reach a pipe also while a bar is on the terminal
-        disable=is_quiet() or not screen.is_terminal,
+        silent=is_quiet(),
     )
 
 

@@ -33,6 +33,7 @@ def run(
     out: Path = Path("runs"),
     only: str | None = None,
     seeds: int | None = None,
+    width: int | None = None,
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     dry_run: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     running: Annotated[Running, tyro.conf.arg(name="")] = USUAL,
@@ -56,6 +57,7 @@ def run(
         only: Run only the cases that match this pattern on scene/method/protocol/seed, e.g.
             "town/*/seed0".
         seeds: Run each case with the seeds 0 to N - 1 instead of the suite's own.
+        width: Width of the images in pixels, in training and in scoring. None: the protocols' own.
         quick: Run the suite's reduced form, which is the suite SUITE-quick.
         dry_run: Print the cases, their estimated time and memory, and how to get the scenes that
             are not on this machine. Runs, makes and writes nothing.
@@ -63,6 +65,7 @@ def run(
         blocks: How blocks of a city are trained.
     """
     from splatproof.cli.report import print_tables, sync_cases
+    from splatproof.metrics.protocol_files import resized
     from splatproof.reports.leaderboard import build_tables
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.runner import run_suite, select
@@ -72,6 +75,10 @@ def run(
     uri = default_uri(out)
     _check_name(suite)
     whole = load_suite(quick_form(suite) if quick else suite)
+    if width is not None:
+        whole = replace(whole, cases=tuple(
+            replace(case, protocol=resized(case.protocol, width)) for case in whole.cases
+        ))  # fmt: skip
     chosen = select(whole, only=only, seeds=seeds)
     if dry_run:
         return _print_plan(chosen, out, running, blocks)

@@ -1,13 +1,15 @@
 """`bench scenes`: the registered scenes, and the worlds that the package makes."""
 
 import sys
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
+from splatproof.base.errors import UsageError
 from splatproof.cli import output
 
 if TYPE_CHECKING:
@@ -16,14 +18,34 @@ if TYPE_CHECKING:
 Name = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
 
 
-def list_scenes() -> None:
+def list_scenes(
+    pattern: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[PATTERN]")] = "*",
+    *,
+    kind: Literal["made", "real", "public"] | None = None,
+    present: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
     """List the registered scenes: kind, licence, and whether each is on this machine.
 
     With --json each scene is a line: name, kind, licence, present, path.
+
+    Args:
+        pattern: Only scenes whose name matches, e.g. "city*", or holds these letters.
+        kind: Only made, real or public ones.
+        present: Only those that are on this machine.
     """
     from splatproof.datasets.catalogue import registry
 
-    rows = [(entry, registry.locate(entry)) for entry in registry.list_scenes()]
+    rows = [
+        (entry, path)
+        for entry in registry.list_scenes()
+        if (fnmatchcase(entry.name, pattern) or pattern in entry.name)
+        and kind in (None, entry.kind)
+        and ((path := registry.locate(entry)) or not present)
+    ]
+    if not rows:
+        raise UsageError(
+            f"no scene matches {pattern!r} and the options; `bench scenes list` has all"
+        )
     if output.wants_json():
         for entry, path in rows:
             output.print_record(_summary(entry, path))

@@ -46,7 +46,8 @@ def score(
     image scores of its record again to the last digit. Every file is looked at before anything is
     scored, and each that is missing, left over, unreadable or of another size is named. Only the
     scoring rules of a protocol apply (rounding, masks, region, metrics, colour fits); which images
-    there are, and their sizes, is what the folders hold.
+    there are, and their sizes, is what the folders hold. Scores of parts (moving_psnr, seen_psnr) need
+    the scene and are not given.
 
     With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
     valid_share and every metric by its name; then a line with image null: the mean of each over the

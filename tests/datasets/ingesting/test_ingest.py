@@ -90,6 +90,12 @@ def test_every_photo_is_accounted_for(flown):
     assert any("photos of 3 cameras, one camera model each: 1 of 320 x 240" in x for x in said)
 
 
+def test_the_scenes_photos_are_copies_so_that_edits_never_reach_the_users_own(flown):
+    folder = flown[0].folder
+    own = {photo.stat().st_ino for photo in (folder.parent / "photos").iterdir()}
+    assert not own & {photo.stat().st_ino for photo in (folder / "photos").iterdir()}
+
+
 def test_nothing_but_the_scene_is_left(flown):
     made, _ = flown
     assert [path.name for path in made.folder.parent.iterdir() if path.name.startswith(".")] == []

@@ -1,0 +1,124 @@
+"""Which pixels a training photo can have shown: planes, walls and skies whose answer is known."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from helpers.flat_ground import (
+    FOCAL,
+    GROUND,
+    HEIGHT,
+    PLANE,
+    WIDTH,
+    looking_down,
+    plane_points,
+    view,
+)
+from splatproof.datasets.seen import seen_pixels
+from splatproof.reference.types.scene import SparsePoints, View
+
+
+def overlap(shift: float) -> torch.Tensor:
+    """Columns of the view at 0 whose ground the one at `shift` shows: x + 0.5 - FOCAL shift / GROUND >= 0."""
+    columns = torch.arange(WIDTH) + 0.5 - FOCAL * shift / GROUND
+    return ((columns >= 0) & (columns < WIDTH)).expand(HEIGHT, WIDTH)
+
+
+@pytest.mark.parametrize("shift", [-5.0, 0.0, 3.0, 7.05])
+def test_with_true_depth_a_plane_is_seen_where_the_images_overlap(shift):
+    found = seen_pixels(view(0, PLANE), [view(shift, PLANE)], plane_points(), 0)
+    assert found is not None
+    assert torch.equal(found, overlap(shift))
+
+
+@pytest.mark.parametrize("shift", [-5.0, 0.0, 3.0])
+def test_without_it_a_plane_is_seen_where_the_images_may_overlap(shift):
+    found = seen_pixels(view(0), [view(shift)], plane_points(), 0)
+    assert found is not None
+    # a point at 0.8 to 1.25 of its depth moves by up to a quarter of the shift in pixels
+    certain, possible = overlap(shift), overlap(0.8 * shift)
+    assert (found | ~certain).all()
+    assert (possible | ~found).all()
+
+
+def test_a_view_that_looks_elsewhere_shows_nothing():
+    assert not seen_pixels(view(0), [view(100.0)], plane_points(), 0).any()
+    assert not seen_pixels(view(0, PLANE), [view(100.0, PLANE)], plane_points(), 0).any()
+
+
+def test_more_photos_never_show_less():
+    few = seen_pixels(view(0, PLANE), [view(4.0, PLANE)], plane_points(), 0)
+    more = seen_pixels(view(0, PLANE), [view(4.0, PLANE), view(-9.0, PLANE)], plane_points(), 0)
+    assert (more | ~few).all()
+    assert more.sum() > few.sum()
+
+
+def test_what_stands_before_a_surface_hides_it():
+    wall = PLANE.clone()
+    wall[:, 20:40] = 4.0  # of the photo; the scored view beside it looks past the wall
+    found = seen_pixels(view(0, PLANE), [view(0, wall)], plane_points(), 0)
+    assert found[:, :19].all()
+    assert not found[:, 21:39].any()
+
+
+def test_sky_is_seen_where_a_photo_has_sky():
+    sky = PLANE.clone()
+    sky[:30] = torch.inf
+    assert seen_pixels(view(0, sky), [view(3.0, sky)], plane_points(), 0)[:29].all()
+    found = seen_pixels(view(0, sky), [view(3.0, PLANE)], plane_points(), 0)
+    assert not found[:29].any()
+
+
+def test_what_moves_is_seen_where_a_photo_looks_whatever_stands_there_then():
+    car = PLANE.clone()
+    car[20:30, 20:40] = 5.0
+    moving = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
+    moving[20:30, 20:40] = True
+    scored = view(0, car)
+    assert not seen_pixels(scored, [view(0, PLANE)], plane_points(), 0)[21:29, 21:39].any()
+    known = replace(scored, load_moving=lambda: {"vehicles": moving})
+    assert seen_pixels(known, [view(0, PLANE)], plane_points(), 0).all()
+    assert not seen_pixels(known, [view(90, PLANE)], plane_points(), 0).any()
+
+
+def test_a_view_that_trains_itself_is_seen_whole():
+    own = view(0, PLANE)
+    assert seen_pixels(own, [own], plane_points(), 0).all()
+
+
+def test_points_of_the_views_own_track_are_asked_first():
+    """Points behind the plane that the photo cannot show would double the depth."""
+    near, far = plane_points(), plane_points()
+    positions = torch.cat([near.positions, far.positions * torch.tensor([2.0, 2.0, 2.0])])
+    inside = (near.positions[:, :2].abs() * FOCAL / GROUND < torch.tensor([40.0, 30.0])).all(dim=1)
+    counts = torch.cat([inside, torch.zeros_like(inside)]).long()
+    points = SparsePoints(
+        positions=positions, colours=torch.zeros(len(positions), 3, dtype=torch.uint8),
+        track_starts=torch.cat([torch.zeros(1, dtype=torch.int64), counts.cumsum(0)]),
+        track_views=torch.full((int(counts.sum()),), 5),
+    )  # fmt: skip
+    training = [view(6.0)]
+    assert torch.equal(
+        seen_pixels(view(0), training, points, 5), seen_pixels(view(0), training, near, 5)
+    )
+
+
+def test_too_few_points_say_nothing():
+    assert seen_pixels(view(0), [view(0)], plane_points(5), 0) is None
+
+
+def test_a_large_image_is_looked_at_coarsely():
+    """Every second pixel of 320 x 240 and less: the rim of the overlap moves by less than a step."""
+    large = replace(looking_down(0), width=WIDTH * 6, height=HEIGHT * 6)
+    large = replace(large, K=large.K * torch.tensor([[6.0], [6.0], [1.0]]))
+    beside = replace(large, world_to_camera=looking_down(3.0).world_to_camera)
+    depth = torch.full((HEIGHT * 6, WIDTH * 6), GROUND)
+    views = [
+        View(name=name, camera=camera, load=lambda: depth, load_depth=lambda: depth)
+        for name, camera in (("a", large), ("b", beside))
+    ]
+    found = seen_pixels(views[0], views[1:], plane_points(), 0)
+    assert found.shape == depth.shape
+    exact = torch.arange(WIDTH * 6) + 0.5 >= 6 * FOCAL * 3.0 / GROUND
+    assert (found != exact).double().mean() < 3 / (WIDTH * 6)
