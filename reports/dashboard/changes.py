@@ -1,5 +1,6 @@
 """Change points of a metric over versions: where neighbours differ by more than chance allows."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,8 +48,11 @@ def changes(versions: Sequence[Sequence[CaseRecord]]) -> dict[str, list[Change]]
     Source: Holm 1979 over the neighbours; the rule is ours.
     """
     found: dict[str, list[tuple[int, Compared]]] = {}
-    for at, (before, after) in enumerate(zip(versions[:-1], versions[1:], strict=True), start=1):
-        sides = [Side(label=f"version {n}", cases=tuple(own)) for n, own in ((at, before), (at + 1, after))]
+    for at, (before, after) in enumerate(itertools.pairwise(versions), start=1):
+        sides = [
+            Side(label=f"version {n}", cases=tuple(own))
+            for n, own in ((at, before), (at + 1, after))
+        ]
         for one in compare(*sides).compared:
             found.setdefault(one.measure.metric, []).append((at, one))
     return {metric: _corrected(own) for metric, own in found.items()}

@@ -21,7 +21,9 @@ def comparison_payload(one: Side, other: Side, index: Index, case_of: CaseOf) ->
         index: The store, for the tables that pictures are shown in.
         case_of: Reads what a comparison needs of a run.
     """
-    sides = [Cases(label=s.label, cases=tuple(case_of(run.run) for run in s.runs)) for s in (one, other)]
+    sides = [
+        Cases(label=s.label, cases=tuple(case_of(run.run) for run in s.runs)) for s in (one, other)
+    ]
     found = compare(*sides)
     tables = {
         brief["scene"]: brief["id"]

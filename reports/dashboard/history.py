@@ -66,6 +66,8 @@ def versions(runs: Sequence[Summary]) -> list[Version]:
         return run.commit, run.settings, run.rules, run.environment, run.numbers.data
 
     grouped = [list(own) for _, own in itertools.groupby(sorted(runs, key=key), key=key)]
-    seeds = [{run.numbers.seed: run for run in sorted(own, key=lambda r: r.ended)} for own in grouped]
+    seeds = [
+        {run.numbers.seed: run for run in sorted(own, key=lambda r: r.ended)} for own in grouped
+    ]
     found = [Version(runs=tuple(own[seed] for seed in sorted(own))) for own in seeds]
     return sorted(found, key=lambda version: version.ended)

@@ -56,7 +56,9 @@ def _version(
             base=tuple(cases[place - 1]), new=tuple(cases[place]),
         )  # fmt: skip
         details = differing([group])
-        for kind in dict.fromkeys([*(one.kind for one in details), *version.differs(found[place - 1])]):
+        for kind in dict.fromkeys(
+            [*(one.kind for one in details), *version.differs(found[place - 1])]
+        ):
             kind = "protocol" if kind == "rules" else kind
             own = [[d.name, d.base, d.new] for d in details if d.kind == kind]
             if [kind, own] not in changed:

@@ -76,9 +76,7 @@ def refreshed(uri: str, cache: Cache, progress: Progress = silent) -> Index:
     return Index(runs=tuple(runs), shown=tuple(shown), tables=tuple(tables))
 
 
-def _runs(
-    uri: str, cache: Cache, progress: Progress
-) -> tuple[list[Summary], dict[str, Result]]:
+def _runs(uri: str, cache: Cache, progress: Progress) -> tuple[list[Summary], dict[str, Result]]:
     """Every run, and the records of those that were read now."""
     kept, listed = cache.runs(), list_runs(uri)
     runs, fresh, unkept = [], {}, []

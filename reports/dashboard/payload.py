@@ -1,5 +1,6 @@
 """The two files that lists are made of: all runs and tables, and the scores of all images."""
 
+import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,11 +33,13 @@ def runs_payload(index: Index) -> dict[str, Any]:
         index: The store.
     Returns: `texts`: for each name of TEXTS its different values and the place of each run's; `run`,
         `seed`, `ended`, `steps`, `images`: a value a run; `values`: numbers by name; `newest`: places of
-        the runs that stand in leaderboards; `tables`.
+        the runs that stand in leaderboards; `columns`: the different columns of tables; `tables`, with
+        places for their columns and their rows' runs.
     """
     runs = index.runs
     names = sorted({name for one in runs for name in one.numbers.values})
     shown = {one.run for one in index.shown}
+    columns, tables = _shared(index)
     return {
         "run": [one.run for one in runs],
         "seed": [one.numbers.seed for one in runs],
@@ -46,8 +49,26 @@ def runs_payload(index: Index) -> dict[str, Any]:
         "texts": {name: _coded([of(one) for one in runs]) for name, of in TEXTS.items()},
         "values": {name: [short(one.numbers.values.get(name)) for one in runs] for name in names},
         "newest": [place for place, one in enumerate(runs) if one.run in shown],
-        "tables": [table["brief"] for table in index.tables],
+        "columns": columns,
+        "tables": tables,
     }
+
+
+def _shared(index: Index) -> tuple[list[Any], list[Any]]:
+    """The different columns of all tables, and the tables with places for their columns and runs.
+
+    Ten thousand results then take half the bytes, which the page has to read before it shows a list.
+    """
+    places = {one.run: place for place, one in enumerate(index.runs)}
+    columns: dict[str, tuple[int, Any]] = {}
+    tables = []
+    for brief in (table["brief"] for table in index.tables):
+        named = [json.dumps(column) for column in brief["columns"]]
+        for name, column in zip(named, brief["columns"], strict=True):
+            columns.setdefault(name, (len(columns), column))
+        rows = [row | {"runs": [places[run] for run in row["runs"]]} for row in brief["rows"]]
+        tables.append(brief | {"columns": [columns[name][0] for name in named], "rows": rows})
+    return [column for _, column in columns.values()], tables
 
 
 def _coded(texts: Sequence[str]) -> dict[str, list[Any]]:

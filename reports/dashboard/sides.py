@@ -1,7 +1,7 @@
 """What can be compared: a row over all scenes of its suite, or one row at one commit."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from splatproof.reports.dashboard.history import Version, all_series, versions
@@ -79,8 +79,7 @@ def _add(found: dict[str, Side], side: Side) -> None:
     runs = {one.run: one for one in (*before, *side.runs)}.values()
     if not runs:
         return
-    fields = side.__dict__ | {"runs": tuple(sorted(runs, key=_place))}
-    found[side.id] = Side(**fields)
+    found[side.id] = replace(side, runs=tuple(sorted(runs, key=_place)))
 
 
 def _place(one: Summary) -> tuple[str, int, int]:

@@ -1,5 +1,6 @@
 """The dashboard as a folder of plain files that a browser opens from disk."""
 
+import itertools
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -34,9 +35,7 @@ class Built:
     """What it does not have and the store has, in one line; empty: nothing."""
 
 
-def build_site(
-    site: Site, folder: Path, picture_mb: float, progress: Progress = silent
-) -> Built:
+def build_site(site: Site, folder: Path, picture_mb: float, progress: Progress = silent) -> Built:
     """Write the whole dashboard below a folder; one that an earlier build made is replaced.
 
     Pictures are carried of each row's first seed, as JPEG, image by image from worst and best by name to
@@ -53,7 +52,9 @@ def build_site(
         raise UsageError(f"--static {folder}: holds something else; name a new or empty folder")
     if folder.exists():
         shutil.rmtree(folder)
-    write_bytes(folder / MARK, b"made by bench dashboard --static; a new build replaces this folder\n")
+    write_bytes(
+        folder / MARK, b"made by bench dashboard --static; a new build replaces this folder\n"
+    )
     have, wanted = _pictures(site, folder, picture_mb * 2**20, progress)
     names, computed, pairs = _names(site)
     said = []
@@ -99,7 +100,7 @@ def _neighbours(sides: dict[str, Side]) -> Iterator[tuple[Side, Side]]:
             series.setdefault((side.suite, side.label, side.protocol), []).append(side)
     for own in series.values():
         ordered = sorted(own, key=lambda side: max(run.ended for run in side.runs))
-        for before, after in zip(ordered[:-1], ordered[1:], strict=True):
+        for before, after in itertools.pairwise(ordered):
             yield before, after
             yield after, before
 
@@ -107,7 +108,10 @@ def _neighbours(sides: dict[str, Side]) -> Iterator[tuple[Side, Side]]:
 def _pictures(
     site: Site, folder: Path, budget: float, progress: Progress
 ) -> tuple[dict[str, list[int]], int]:
-    """Write pictures until the budget is spent: places of the images that are there by run, and how many there could be."""
+    """Write pictures until the budget is spent.
+
+    Returns: Places of the images that are there by run, and how many images there could be.
+    """
     chosen = list(_first_seeds(site))
     wanted = sum(len(run.numbers.images) for run in chosen)
     have: dict[str, list[int]] = {run.run: [] for run in chosen}
@@ -117,19 +121,16 @@ def _pictures(
         if one.run in have:
             truths.setdefault(one.numbers.data, one.run)
     spent = 0
-    for turn in range(longest):
-        for run in chosen:
-            order = spread(len(run.numbers.images))
-            if turn >= len(order):
-                continue
-            kinds = ["render", "error", *(["truth"] if truths[run.numbers.data] == run.run else [])]
-            spent += _write_image(site, folder, run, order[turn], kinds)
-            have[run.run].append(order[turn])
-            if spent > budget:
-                break
-        progress("pictures", int(spent), int(budget))
-        if spent > budget:
+    for turn, run in itertools.product(range(longest), chosen):
+        if spent >= budget:
             break
+        order = spread(len(run.numbers.images))
+        if turn >= len(order):
+            continue
+        kinds = ["render", "error", *(["truth"] if truths[run.numbers.data] == run.run else [])]
+        spent += _write_image(site, folder, run, order[turn], kinds)
+        have[run.run].append(order[turn])
+        progress("pictures", spent, int(budget))
     return {run: sorted(places) for run, places in have.items() if places}, wanted
 
 

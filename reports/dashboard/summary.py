@@ -70,8 +70,8 @@ def to_plain(summary: Summary) -> dict[str, Any]:
 
 def from_plain(plain: Mapping[str, Any]) -> Summary:
     """The summary that `to_plain` made."""
-    own = dict(plain)
-    return Summary(**(own | {"numbers": Measured(**own["numbers"])}))
+    own: dict[str, Any] = {**plain, "numbers": Measured(**plain["numbers"])}
+    return Summary(**own)
 
 
 def newest(summaries: list[Summary]) -> list[Summary]:

@@ -29,9 +29,7 @@ def started(profile: Path) -> Iterator:
     Args:
         profile: Empty folder.
     """
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed"
-    )
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with playwright.sync_playwright() as driver:
         context = driver.chromium.launch_persistent_context(
             profile, executable_path=CHROMIUM, args=FLAGS

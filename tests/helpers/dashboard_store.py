@@ -27,8 +27,9 @@ def cases() -> Iterator[Result]:
                         psnr=psnr,
                     )  # fmt: skip
                     own = made.environment | {"commit": commit}
+                    curve = tuple((k, v | {"gaussians": v["primitives"]}) for k, v in made.curve)
                     yield dataclasses.replace(
-                        made, suite_scenes=scenes, environment=own,
+                        made, suite_scenes=scenes, environment=own, curve=curve,
                         variant=HOSTILE if method == "hidden" else "",
                         settings=made.settings | ({"note": HOSTILE} if method == "hidden" else {}),
                         render_ms={"3dgs": 12.5, "slow": 30.0, "hidden": 21.0}[method],

@@ -37,8 +37,6 @@ def record_alone(folder: Path, case: Result) -> None:
     (folder / "record.json").write_text(result_to_json(case), encoding="utf-8")
 
 
-
-
 def write_store(out: Path, cases: Iterable[Result], write: Write = record_alone) -> str:
     """A store that has these cases, as if they had ended a minute after one another.
 
@@ -77,9 +75,7 @@ def large_store(
     return write_store(out, _results(scenes, rows, seeds, images, suites))
 
 
-def _fill(
-    connection: sqlite3.Connection, out: Path, cases: Iterable[Result], write: Write
-) -> None:
+def _fill(connection: sqlite3.Connection, out: Path, cases: Iterable[Result], write: Write) -> None:
     """Put the cases in the place of the one real run."""
     run = dict(connection.execute("SELECT * FROM runs").fetchone())
     experiment = dict(connection.execute(
@@ -152,4 +148,3 @@ def _result(base: Result, suite: str, method: str, seed: int, towns: tuple[str, 
         metrics={name: float(scores[name].mean()) for name in METRICS},
         render_ms=float(10 + 20 * rng.random()), bytes_on_disk=int(4e6 * (1 + rng.random())),
     )  # fmt: skip
-

@@ -51,7 +51,7 @@
         const columns = fitting(table, width, all), main = table.columns[0], narrow = width < 640;
         const grid = narrow ? `2rem minmax(0, 1fr) 6.7rem ${columns.slice(1).map(() => "5.2rem").join(" ")}`
           : `2.6rem minmax(12rem, 1fr) 9.4rem ${all ? "" : "6.8rem "}${columns.slice(1).map(() => "minmax(5.9rem, 7rem)").join(" ")} 3.4rem`;
-        const whiskers = !narrow && !all ? whisker(own, main.key) : null;
+        const whiskers = !narrow && !all ? own.length > 1 ? whisker(own, main.key) : () => "" : null;
         items.push({ height: 58, draw: () => head(table) });
         for (const warning of table.warnings) items.push({ height: 26, draw: () => h("div.warning", { title: warning }, h("span", { role: "gridcell" }, `⚠ ${warning}`)) });
         items.push({ height: 44, draw: () => heads(table, columns, grid, values, narrow, whiskers) });

@@ -5,6 +5,10 @@
   S.read = (data) => {
     const runs = data.runs;
     const text = (name, i) => runs.texts[name].known[runs.texts[name].of[i]];
+    for (const table of runs.tables) {
+      table.columns = table.columns.map((place) => runs.columns[place]);
+      for (const row of table.rows) row.runs = row.runs.map((place) => runs.run[place]);
+    }
     const columns = new Map();
     for (const table of runs.tables) for (const c of table.columns) if (!columns.has(c.key)) columns.set(c.key, c);
     const known = {

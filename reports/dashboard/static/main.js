@@ -54,5 +54,7 @@
     }
   };
   addEventListener("hashchange", () => S.show());
+  // what the first view needs besides is fetched beside the index, not after it
+  if (["images", "view"].includes(S.route().view)) S.data("images").catch(() => {});
   begin(false);
 })();

@@ -18,7 +18,7 @@
     ];
     const narrow = innerWidth < 640;
     const shown = narrow ? columns.filter(([k]) => ["scene", "row", "seed", "psnr"].includes(k)) : columns;
-    const grid = shown.map((c) => c[4]).join(" ");
+    const grid = narrow ? "minmax(0, .8fr) minmax(0, 1.2fr) 2.6rem 5.2rem" : shown.map((c) => c[4]).join(" ");
     const by = columns.find((c) => c[0] === values.sort) ?? columns[0], down = values.sort ? values.dir === "desc" : true;
     const newest = new Set(R.newest);
     const bar = h("form.filters", { role: "search", "aria-label": "Filters", onsubmit: (e) => e.preventDefault() },

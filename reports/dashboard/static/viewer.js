@@ -76,7 +76,7 @@
       return box;
     };
     const split = (image) => {
-      const box = h("div.split"), under = pane(now.b, image, "B"), over = pane(now.a, image, "A");
+      const box = h("div.both"), under = pane(now.b, image, "B"), over = pane(now.a, image, "A");
       under.classList.add("under");
       over.classList.add("over");
       const slider = h("input.cut", { type: "range", min: 0, max: 100, step: 0.5, value: cut, "aria-label": "How much of the width shows A, in per cent" });
@@ -113,7 +113,7 @@
         stage.append(ahead);
         boxes[0].addEventListener("click", () => { if (zoom.scale === 1) flip(); });
       }
-      for (const box of boxes) zoom.listen(box, box.classList.contains("split") ? (e) => zoom.scale === 1 || e.target.classList.contains("handle") : undefined);
+      for (const box of boxes) zoom.listen(box, box.classList.contains("both") ? (e) => zoom.scale === 1 || e.target.classList.contains("handle") : undefined);
       zoom.apply();
       const n = data.main.names.indexOf(image);
       const scores = (id, side, tag) => (side ? h("div", {}, h("b", {}, tag), " ", h("a", { href: S.link("run", { id }) }, h("bdi", {}, label(id))), " ", data.metrics.map((m) => h("span.score", {}, `${m} `, h("strong", {}, S.number(score(side, m, n), S.digits(m))))), " ", S.recordLink(id)) : null);
@@ -127,7 +127,7 @@
     const step = (by) => { const place = order.indexOf(data.main.names.indexOf(current)), next = order[(place + by + order.length) % order.length]; if (next !== undefined) go({ i: data.main.names[next] }); };
     const flip = () => { flipped = !flipped; if (now.mode === "flip") show(); else go({ mode: "flip" }); };
     load().catch(S.failed(stage));
-    const nudge = (by) => stage.querySelector(".split")?.nudge(by);
+    const nudge = (by) => stage.querySelector(".both")?.nudge(by);
     return {
       element: page, list,
       keys: { ArrowLeft: () => step(-1), ArrowRight: () => step(1), f: flip, " ": flip, 1: () => go({ mode: "split" }), 2: () => go({ mode: "flip" }), 3: () => go({ mode: "side" }), 4: () => go({ mode: "error" }), x: swap, "[": () => nudge(-5), "]": () => nudge(5), "+": () => zoom.around(1.5, 0.5, 0.5), "=": () => zoom.around(1.5, 0.5, 0.5), "-": () => zoom.around(1 / 1.5, 0.5, 0.5), 0: () => zoom.reset() },

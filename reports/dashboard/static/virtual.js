@@ -2,13 +2,15 @@
 "use strict";
 (() => {
   const S = splatproof, AHEAD = 400; // pixels above and below that are ready before they are scrolled to
-  // items: [{height, open}]; draw(item, place) gives the element of one.
+  // Items are [{height, open}], or {length, height, at(place)} where all have one height and are only made
+  // when they are shown; draw(item, place) gives the element of one.
   S.virtual = ({ label, draw, role = "grid", onchosen }) => {
     const space = S.h("div.space"), box = S.h("div.virtual", { tabIndex: 0, role, "aria-label": label }, space);
-    let items = [], tops = [0], shown = new Map(), current = -1;
+    let items = [], tops = [0], even = 0, shown = new Map(), current = -1;
+    const top = (i) => (even ? i * even : tops[i]), get = (i) => (i < 0 || i >= items.length ? undefined : items.at(i));
     const at = (y) => {
       let low = 0, high = items.length;
-      while (low < high) { const mid = (low + high) >> 1; if (tops[mid + 1] <= y) low = mid + 1; else high = mid; }
+      while (low < high) { const mid = (low + high) >> 1; if (top(mid + 1) <= y) low = mid + 1; else high = mid; }
       return low;
     };
     const paint = () => {
@@ -16,10 +18,10 @@
       for (const [i, node] of shown) if (i < from || i >= until) { node.remove(); shown.delete(i); }
       for (let i = from; i < until; i++) {
         if (shown.has(i)) continue;
-        const node = draw(items[i], i);
+        const item = get(i), node = draw(item, i);
         node.classList.add("item");
-        node.style.transform = `translateY(${tops[i]}px)`;
-        node.style.height = `${items[i].height}px`;
+        node.style.transform = `translateY(${top(i)}px)`;
+        node.style.height = `${item.height}px`;
         if (role === "grid") { node.setAttribute("role", "row"); node.setAttribute("aria-rowindex", i + 1); }
         if (i === current) mark(node, true);
         shown.set(i, node);
@@ -33,12 +35,12 @@
       mark(shown.get(current), false);
       current = place;
       if (place < 0) return;
-      const top = tops[place], bottom = tops[place + 1];
-      if (top < box.scrollTop) box.scrollTop = top;
+      const above = top(place), bottom = top(place + 1);
+      if (above < box.scrollTop) box.scrollTop = above;
       else if (bottom > box.scrollTop + box.clientHeight) box.scrollTop = bottom - box.clientHeight;
       paint();
       mark(shown.get(place), true);
-      onchosen?.(items[place], place);
+      onchosen?.(get(place), place);
     };
     box.addEventListener("scroll", paint, { passive: true });
     new ResizeObserver(paint).observe(box);
@@ -46,10 +48,10 @@
       element: box,
       set(list, keep = false) {
         items = list;
-        tops = new Array(list.length + 1);
-        tops[0] = 0;
-        for (let i = 0; i < list.length; i++) tops[i + 1] = tops[i] + list[i].height;
-        space.style.height = `${tops[list.length]}px`;
+        even = Array.isArray(list) ? 0 : list.height;
+        tops = [0];
+        if (!even) for (let i = 0; i < list.length; i++) tops.push(tops[i] + list[i].height);
+        space.style.height = `${top(list.length)}px`;
         for (const node of shown.values()) node.remove();
         shown = new Map();
         current = -1;
@@ -60,14 +62,13 @@
       // to the next item that can be opened, by so many
       move(by) {
         let place = current;
-        for (let i = place + by; i >= 0 && i < items.length; i += by) if (items[i].open) { place = i; break; }
+        for (let i = place + by; i >= 0 && i < items.length; i += by) if (get(i).open) { place = i; break; }
         if (place !== current) select(place);
       },
       select,
       paint,
-      get current() { return items[current]; },
-      get items() { return items; },
-      open() { items[current]?.open?.(); },
+      get current() { return get(current); },
+      open() { get(current)?.open?.(); },
     };
   };
 })();

@@ -1,11 +1,13 @@
 """The store of `helpers.dashboard_store`, and the dashboard's files over it."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from helpers import dashboard_store
+from helpers.dashboard_server import serving
 from helpers.generated_store import write_store
 from splatproof.reports.dashboard.cache import Cache
 from splatproof.reports.dashboard.site import Site
@@ -21,3 +23,9 @@ def store_uri(migrated: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="session")
 def site(store_uri: str) -> Site:
     return Site(store_uri, Cache(None), ())
+
+
+@pytest.fixture(scope="session")
+def port(site: Site) -> Iterator[int]:
+    with serving(site) as number:
+        yield number

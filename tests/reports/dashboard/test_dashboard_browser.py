@@ -3,13 +3,12 @@
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers.dashboard_store import COMMITS, HOSTILE
 
 from helpers import chromium
+from helpers.dashboard_store import COMMITS, HOSTILE
 from splatproof.reports.dashboard.site import Site
 from splatproof.reports.dashboard.static_site import build_site
 
@@ -104,7 +103,10 @@ def test_the_leaderboard_filters_and_says_so_in_the_link(page: Page):
 
 def test_unranked_rows_say_why(page: Page):
     notes = page.texts(".unranked small")
-    assert notes == ["no mean: lacks beach, town", "unranked: 0 seeds; seed 0 failed: out of memory"]
+    assert notes == [
+        "no mean: lacks beach, town",
+        "unranked: 0 seeds; seed 0 failed: out of memory",
+    ]
 
 
 def test_the_leaderboard_sorts_both_ways_and_speed_stands_beside_the_error(page: Page):
@@ -299,12 +301,16 @@ def test_dark_mode_follows_the_system_and_the_switch(page: Page):
     page.tab.evaluate("localStorage.clear()")
 
 
-@pytest.mark.parametrize("view", ["board", "runs", "images", "history", "compare", "claims", "plots", "view"])
+@pytest.mark.parametrize(
+    "view", ["board", "runs", "images", "history", "compare", "claims", "plots", "view"]
+)
 def test_a_phone_need_not_scroll_sideways(page: Page, view: str):
     page.tab.set_viewport_size({"width": 360, "height": 740})
     page.go(f"#/{view}")
     page.tab.wait_for_timeout(60)
-    wide = page.tab.evaluate("[document.documentElement.scrollWidth, document.querySelector('main').scrollWidth]")
+    wide = page.tab.evaluate(
+        "[document.documentElement.scrollWidth, document.querySelector('main').scrollWidth]"
+    )
     assert wide == [360, 360]
 
 
@@ -332,7 +338,12 @@ def test_everything_that_can_be_used_has_a_name(page: Page):
 def test_the_static_page_has_the_same_from_disk(from_disk: Page):
     assert len(labels(from_disk)) == 11
     viewer(from_disk)
-    assert from_disk.tab.locator(".both img").first.evaluate("async (i) => { await i.decode(); return i.naturalWidth; }") == 48
+    assert (
+        from_disk.tab.locator(".both img").first.evaluate(
+            "async (i) => { await i.decode(); return i.naturalWidth; }"
+        )
+        == 48
+    )
     from_disk.go("#/history")
     from_disk.tab.locator(".row .label", has_text="3dgs").first.click()
     from_disk.tab.locator("table .verdict.better").wait_for()
@@ -346,6 +357,8 @@ def test_the_watch_on_requests_sees_one(browser, built: str):
     """The control: a page that asks for something else is seen, and its policy refuses the answer."""
     watched = opened(browser, built)
     page = next(watched)
-    page.tab.evaluate("new Promise((done) => { const i = new Image(); i.onerror = done; i.src = 'http://127.0.0.1:9/x.png'; })")
+    page.tab.evaluate(
+        "new Promise((done) => { const i = new Image(); i.onerror = done; i.src = 'http://127.0.0.1:9/x.png'; })"
+    )
     with pytest.raises(AssertionError):
         next(watched)
