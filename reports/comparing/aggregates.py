@@ -17,6 +17,8 @@ CUT = 0.25
 """Share of the scores that is cut off at either end by the interquartile mean."""
 THRESHOLDS = 81
 """Points of a performance profile."""
+LEAST = 1e-12
+"""Half the width of a profile whose scores are all alike."""
 
 Gains = Float[np.ndarray, "_ _"]
 """A row a seed, a column an image."""
@@ -110,8 +112,9 @@ def _aggregate(scenes: Sequence[Compared], generator: np.random.Generator) -> Ag
     pairs = [_gains(one) for one in scenes]
     new = np.concatenate([pair[1].ravel() for pair in pairs])
     base = np.concatenate([pair[0].ravel() for pair in pairs])
-    most = max(float(np.abs(np.concatenate([new, base])).max()), 1e-12)
-    thresholds = np.linspace(-most, most, THRESHOLDS)
+    every = np.concatenate([new, base, [0.0]])
+    margin = max(0.02 * float(np.ptp(every)), LEAST)
+    thresholds = np.linspace(every.min() - margin, every.max() + margin, THRESHOLDS)
     middles, chances, bases, news = _drawn(pairs, thresholds, generator)
     return Aggregate(
         suite=group.suite, protocol=group.protocol, row=group.row, measure=measure,

@@ -286,6 +286,7 @@ def test_the_unit_of_a_ratio_is_of_no_account():
     assert math.exp(one.estimate.mean) == pytest.approx(1.04, abs=0.01)
 
 
+@pytest.mark.slow
 def test_ten_thousand_results_are_compared_in_seconds():
     """834 rows x scenes of two sides with six seeds each; CPU seconds, as the machine may be busy."""
     base, new = drawn_pair(0, 0.1, scenes=834, seeds=6, images=4)

@@ -8,7 +8,7 @@ from helpers.compared_sides import METRICS, band, drawn_pair, drawn_side
 from splatproof.reports.comparing.compare import compare
 from splatproof.reports.comparing.sides import Side
 
-SUITES = 40
+SUITES = 30
 """Suites of a simulation that runs in every test run; 1,000 where there is time (slow)."""
 CHANCE = 0.001
 """Chance that a simulation whose true rate is the stated one fails its bound."""
