@@ -5,9 +5,11 @@ import itertools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from statistics import fmean
+from typing import Any
 
+from splatproof.base.errors import DataError
 from splatproof.reference.types.result import Result
 
 LATE = 0.2
@@ -42,7 +44,8 @@ class Measured:
     data: str = ""
     """Hash of the split and of the pixels of all truth images: cases that differ in it are not compared."""
     grown: int = 0
-    """How often the number of primitives went up between two points of the curve."""
+    """How often the number of primitives went up between two points of the curve; of a scene trained in
+    blocks not counting where a block began. -1: not known."""
     late_gain: float = 0.0
     """What the end of the run still gained in training: 20 log10 of the mean loss of the fifth before
     the last over that of the last, dB. Infinite where the curve is too short to say."""
@@ -88,12 +91,30 @@ def measured(result: Result) -> Measured:
         error=result.error,
         machine=", ".join(machine),
         data=data_digest(result),
-        grown=times_grown(result.curve),
+        # the count of a scene in blocks is the sum of those begun, and goes up with each
+        grown=max(0, times_grown(result.curve) - int(str(result.settings.get("blocks", 0)))),
         late_gain=_rounded(late_gain(result.curve)),
         counters=dict(sorted(result.counters.items())),
         values=_finite(values),
         images={image.name: _finite(image.metrics) for image in result.images},
     )
+
+
+def measured_row(row: Mapping[str, Any]) -> Measured:
+    """A committed row as it was written; what pages add to it is left out, what old ones lack is not known.
+
+    Args:
+        row: A JSON object of a page's rows.
+    Raises: DataError for one that is no row.
+    """
+    names = {one.name for one in fields(Measured)}
+    try:
+        plain = {"steps": row.get("iterations", 0), "grown": -1} | {
+            name: value for name, value in row.items() if name in names
+        }
+        return Measured(**plain)
+    except (AttributeError, TypeError) as error:
+        raise DataError(f"not a row of measured values ({error}): {str(row)[:80]}") from None
 
 
 def data_digest(result: Result) -> str:

@@ -30,7 +30,7 @@ effects, and above what seeds move."""
 SETTLED_SHARE = 0.1
 """The same of values that are no dB, as a share of the value."""
 
-TIMES = ("train_seconds", "render_ms")
+TIMES = ("train_seconds", "render_ms", "seconds_max_over_mean", "seconds_std_over_mean")
 """Metrics that other work on the machine changes."""
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
@@ -63,6 +63,8 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     contains 0. With a bar: *holds* on its better side, *contradicted* on its other side, else
     *undecided*.
 
+    Of a claim without another row it is the row's own value that is held against the bar.
+
     Args:
         claim: What is judged.
         runs: All cases of the suite, failed ones and rows of half the steps included.
@@ -79,21 +81,27 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     if claim.metric in TIMES and (busy := sorted({run.row for run in every if waited(run)})):
         fault = f"{', '.join(busy)}: timed while the machine had other work"
         return _without(claim, "not testable here", fault, seeds)
-    if seeds < MIN_SEEDS:
-        return _without(
-            claim, "too short to judge", f"{_count(seeds)}; {MIN_SEEDS} are needed", seeds
-        )
-    if never := sorted({run.row for run in every if not run.grown}):
-        return _without(claim, "too short to judge", f"{', '.join(never)}: never densified", seeds)
-    tables = [_tables(claim, *pair) for pair in pairs]
+    if short := _short(claim, every, seeds):
+        return _without(claim, "too short to judge", short, seeds)
+    tables = [_tables(claim, pair) for pair in pairs]
     if any(table.size == 0 for pair in tables for table in pair):
         fault = f"no image has {claim.metric} in all runs of both rows"
         return _without(claim, "not testable here", fault, seeds)
     found = paired_difference(tables, generator)
-    if still := still_changing(claim, every, found.mean, runs):
+    beyond = found.mean if claim.other or claim.bar is None else found.mean - claim.bar
+    if not claim.before_training and (still := still_changing(claim, every, beyond, runs)):
         return replace(_without(claim, "too short to judge", still, seeds), difference=found)
     verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
+
+
+def _short(claim: Claim, every: Sequence[Measured], seeds: int) -> str:
+    """Why runs are too few, or none that could have shown the effect; empty where they are neither."""
+    few = [] if seeds >= MIN_SEEDS else [f"{_count(seeds)}; {MIN_SEEDS} are needed"]
+    never = sorted({run.row for run in every if run.grown == 0})
+    if never and not claim.before_training:
+        few.append(f"{', '.join(never)}: never densified")
+    return "; ".join(few)
 
 
 def waited(run: Measured) -> bool:
@@ -106,15 +114,31 @@ def waited(run: Measured) -> bool:
     return wall > WAITED * cpu
 
 
-Pair = tuple[list[Measured], list[Measured]]
+Pair = tuple[list[Measured], ...]
+"""Runs of a claim's rows on one scene."""
+
+
+def runs_of(claim: Claim, runs: Sequence[Measured]) -> list[Measured]:
+    """The runs that a claim is about, failed ones included, in their order.
+
+    Args:
+        claim: Says rows, scenes and protocol.
+        runs: All cases of the suite.
+    """
+    return [
+        run for run in runs
+        if run.row in claim.rows
+        and (not claim.protocol or run.protocol == claim.protocol)
+        and (not claim.scenes or run.scene in claim.scenes)
+    ]  # fmt: skip
 
 
 def _pairs(claim: Claim, runs: Sequence[Measured]) -> tuple[list[Pair], str]:
     """Finished runs of both rows, scene by scene, or why there are none that compare."""
     if claim.missing:
         return [], claim.missing
-    own = [run for run in runs if not claim.protocol or run.protocol == claim.protocol]
-    sides = {name: [run for run in own if run.row == name] for name in (claim.row, claim.other)}
+    own = runs_of(claim, runs)
+    sides = {name: [run for run in own if run.row == name] for name in claim.rows}
     for name, side in sides.items():
         if all(run.error for run in side):
             errors = sorted({run.error for run in side})
@@ -203,9 +227,12 @@ def _axes(run: Measured) -> str:
     return tilde + axes
 
 
-def _tables(claim: Claim, row: list[Measured], other: list[Measured]) -> tuple[Scores, Scores]:
-    """Scores of both rows: a line a seed, a column an image that all have, or one where images have none."""
-    every = [*row, *other]
+def _tables(claim: Claim, pair: Pair) -> tuple[Scores, Scores]:
+    """Scores of both rows: a line a seed, a column an image that all have, or one where images have none.
+
+    Where there is no other row its scores are 0.
+    """
+    every = [run for side in pair for run in side]
     names = sorted(set.intersection(*(
         {name for name, scores in run.images.items() if claim.metric in scores} for run in every
     )))  # fmt: skip
@@ -220,7 +247,8 @@ def _tables(claim: Claim, row: list[Measured], other: list[Measured]) -> tuple[S
         values = np.array(scores, dtype=np.float64).reshape(len(runs), -1)
         return np.log(values) if claim.relative else values
 
-    return table(row), table(other)
+    first = table(pair[0])
+    return first, table(pair[1]) if len(pair) > 1 else np.zeros_like(first)
 
 
 def _by_effect(claim: Claim, found: Difference) -> tuple[Verdict, str]:

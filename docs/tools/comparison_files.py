@@ -19,6 +19,7 @@ from splatproof.reports.claims.claim import load_claims
 from splatproof.reports.measured import COUNT, Measured, loss_points, measured
 from splatproof.suites.gallery.drawing import COLOURS, panels, save
 from splatproof.suites.held_out import scored_views
+from splatproof.suites.published.rows import numbers
 from splatproof.suites.records import read_record
 from splatproof.suites.suite_files import Case, load_suite
 
@@ -61,7 +62,7 @@ def page(comparison: Comparison, docs: Path) -> str:
             intro=comparison.intro,
             planned=planned(load_suite(name).cases),
             rows=[Measured(**row) for row in rows],
-            claims=load_claims(name),
+            claims=load_claims(name, numbers()),
             printed=comparison.printed,
             findings=(docs / f"{name}_findings.md").read_text(encoding="utf-8"),
         ),
@@ -89,7 +90,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         if (runs / name / case.folder / "record.json").exists()
     ]
     found = [(case, folder, read_record(folder)) for case, folder in cases]
-    judged = {claim.metric for claim in load_claims(name)}
+    judged = {claim.metric for claim in load_claims(name, numbers())}
     rows = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
     text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")

@@ -25,7 +25,6 @@ QUALITY: tuple[Cell, ...] = (
 COSTS: tuple[Cell, ...] = (
     ("train_seconds", "train s", 0), ("cpu_seconds", "CPU s", 0), ("peak_memory_mb", "peak MB", 0),
 )  # fmt: skip
-RELATIVE_DIGITS = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,25 +113,21 @@ def _claims(found: Sequence[Judged]) -> str:
 
 def _claim(one: Judged) -> str:
     claim = one.claim
-    asked = f"bar {_effect(claim, claim.bar)}" if claim.bar is not None else (
-        "" if claim.printed is None else _effect(claim, claim.printed))  # fmt: skip
+    asked = f"bar {claim.shown(claim.bar)}" if claim.bar is not None else (
+        "" if claim.printed is None else claim.shown(claim.printed))  # fmt: skip
     here = ""
     if one.difference is not None:
         mean, low, high = (
-            _effect(claim, claim.as_effect(v))
+            claim.shown(claim.as_effect(v))
             for v in (one.difference.mean, one.difference.low, one.difference.high)
         )
         here = f"{mean} [{low}, {high}]"
-    rows = f"`{claim.row}` − `{claim.other}`, {claim.metric}"
+    rows = " − ".join(f"`{row}`" for row in claim.rows) + f", {claim.metric}"
     if claim.protocol:
         rows += f", {claim.protocol}"
-    cells = (f"**{one.verdict}**", f"{claim.paper}: {claim.text}", rows, asked, here,
-             str(one.seeds or ""), one.reason)  # fmt: skip
+    text = f"{claim.paper}: {claim.text}" + (f" ({claim.source})" if claim.source else "")
+    cells = (f"**{one.verdict}**", text, rows, asked, here, str(one.seeds or ""), one.reason)
     return "| " + " | ".join(cells) + " |"
-
-
-def _effect(claim: Claim, value: float) -> str:
-    return f"{100 * value:+.{RELATIVE_DIGITS}f} %" if claim.relative else f"{value:+.3g}"
 
 
 def _side_by_side(page: Page, scene: str) -> str:

@@ -38,7 +38,8 @@ def draw_profile(one: Aggregate) -> bytes:
     axes.set_ylim(0, 1)
     axes.set_xlim(profile.thresholds[0], profile.thresholds[-1])
     axes.set_title(
-        f"{one.suite}/{one.protocol}, {one.row}: {one.scores} scores, {one.scenes} scene" + "s" * (one.scenes > 1),
+        f"{one.suite}/{one.protocol}, {one.row}: {one.scores} scores, {one.scenes} scene"
+        + "s" * (one.scenes > 1),
         fontsize=10,
     )
     axes.legend(frameon=False)

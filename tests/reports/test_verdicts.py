@@ -290,4 +290,4 @@ def test_claims_that_cannot_be_meant_are_refused():
     with pytest.raises(UsageError, match="bar -2.0: a ratio is above -1"):
         dataclasses.replace(CLAIM, printed=None, relative=True, bar=-2.0)
     with pytest.raises(UsageError, match="claims: unknown 'stret', did you mean 'street'"):
-        load_claims("stret")
+        load_claims("stret", ())

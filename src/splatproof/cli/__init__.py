@@ -95,6 +95,11 @@ COMMANDS = {
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
     ),
+    "dashboard": Command(
+        module="dashboard",
+        functions={"": "dashboard"},
+        help="Show leaderboards, histories, claims, plots and pictures of a store in the browser.",
+    ),
     "compare": Command(
         module="compare",
         functions={"": "compare"},
@@ -109,6 +114,11 @@ COMMANDS = {
         module="published",
         functions={"": "published"},
         help="Show what the papers print beside our records, and whether they compare.",
+    ),
+    "claims": Command(
+        module="claims",
+        functions={"": "claims"},
+        help="Judge what the papers and this project claim, by committed rows or by your runs.",
     ),
     "gallery": Command(
         module="gallery",
