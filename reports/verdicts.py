@@ -30,7 +30,7 @@ effects, and above what seeds move."""
 SETTLED_SHARE = 0.1
 """The same of values that are no dB, as a share of the value."""
 
-TIMES = ("train_seconds", "render_ms")
+TIMES = ("train_seconds", "render_ms", "seconds_max_over_mean", "seconds_std_over_mean")
 """Metrics that other work on the machine changes."""
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on

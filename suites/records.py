@@ -38,18 +38,21 @@ def read_record(folder: Path) -> Result:
 
 
 def read_finished(folder: Path) -> list[Result]:
-    """The results of all finished cases below a folder, by path; damaged records are none.
+    """The results of all finished cases below a folder, by path; damaged and failed records are none.
 
     Hidden folders are left out: they hold what was replaced.
     """
+    return [result for result in read_ended(folder) if not result.error]
+
+
+def read_ended(folder: Path) -> list[Result]:
+    """As `read_finished`, with those that failed."""
     found = []
     for path in sorted(folder.rglob(RECORD_NAME)):
         if any(part.startswith(".") for part in path.relative_to(folder).parts):
             continue
         try:
-            result = read_record(path.parent)
+            found.append(read_record(path.parent))
         except DataError:
             continue
-        if not result.error:
-            found.append(result)
     return found

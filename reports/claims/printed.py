@@ -62,7 +62,8 @@ def source_of(paper: str, cells: Cells, numbers: Numbers, where: str) -> str:
     """Table and printed cells in words: "table 3: psnr 29.74, 28.11"; a mean says over how many scenes."""
     row, other = sides(paper, cells, numbers, where)
     name = f"table{'s' if len(cells.tables) > 1 else ''} {', '.join(cells.tables)}"
-    means = ", ".join(f"{fmean(side.values()):.6g}" for side in (row, other) if side)
+    digits = 4 if len(row) > 1 else 6  # printed values as they are, means as far as it matters
+    means = ", ".join(f"{fmean(side.values()):.{digits}g}" for side in (row, other) if side)
     over = f", means of {len(row)} scenes" if len(row) > 1 else ""
     return f"{name}: {cells.metric} {means}{over}"
 

@@ -16,6 +16,7 @@ import numpy as np
 from splatproof.base.errors import UsageError
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.reports.comparing.cases import CaseRecord
+from splatproof.reports.verdicts import TIMES, waited
 
 DECLARED = Path(__file__).with_name("bands.toml")
 
@@ -80,7 +81,7 @@ def repeated(cases: Sequence[CaseRecord], relative: Mapping[str, bool]) -> list[
     """The noise of each metric, from cases that differ in the seed alone.
 
     Args:
-        cases: Cases of any suites; failed ones are left out.
+        cases: Cases of any suites; failed ones are left out, and of times those that waited for other work.
         relative: Whether a metric is compared by ratios; the metrics that are looked at, in order.
     Returns: Metrics with at least one group of two seeds; a group with a value that is not positive is
         no group of a relative metric.
@@ -94,7 +95,8 @@ def repeated(cases: Sequence[CaseRecord], relative: Mapping[str, bool]) -> list[
     for metric, by_ratio in relative.items():
         squares, freedom, count = 0.0, 0, 0
         for own in groups.values():
-            values = np.array([c.measured.values.get(metric, math.nan) for c in own])
+            counted = [c.measured for c in own if metric not in TIMES or not waited(c.measured)]
+            values = np.array([run.values.get(metric, math.nan) for run in counted])
             if len(values) < 2 or not np.isfinite(values).all() or (by_ratio and values.min() <= 0):
                 continue
             values = np.log(values) if by_ratio else values

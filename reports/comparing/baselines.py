@@ -44,7 +44,7 @@ def write(path: Path, cases: Sequence[CaseRecord]) -> None:
             plain[name] = shared[name].index(plain[name])
         lines.append(plain)
     body = {**shared, "cases": lines}
-    head = {"format": FORMAT, "version": VERSION, "sha256": _sha256(body)}
+    head = {"format": FORMAT, "version": VERSION, "sha256": checksum(body)}
     blocks = [f'"{name}": {_line(value)}' for name, value in head.items()]
     blocks += [
         f'"{name}": [\n' + ",\n".join(map(_line, values)) + "\n]" for name, values in body.items()
@@ -68,7 +68,7 @@ def read(path: Path, label: str) -> Side:
             f"{path}: baseline version {found.get('version')!r}, this release reads {VERSION}; {AGAIN}"
         )
     body = {name: found.get(name) for name in (*SHARED, "cases")}
-    if found.get("sha256") != _sha256(body):
+    if found.get("sha256") != checksum(body):
         raise DataError(
             f"{path}: its content does not fit its checksum, so it was edited or badly merged; {AGAIN}"
         )
@@ -144,5 +144,10 @@ def _line(value: object) -> str:
     )
 
 
-def _sha256(body: object) -> str:
+def checksum(body: object) -> str:
+    """Hash of everything in a baseline file but its head.
+
+    Args:
+        body: The parts that cases share, and the cases, by name.
+    """
     return hashlib.sha256(_line(body).encode()).hexdigest()

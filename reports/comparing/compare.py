@@ -5,17 +5,24 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from splatproof.base.errors import DataError
 from splatproof.reports.comparable import MIN_SEEDS
 from splatproof.reports.comparing.bands import Band, load_bands
 from splatproof.reports.comparing.corrections import Correction, corrected, levels
+from splatproof.reports.comparing.counters import Counted, counted
 from splatproof.reports.comparing.deciding import Verdict, decide
 from splatproof.reports.comparing.differing import Differing, differing
 from splatproof.reports.comparing.estimate import Estimate, estimate
 from splatproof.reports.comparing.matching import Failure, Group, NotComparable, match
-from splatproof.reports.comparing.measures import Measure, Unusable, measures, tables, values_of
+from splatproof.reports.comparing.measures import (
+    Measure,
+    Tables,
+    Unusable,
+    measures,
+    same_scores,
+    tables,
+    values_of,
+)  # fmt: skip
 from splatproof.reports.comparing.sides import Side
 from splatproof.reports.comparing.timing import MACHINE_METRICS, why_not_timed
 
@@ -72,16 +79,19 @@ class Comparison:
     not_comparable: tuple[NotComparable, ...]
     not_judged: tuple[str, ...]
     """Names of metrics that are there and are not judged: no better side, or no band and not asked for."""
+    counters: tuple[Counted, ...]
+    """Work that was done, compared exactly: no test, and not among `tests`."""
     differing: tuple[Differing, ...]
     remarks: tuple[str, ...]
     """What else must be said: results of a side that were left out."""
 
     @property
     def regressions(self) -> tuple[str, ...]:
-        """A name for everything that got worse: metrics of groups, and cases that newly fail."""
+        """A name for everything that got worse: metrics and counters of groups, and cases that newly fail."""
         worse = [
             f"{c.group.name} {c.measure.metric}" for c in self.compared if c.verdict == "worse"
         ]
+        worse += [f"{c.group.name} {c.counter}" for c in self.counters if c.verdict == "worse"]
         return (*worse, *(f"{f.case} fails" for f in self.failures if f.on == "NEW"))
 
     @property
@@ -140,6 +150,7 @@ def compare(
         failures=matched.failures,
         not_comparable=tuple(faults),
         not_judged=tuple(left_out),
+        counters=tuple(counted(matched.groups)),
         differing=tuple(differing(matched.groups)),
         remarks=(*base.remarks, *new.remarks),
     )
@@ -157,28 +168,31 @@ def _compared(group: Group, measure: Measure) -> Compared | NotComparable | None
         if seeds:
             why = f"{side} has none in seed {', '.join(map(str, seeds))}"
             return NotComparable(what=f"{group.name} {measure.metric}", why=why)
-    scores = tables(group, measure)
-    if isinstance(scores, Unusable):
+    scores, same = tables(group, measure), _same_models(group)
+    identical = same and measure.metric not in MACHINE_METRICS and same_scores(group, measure)
+    if isinstance(scores, Unusable) and not identical:
         return Compared(
             group=group, measure=measure, verdict=scores.verdict, reason=scores.why,
             base_mean=math.nan, new_mean=math.nan, images=0,
         )  # fmt: skip
-    means = [float(side.mean()) for side in (scores.base, scores.new)]
+    means, images = [math.nan, math.nan], 0
+    if isinstance(scores, Tables):
+        means = [float(side.mean()) for side in (scores.base, scores.new)]
+        images = len(scores.images) if scores.images != ("",) else 0
     base_mean, new_mean = map(math.exp, means) if measure.relative else means
     plain = Compared(
         group=group, measure=measure, verdict="undecided", reason="",
-        base_mean=base_mean, new_mean=new_mean,
-        images=len(scores.images) if scores.images != ("",) else 0,
+        base_mean=base_mean, new_mean=new_mean, images=images,
     )  # fmt: skip
     if measure.metric in MACHINE_METRICS and (why := why_not_timed(measure.metric, group)):
         return replace(plain, verdict="not judged", reason=why)
-    same = _same_models(group)
-    if same and measure.metric not in MACHINE_METRICS and np.array_equal(scores.base, scores.new):
+    if identical:
         return replace(plain, verdict="equal", reason="identical: the same models and scores")
     fewest = min(plain.seeds)
     if fewest < 2:
         side = "BASE" if plain.seeds[0] < 2 else "NEW"
         return replace(plain, reason=f"one seed on {side} gives no interval; run at least {SEEDS}")
+    assert isinstance(scores, Tables)
     return replace(plain, estimate=estimate(scores.new, scores.base, paired_seeds=same))
 
 

@@ -60,7 +60,7 @@ def levels(p_values: Sequence[float], correction: Correction, alpha: float) -> l
     rejected = int(told.sum())
     if correction == "benjamini-hochberg":
         steps = np.where(told, max(rejected, 1), min(rejected + 1, count))
-        return (alpha * steps / max(count, 1)).tolist()
+        return (alpha * (steps / max(count, 1))).tolist()
     ranks = np.empty(count, dtype=np.int64)
     ranks[np.argsort(np.asarray(p_values), kind="stable")] = np.arange(count)
     return (alpha / (count - np.minimum(ranks, min(rejected, count - 1)))).tolist()

@@ -7,6 +7,7 @@ from typing import Literal
 from splatproof.reference.types.result import MOMENTS
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.matching import Group
+from splatproof.reports.comparing.sides import short_commit
 
 Kind = Literal["commit", "settings", "data", "environment", "protocol"]
 NONE = "(none)"
@@ -38,7 +39,7 @@ def differing(groups: Sequence[Group]) -> list[Differing]:
         groups that it holds for.
     """
     reads: list[tuple[Kind, Callable[[CaseRecord], dict[str, object]]]] = [
-        ("commit", lambda case: {"commit": case.commit}),
+        ("commit", lambda case: {"commit": short_commit(case.commit)}),
         ("settings", lambda case: case.settings),
         ("data", lambda case: dict(case.data)),
         ("protocol", lambda case: case.rules),

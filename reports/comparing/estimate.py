@@ -4,12 +4,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 from splatproof.reports.statistics import POWER, Sample, Scores
 
 TINY = 1e-9
 """Share of the largest score below which a difference is rounding: records keep six digits."""
+
+LEAST = 1e-300
+"""Smallest p-value that is told apart from 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +75,15 @@ class Estimate:
             return 0.0
         t = abs(self.mean) / self.error
         alone = [2 * float(special.stdtr(freedom, -t)) for _, freedom in self._parts()]
-        low, high = math.log(max(min(alone), 1e-300)), math.log(max(alone))
-        while high - low > 1e-9:  # the critical value falls as alpha grows
-            middle = (low + high) / 2
-            if self.critical(math.exp(middle)) > t:
-                low = middle
-            else:
-                high = middle
-        return math.exp(high)
+        low, high = math.log(max(min(alone), LEAST)), math.log(max(*alone, LEAST))
+        parts, total = self._parts(), self.seed_variance + self.image_variance
+        # between both parts' own levels their weighted quantile crosses t
+        beyond = lambda log: (
+            t + sum(w * special.stdtrit(f, math.exp(log) / 2) for w, f in parts) / total
+        )
+        if not beyond(low) < 0 < beyond(high):
+            return math.exp(high if beyond(high) <= 0 else low)
+        return math.exp(optimize.root_scalar(beyond, bracket=(low, high), xtol=1e-9).root)
 
     def detectable(self, alpha: float, band: float) -> float:
         """Smallest true difference that such runs would show in POWER of all experiments.

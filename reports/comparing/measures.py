@@ -145,6 +145,20 @@ def tables(group: Group, measure: Measure) -> Tables | Unusable:
     return Tables(base=base, new=new, images=tuple(kept), infinite=infinite)
 
 
+def same_scores(group: Group, measure: Measure) -> bool:
+    """Whether every seed has the very same scores on both sides, infinite and undefined ones included.
+
+    Args:
+        group: The group.
+        measure: The metric.
+    """
+    sides = [
+        [(case.measured.seed, repr(sorted(_scores(case, measure.metric).items()))) for case in side]
+        for side in (group.base, group.new)
+    ]
+    return sides[0] == sides[1]
+
+
 def _scores(case: CaseRecord, metric: str) -> dict[str, float]:
     """Scores of a case by image, infinite and undefined ones included; the case's by "" where images have none."""
     finite = {name: own[metric] for name, own in case.measured.images.items() if metric in own}

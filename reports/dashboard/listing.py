@@ -8,7 +8,8 @@ from pathlib import Path
 
 from splatproof.base.errors import MissingError
 from splatproof.reports.mlflow_client import open_client, shown_uri, sqlite_file
-from splatproof.reports.store import EXPERIMENTS, STATE, complete_runs
+from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
+from splatproof.reports.store import complete_runs
 
 QUERY = """
 SELECT runs.run_uuid, runs.artifact_uri, runs.end_time, runs.start_time

@@ -21,6 +21,7 @@ def test_a_result_as_plain_data():
             metrics={"psnr": 20.123456789, "lpips": math.nan},
             environment={"cores": "2", "simd": "avx2", "python": "3"},
             bytes_on_disk=2**21,
+            counters={"steps": 2000, "pairs": 123_456_789_012},
             render_ms=20.0,
         )
     )
@@ -32,6 +33,7 @@ def test_a_result_as_plain_data():
         20.0,
     )
     assert (found.values["train_seconds"], found.values["cpu_seconds"]) == (33.0, 70.0)
+    assert found.counters == {"pairs": 123_456_789_012, "steps": 2000}  # exact, not rounded
     assert "lpips" not in found.values
     assert set(found.images) == set(NAMES)
     assert Measured(**json.loads(json.dumps(dataclasses.asdict(found)))) == found
@@ -101,3 +103,14 @@ def test_the_difference_from_photos_counts_alone_where_it_is_known():
 def test_the_late_gain_has_no_unit(losses: list[float], factor: float):
     scaled = [factor * x for x in losses]
     assert late_gain(curve(scaled)) == pytest.approx(late_gain(curve(losses)), abs=1e-9)
+
+
+def test_a_block_that_begins_is_no_growth():
+    """The count of a scene in blocks is their sum: it goes up by a whole block when one begins."""
+    counts = [100.0, 100.0, 250.0, 250.0]  # two blocks that never grow, one after the other
+    curve = tuple((step, {"gaussians": n}) for step, n in enumerate([0.0, *counts]))
+    grown = (*curve, (9, {"gaussians": 260.0}))
+    blocks = {"iterations": 5, "blocks": 2}
+    assert measured(result_of(curve=curve, settings=blocks)).grown == 0
+    assert measured(result_of(curve=grown, settings=blocks)).grown == 1
+    assert measured(result_of(curve=curve, settings={"iterations": 5})).grown == 2

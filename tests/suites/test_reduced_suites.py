@@ -2,15 +2,14 @@
 
 import pytest
 
-from helpers.printed_rows import rows_of
-from helpers.real_scenes import real_scene
+from helpers.printed_rows import judged_in_reduced_form, rows_of
 from splatproof.suites.suite_files import load_suite
 
 SEAMS = ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage")
 
 
+@pytest.mark.needs_scene("brighton_beach")
 def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
-    real_scene("brighton_beach")
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     rows = rows_of(["run", "city", "--quick", "--out", str(tmp_path)], capsys)
     assert len(rows) == len(load_suite("city-quick").cases)
@@ -18,6 +17,8 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
         assert row["psnr"] > 10  # a grey image has less
         if row["method"] != "3dgs":
             assert all(isinstance(row[name], float) for name in SEAMS), row
+    reasons = judged_in_reduced_form("city", tmp_path, capsys)
+    assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
 
 
 @pytest.mark.parametrize("study", ["stability", "speed"])

@@ -1,6 +1,6 @@
 """The reduced form of suite tunnel runs whole, as a user would start it; a file of its own, to run beside others."""
 
-from helpers.printed_rows import rows_of
+from helpers.printed_rows import judged_in_reduced_form, rows_of
 from splatproof.suites.suite_files import load_suite
 
 SHOWN = ("depth_abs_rel",)
@@ -13,3 +13,5 @@ def test_tunnel_runs_every_method(tmp_path, capsys, monkeypatch):
     for row in rows:
         assert row["psnr"] > 10, row
         assert all(isinstance(row[name], float) for name in SHOWN), row
+    reasons = judged_in_reduced_form("tunnel", tmp_path, capsys)
+    assert reasons["DLG-GS is above 3DGS"].startswith("1 seed; 3 are needed")

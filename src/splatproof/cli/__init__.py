@@ -115,6 +115,11 @@ COMMANDS = {
         functions={"": "published"},
         help="Show what the papers print beside our records, and whether they compare.",
     ),
+    "claims": Command(
+        module="claims",
+        functions={"": "claims"},
+        help="Judge what the papers and this project claim, by committed rows or by your runs.",
+    ),
     "gallery": Command(
         module="gallery",
         functions={"": "gallery"},

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from splatproof.reference.types.checked import Checked
-from splatproof.reports.claims.checks import CheckJudged, judge_check
 from splatproof.reports.claims.claim import HOUSE, CheckClaim, Claim
 from splatproof.reports.claims.obstacles import Known, obstacle
+from splatproof.reports.findings.checks import CheckJudged, judge_check
 from splatproof.reports.measured import Measured
 from splatproof.reports.verdicts import Judged, Verdict, judge, runs_of
 
@@ -81,7 +81,10 @@ def findings(
             replace(claim, missing=claim.missing or lacking), own, np.random.default_rng(0)
         )
         found.append(_of_rows(replace(judged, claim=claim), runs_of(claim, own)))
-    return [*found, *(_of_check(judge_check(one, checked.get(one.check)), checked) for one in checks)]
+    return [
+        *found,
+        *(_of_check(judge_check(one, checked.get(one.check)), checked) for one in checks),
+    ]
 
 
 def _of_rows(judged: Judged, runs: Sequence[Measured]) -> Finding:

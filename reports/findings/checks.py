@@ -55,7 +55,9 @@ def judge_check(claim: CheckClaim, found: Checked | None) -> CheckJudged:
     if claim.by == "every":
         reached = sign * values >= sign * claim.bar
         worst = float(sign * (sign * values).min())
-        reason = f"{reached.sum()} of {_count(values.size, 'value')} reach the bar; {found.compared}"
+        reason = (
+            f"{reached.sum()} of {_count(values.size, 'value')} reach the bar; {found.compared}"
+        )
         ends = float(values.min()), float(values.max())
         return _judged(claim, "holds" if reached.all() else "contradicted", reason, worst, *ends)
     middle = float(np.median(values))
@@ -78,9 +80,7 @@ def _judged(
     claim: CheckClaim, verdict: Verdict, reason: str, value: float = math.nan,
     low: float = math.nan, high: float = math.nan,
 ) -> CheckJudged:  # fmt: skip
-    return CheckJudged(
-        claim=claim, verdict=verdict, value=value, low=low, high=high, reason=reason
-    )
+    return CheckJudged(claim=claim, verdict=verdict, value=value, low=low, high=high, reason=reason)
 
 
 def _count(number: int, thing: str) -> str:

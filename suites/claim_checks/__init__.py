@@ -1,0 +1,1 @@
+"""What this project claims of itself, measured: speed, bits, bytes, errors, and what its metrics see."""

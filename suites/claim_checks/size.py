@@ -1,0 +1,99 @@
+"""Bytes of a trained model in our packed file against other formats, and what packing costs."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+from splatproof.base.errors import MissingError
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.storage.packed.writer import FileSettings
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites.claim_checks.check import Check, Measurement
+from splatproof.suites.claim_checks.trained import PROTOCOL, fit, scene
+from splatproof.suites.studies import size
+
+STEPS, QUICK_STEPS = 1000, 60
+OURS = f"gate {FileSettings().gate}"
+"""Name of our packed file as it is written by default, in the study of sizes."""
+
+
+@functools.cache
+def model(steps: int) -> ExplicitModel:
+    """The model that every format stores."""
+    found = fit("3dgs", steps, Run(), {})
+    assert isinstance(found, ExplicitModel)
+    return found
+
+
+def row(name: str, reduced: bool, folder: Path) -> dict[str, Any]:
+    """Bytes a Gaussian and PSNR lost of one format of the study of sizes.
+
+    Args:
+        name: Name of the format there.
+        reduced: Whether the model is trained for fewer steps.
+        folder: Where it is written.
+    Raises: MissingError for a format that this machine cannot write.
+    """
+    kind = next(one for one in size.formats() if one.name == name)
+    fitted, protocol = model(QUICK_STEPS if reduced else STEPS), load_protocol(PROTOCOL)
+    folder.mkdir(parents=True, exist_ok=True)
+    base = size.quality(scene(), fitted, fitted.model, protocol)["psnr"]
+    found = size.row(kind, scene(), fitted, base, protocol, folder / "model")
+    if "bytes" not in found:
+        raise MissingError(str(found["note"]))
+    return found
+
+
+def smaller(than: str, reduced: bool, folder: Path) -> Measurement:
+    """How many times as large the other format's file is.
+
+    Args:
+        than: Name of the other format in the study of sizes.
+        reduced: See `row`.
+        folder: See `row`.
+    """
+    ours, other = (row(name, reduced, folder) for name in (OURS, than))
+    return Measurement(
+        values=(other["bytes_each"] / ours["bytes_each"],),
+        compared=f"{than} {other['bytes_each']:.1f} over {ours['bytes_each']:.1f} bytes a Gaussian, "
+        f"{ours['primitives']:,} Gaussians",
+    )
+
+
+def lost(reduced: bool, folder: Path) -> Measurement:
+    """PSNR in dB that the packed file's model has less than the trained one on held-out views."""
+    ours = row(OURS, reduced, folder)
+    return Measurement(
+        values=(-ours["psnr_change"],),
+        compared=f"held-out views of {ours['primitives']:,} Gaussians, before and after packing",
+    )
+
+
+def loss_beside(other: str, reduced: bool, folder: Path) -> Measurement:
+    """PSNR in dB by which our file's model is above the other format's.
+
+    Args:
+        other: Name of the other format in the study of sizes.
+        reduced: See `row`.
+        folder: See `row`.
+    """
+    ours, theirs = (row(name, reduced, folder) for name in (OURS, other))
+    return Measurement(
+        values=(ours["psnr_change"] - theirs["psnr_change"],),
+        compared=f"loss {ours['psnr_change']:+.2f} dB, {other} {theirs['psnr_change']:+.2f} dB",
+    )
+
+
+SIZE = {
+    "packed_over_ply": Check(
+        measure=functools.partial(smaller, "ply"), unit="times", seconds=(25.0, 5.0)
+    ),
+    "packed_over_spz": Check(
+        measure=functools.partial(smaller, "spz 4"), unit="times", seconds=(5.0, 2.0)
+    ),
+    "packed_loss": Check(measure=lost, unit="dB", seconds=(5.0, 2.0)),
+    "packed_above_spz": Check(
+        measure=functools.partial(loss_beside, "spz 4"), unit="dB", seconds=(5.0, 2.0)
+    ),
+}
