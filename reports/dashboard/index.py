@@ -31,7 +31,7 @@ def silent(doing: str, done: int, total: int) -> None:
     Args:
         doing: What is being done.
         done: How much of it is done.
-        total: Of how much.
+        total: All that there is to do.
     """
 
 

@@ -24,7 +24,7 @@ class Side:
     label: str
     """What tables call the row; of a version the row's own name."""
     commit: str
-    """Of a version; empty for a row."""
+    """Commit of a version; empty for a row."""
     runs: tuple[Summary, ...]
     """Finished runs, by scene and seed."""
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import Any
 
-import splatproof
+from splatproof import __version__
 from splatproof.base.errors import MissingError
 from splatproof.reference.types.result import picture_name
 from splatproof.reports.claims.claim import Claim
@@ -180,7 +180,7 @@ class Site:
         state = self.state
         site = {
             "mode": mode, "format": format, "pictures": pictures, "left_out": left_out,
-            "uri": shown_uri(self.uri), "version": splatproof.__version__, "made": state.made,
+            "uri": shown_uri(self.uri), "version": __version__, "made": state.made,
             "images": sum(len(one.numbers.images) for one in state.index.shown),
         }  # fmt: skip
         sides = [side.plain() for side in state.sides.values()]
