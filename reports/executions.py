@@ -102,7 +102,12 @@ def finish(
 
 
 def description(execution: Execution, results: Sequence[Result]) -> str:
-    """Markdown of an execution: the means of each row over its seeds, and how it is repeated."""
+    """Markdown of an execution: the means of each row over its seeds, and how it is repeated.
+
+    Args:
+        execution: Whose it is.
+        results: All its cases.
+    """
     at = f" at commit `{execution.commit}`" if execution.commit else ""
     failed = [result for result in results if result.error]
     count = f"{len(results)} cases" + (f", {len(failed)} failed" if failed else "")

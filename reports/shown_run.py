@@ -18,7 +18,11 @@ NOTE, PARENT = "mlflow.note.content", "mlflow.parentRunId"
 
 
 def run_name(result: Result) -> str:
-    """Row, seed, scene and protocol: MLflow's pages cut names short, and show the scene beside them."""
+    """Row, seed, scene and protocol: MLflow's pages cut names short, and show the scene beside them.
+
+    Args:
+        result: The case.
+    """
     return f"{result.row} seed{result.seed} {result.scene} {result.protocol}"
 
 
@@ -51,7 +55,11 @@ def source_tags(said: str, commit: str) -> dict[str, str]:
 
 
 def description(result: Result) -> str:
-    """Markdown of a run: what the case is, what came out, and how it is repeated."""
+    """Markdown of a run: what the case is, what came out, and how it is repeated.
+
+    Args:
+        result: The case.
+    """
     head = (
         f"**{result.row}** on scene **{result.scene}** under protocol `{result.protocol}`, "
         f"seed {result.seed}, of suite `{result.suite}`."

@@ -17,7 +17,8 @@ from helpers import case_folders
 from splatproof.reference.types.result import ImageScore, Result
 from splatproof.reference.types.result_json import result_to_json
 from splatproof.reports import run_data
-from splatproof.reports.store import EXPERIMENTS, sync
+from splatproof.reports.mlflow_search import EXPERIMENTS
+from splatproof.reports.store import sync
 
 METRICS = ("psnr", "ssim_3dgs", "lpips", "flip")
 RUNS_EVERY = 60_000

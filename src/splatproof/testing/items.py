@@ -35,7 +35,13 @@ class SuiteItem(pytest.Item):
     """A test of a suite."""
 
     def __init__(self, *, runs: Runs, suite: Suite, **named: Any) -> None:
-        """Remember what is tested."""
+        """Remember what is tested.
+
+        Args:
+            runs: The session's suites.
+            suite: The suite that it is of.
+            named: What pytest needs of every test.
+        """
         super().__init__(**named)
         self.runs, self.suite = runs, suite
 
