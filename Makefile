@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev bench test test-slow fuzz lint types clean
+.PHONY: setup setup-dev bench test test-slow baseline fuzz lint types clean
 
 bench: setup
 	$(BIN)/bench run quick
@@ -18,6 +18,14 @@ test: setup-dev
 test-slow: setup-dev
 	$(BIN)/pytest -q -m slow --ignore tests/mutations
 	$(BIN)/pytest -q -m slow -n auto --maxprocesses 8 tests/mutations
+
+# what tests/regression and the instruction counts are held against; CONTRIBUTING.md says when it may be renewed
+baseline: setup
+	rm -rf build/regression
+	$(BIN)/bench run tests/regression/regression.toml --out build/regression --threads 1
+	$(BIN)/bench compare regression build/regression || true
+	$(BIN)/bench baseline save regression build/regression --replace
+	$(BIN)/bench study instructions --out baselines
 
 # odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer
 fuzz: setup-dev

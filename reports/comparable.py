@@ -5,6 +5,7 @@ from typing import Any
 
 import pandas as pd
 
+from splatproof.reference.types.result import MOMENTS
 from splatproof.reports.frames import ENVIRONMENT, FACTS, cases_of, count_distinct, groups, records
 
 DATA = ("model_sha256", "cameras_sha256", "photos_sha256", "files_sha256")
@@ -68,7 +69,8 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
         cases: Rows of `results_frame`.
     """
     names = [str(name) for name in cases.columns if str(name).startswith(ENVIRONMENT)]
-    odd = [n.removeprefix(ENVIRONMENT) for n in names if count_distinct(cases, n) > 1]
+    lasting = [n for n in names if n.removeprefix(ENVIRONMENT) not in MOMENTS]
+    odd = [n.removeprefix(ENVIRONMENT) for n in lasting if count_distinct(cases, n) > 1]
     if not odd:
         return []
     where = f"measured in different environments (other {', '.join(odd)})"

@@ -11,8 +11,8 @@ from splatproof.reference.types.result import ImageScore, Result
 from splatproof.reports import run_data
 from splatproof.reports.store import StoredResult
 
-CASE, SETTINGS, FACTS, ENVIRONMENT, SECONDS = (
-    "case.", "settings.", "facts.", "environment.", "seconds.",
+CASE, SETTINGS, FACTS, ENVIRONMENT, SECONDS, COUNTERS = (
+    "case.", "settings.", "facts.", "environment.", "seconds.", "counters.",
 )  # fmt: skip
 """Starts of the names of columns that hold the same value in all rows of a case."""
 
@@ -28,7 +28,8 @@ def results_frame(stored: Iterable[StoredResult | Result]) -> pd.DataFrame:
     - case.psnr, ...: the case's own value of every metric, so the mean over its images or the value
       of the whole scene (case.seam_psnr pools pixels, case.psnr_of_mean_mse is no mean of images).
     - train_seconds, cpu_seconds, seconds.load and other stages, render_ms (of a frame), primitives,
-      bytes_on_disk, peak_memory_mb (2^20 bytes): what the case cost.
+      bytes_on_disk, peak_memory_mb (2^20 bytes), counters.pairs and other counters: what the case
+      cost.
     - error, split_sha256, model_sha256, settings.*, facts.* (of the scene), environment.*: by their
       dotted names, None where a case has none of that name.
 
@@ -159,6 +160,7 @@ def _numbers(result: Result) -> dict[str, float]:
         "primitives": result.primitives,
         "bytes_on_disk": result.bytes_on_disk,
         "peak_memory_mb": result.peak_memory_mb,
+        **{COUNTERS + name: count for name, count in result.counters.items()},
     }
 
 

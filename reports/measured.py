@@ -49,6 +49,9 @@ class Measured:
     late_gain: float = 0.0
     """What the end of the run still gained in training: 20 log10 of the mean loss of the fifth before
     the last over that of the last, dB. Infinite where the curve is too short to say."""
+    counters: dict[str, int] = field(default_factory=dict)
+    """Work that was done by name, see Result; exact, and compared only where code ran at the same SIMD
+    level."""
     values: dict[str, float] = field(default_factory=dict)
     """Metrics and costs of the whole case by name; what is undefined is left out."""
     images: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -91,6 +94,7 @@ def measured(result: Result) -> Measured:
         # the count of a scene in blocks is the sum of those begun, and goes up with each
         grown=max(0, times_grown(result.curve) - int(str(result.settings.get("blocks", 0)))),
         late_gain=_rounded(late_gain(result.curve)),
+        counters=dict(sorted(result.counters.items())),
         values=_finite(values),
         images={image.name: _finite(image.metrics) for image in result.images},
     )

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from markupsafe import Markup
 
-from splatproof.reference.types.result import Result
+from splatproof.reference.types.result import MOMENTS, Result
 from splatproof.reports import charts, run_data, text
 from splatproof.reports.columns import Column
 from splatproof.reports.frames import groups
@@ -236,8 +236,8 @@ def _environments(results: Sequence[Result]) -> list[dict[str, Any]]:
     """Every environment that cases were measured in, with the cases' number."""
     groups: dict[str, dict[str, Any]] = {}
     for result in results:
-        key = run_data.digest(result.environment)
-        group = groups.setdefault(key, {"values": result.environment, "cases": 0})
+        values = {k: v for k, v in result.environment.items() if k not in MOMENTS}
+        group = groups.setdefault(run_data.digest(values), {"values": values, "cases": 0})
         group["cases"] += 1
     return list(groups.values())
 

@@ -74,17 +74,29 @@ def encode(png: bytes, name: str) -> str:
         name: What the picture is called in errors.
     Raises: DataError naming the picture where its bytes are no image.
     """
+    return "data:image/jpeg;base64," + base64.b64encode(to_jpeg(png, name)).decode()
+
+
+def to_jpeg(png: bytes, name: str, widest: int = WIDEST, quality: int = QUALITY) -> bytes:
+    """A picture as a JPEG file.
+
+    Args:
+        png: Bytes of an image file.
+        name: What the picture is called in errors.
+        widest: Pixels across; a wider one is scaled down.
+        quality: JPEG quality, in [0, 100]; colour is not subsampled.
+    Raises: DataError naming the picture where its bytes are no image.
+    """
     pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
     if pixels is None:
         raise DataError(f"{name}: not an image; delete the case's folder and run it again")
     height, width = pixels.shape[:2]
-    if width > WIDEST:
-        size = (WIDEST, max(1, round(height * WIDEST / width)))
+    if width > widest:
+        size = (widest, max(1, round(height * widest / width)))
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality]
     options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    data = cv2.imencode(".jpg", pixels, options)[1].tobytes()
-    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+    return cv2.imencode(".jpg", pixels, options)[1].tobytes()
 
 
 def _by_score(table: Table) -> list[str]:

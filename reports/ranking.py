@@ -9,7 +9,7 @@ import pandas as pd
 
 from splatproof.reports import comparable
 from splatproof.reports.columns import Column
-from splatproof.reports.frames import cases_of, rows_where
+from splatproof.reports.frames import cases_of, groups
 from splatproof.reports.statistics import Difference, Scores, paired_difference
 from splatproof.reports.table import Row, Table
 
@@ -22,7 +22,7 @@ def ranked(table: Table, allowed: set[str]) -> Table:
         allowed: Labels of the rows that may be ranked, should the table's rows be comparable.
     """
     may = allowed if table.comparable and table.columns[0].higher_is_better is not None else set()
-    generator, main = np.random.default_rng(0), table.columns[0]
+    generator, main, read = np.random.default_rng(0), table.columns[0], Reader()
     sign = -1.0 if main.higher_is_better is False else 1.0
 
     def place(row: Row) -> tuple[bool, bool, float, str]:
@@ -32,7 +32,7 @@ def ranked(table: Table, allowed: set[str]) -> Table:
     rows = sorted(table.rows, key=place)
     pairs = itertools.combinations([row for row in rows if main.key in row.cells], 2)
     found = [
-        (one.label, other.label, difference(one, other, main, generator))
+        (one.label, other.label, difference(one, other, main, generator, read))
         for one, other in (pairs if table.comparable else ())
     ]
     better = {"higher": sign, "lower": -sign, "no difference": 0.0, "unknown": 0.0}
@@ -41,7 +41,7 @@ def ranked(table: Table, allowed: set[str]) -> Table:
         for one, other, d in found
         if better[d.verdict] and {one, other} <= may
     )
-    best = _best(table, [row for row in rows if row.label in may], generator)
+    best = _best(table, [row for row in rows if row.label in may], generator, read)
     done = [
         replace(
             row,
@@ -53,7 +53,9 @@ def ranked(table: Table, allowed: set[str]) -> Table:
     return replace(table, rows=tuple(done), differences=tuple(found))
 
 
-def _best(table: Table, rows: list[Row], generator: np.random.Generator) -> dict[str, set[str]]:
+def _best(
+    table: Table, rows: list[Row], generator: np.random.Generator, read: "Reader"
+) -> dict[str, set[str]]:
     """Labels by column of the best ranked row and of those that cannot be told from it."""
     best = {}
     one_machine = not rows or not comparable.environment_notes(
@@ -67,13 +69,49 @@ def _best(table: Table, rows: list[Row], generator: np.random.Generator) -> dict
             continue
         sign = 1.0 if column.higher_is_better else -1.0
         top = max(having, key=lambda row: sign * row.cells[column.key].mean)
-        verdicts = {r.label: difference(r, top, column, generator).verdict for r in having}
+        verdicts = {r.label: difference(r, top, column, generator, read).verdict for r in having}
         best[column.key] = {r for r, verdict in verdicts.items() if verdict == "no difference"}
         best[column.key].add(top.label)
     return best
 
 
-def difference(one: Row, other: Row, column: Column, generator: np.random.Generator) -> Difference:
+class Reader:
+    """Scores of a table's rows, each read once: every row meets all others in every column."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self._scenes: dict[str, dict[str, pd.DataFrame]] = {}
+        self._scores: dict[tuple[str, str, str], Scores] = {}
+
+    def scenes(self, row: Row) -> dict[str, pd.DataFrame]:
+        """The row's scores by scene, by the scenes' names."""
+        if row.label not in self._scenes:
+            self._scenes[row.label] = dict(groups(row.scores, "scene"))
+        return self._scenes[row.label]
+
+    def scores(self, row: Row, scene: str, column: Column) -> Scores:
+        """A row a seed and a column an image, sorted by name; one column where images have no values.
+
+        Args:
+            row: A row of the table.
+            scene: One of its scenes.
+            column: One of the table's columns.
+        """
+        key = (row.label, scene, column.key)
+        if key not in self._scores:
+            own = self.scenes(row)[scene]
+            cases = cases_of(own)
+            self._scores[key] = (
+                own[column.key].to_numpy(dtype=np.float64).reshape(len(cases), -1)
+                if column.per_image
+                else column.values(cases)[:, None]
+            )
+        return self._scores[key]
+
+
+def difference(
+    one: Row, other: Row, column: Column, generator: np.random.Generator, read: Reader
+) -> Difference:
     """Paired difference of two rows in a column, over scenes, images (where it has them), seeds.
 
     Args:
@@ -81,16 +119,10 @@ def difference(one: Row, other: Row, column: Column, generator: np.random.Genera
         other: Another row of it.
         column: What is compared.
         generator: Source of the bootstrap's draws.
+        read: What was read of the table's rows before.
     """
-    scenes = sorted(set(one.scores["scene"]))
-    tables = [tuple(_scores(row, scene, column) for row in (one, other)) for scene in scenes]
-    return paired_difference([(a, b) for a, b in tables], generator)
-
-
-def _scores(row: Row, scene: str, column: Column) -> Scores:
-    """A row a seed and a column an image, sorted by name; one column where images have no values."""
-    own = rows_where(row.scores, (row.scores["scene"] == scene).to_numpy())
-    cases = cases_of(own)
-    if not column.per_image:
-        return column.values(cases)[:, None]
-    return own[column.key].to_numpy(dtype=np.float64).reshape(len(cases), -1)
+    pairs = [
+        (read.scores(one, scene, column), read.scores(other, scene, column))
+        for scene in read.scenes(one)
+    ]
+    return paired_difference(pairs, generator)

@@ -1,9 +1,11 @@
 """Finished cases into MLflow, and results back out of MLflow alone."""
 
 import hashlib
+import itertools
 import os
 import socket
 import tempfile
+import urllib.parse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,7 +16,8 @@ from splatproof.base.errors import DataError, MissingError
 from splatproof.base.locks import lock
 from splatproof.reference.types.result import Result, picture_name
 from splatproof.reference.types.result_json import result_from_json
-from splatproof.reports import run_data
+from splatproof.reports import executions, run_data
+from splatproof.reports.executions import Execution, execution_of
 from splatproof.reports.mlflow_client import (
     artifact_root,
     check_uri,
@@ -24,20 +27,24 @@ from splatproof.reports.mlflow_client import (
     sqlite_file,
     store_errors,
 )
+from splatproof.reports.mlflow_search import (
+    CASE,
+    ORIGIN,
+    RECORD,
+    STATE,
+    experiment_of,
+    search_runs,
+)
+from splatproof.reports.saved_views import Shown, write_views
+from splatproof.reports.shown_run import PARENT, data_set, run_name, shown_tags
 
 if TYPE_CHECKING:
-    from mlflow.entities import Run
+    from mlflow.entities import Experiment, Run
     from mlflow.store.artifact.artifact_repo import ArtifactRepository
     from mlflow.tracking import MlflowClient
 
-EXPERIMENTS = "splatproof/"
-"""Start of the name of every experiment of ours; the suite's name follows."""
 ARTIFACTS = ("record.json", "renders", "truth", "masks", "errors", "seams", "blocks", "model")
 """What of a case folder is logged. Checkpoints are not: they are of no use once a case is done."""
-STATE, RECORD, ORIGIN, CASE = (
-    f"splatproof.{name}" for name in ("state", "record_sha256", "origin", "case")
-)
-"""Tags: logging or complete; hash of record.json; host and folder it came from; `case_key`."""
 FOLDERS = {"render": "renders", "truth": "truth", "error": "errors"}
 Picture = Literal["render", "truth", "error"]
 # metrics and params that MLflow takes in one batch
@@ -70,7 +77,7 @@ class StoredResult:
         Returns: The file's bytes; None where the case has no such picture.
         """
         path = f"{FOLDERS[kind]}/{picture_name(image)}"
-        return _artifact(self.artifact_uri, self.uri, path)
+        return read_file(self.artifact_uri, self.uri, path)
 
 
 def find_cases(out: Path) -> list[Path]:
@@ -111,16 +118,17 @@ def sync(
     if not waiting:
         return []  # and make no store
     try:
-        client = open_client(uri)
+        log = _Sync(open_client(uri), uri)
         while waiting:
             on_progress(total - len(waiting), total)
             folder = waiting.pop(0)
             try:
                 with _locked(folder / "record.json") as record:
-                    _sync_case(client, folder, record, uri)
+                    log.case(folder, record)
             except (DataError, *store_errors()) as error:
                 failures.append(Failure(folder, one_line(error)))
                 open_client(uri)  # a store that is gone ends the loop here
+        failures += log.end()
         on_progress(total, total)
     except MissingError as error:
         failures += [Failure(folder, str(error)) for folder in waiting]
@@ -136,26 +144,74 @@ def read_results(uri: str) -> list[StoredResult]:
         MissingError: The store does not answer, or the files of a run are gone.
         DataError: A record in the store is damaged.
     """
+    newest = {
+        (run_data.case_name(one.result), run_data.case_key(one.result)): one
+        for one in read_history(uri)
+    }
+    return [newest[case] for case in sorted(newest)]
+
+
+def read_history(uri: str) -> list[StoredResult]:
+    """Every result in the store, from the one that ended first to the one that ended last.
+
+    Args:
+        uri: Tracking URI. Nothing but this store is read.
+    Raises: As `read_results`.
+    """
     file = sqlite_file(uri)
     if file is not None and not file.exists():
         return []
     client = open_client(uri)
-    newest: dict[tuple[str, str], tuple[int, StoredResult]] = {}
-    for run in _runs(client, f"tags.`{STATE}` = 'complete'"):
+    found: list[tuple[int, StoredResult]] = []
+    for run in complete_runs(client):
         files = run.info.artifact_uri or ""
-        text = _artifact(files, uri, "record.json")
-        if text is None:
-            raise MissingError(
-                f"tracking store {shown_uri(uri)}: the files of run {run.info.run_id} "
-                f"({run.info.run_name}) are not at {files}; if the "
-                "folder was moved, delete its mlflow.db and run `bench report` again"
-            )
-        result = result_from_json(text.decode(), f"{shown_uri(uri)} run {run.info.run_id}")
-        case = (run_data.case_name(result), run_data.case_key(result))
-        ended = run.info.end_time or 0
-        if case not in newest or newest[case][0] < ended:
-            newest[case] = (ended, StoredResult(result, uri, files))
-    return [newest[case][1] for case in sorted(newest)]
+        result = read_run(uri, run.info.run_id, files)
+        found.append((run.info.end_time or 0, StoredResult(result, uri, files)))
+    found.reverse()  # the store gives what began last first, which decides where two ended at once
+    return [one for _, one in sorted(found, key=lambda pair: pair[0])]
+
+
+def complete_runs(client: "MlflowClient") -> list["Run"]:
+    """Every run of ours that was logged to its end: all runs of a case, not its newest alone."""
+    return search_runs(client, f"tags.`{STATE}` = 'complete'")
+
+
+def read_run(uri: str, run: str, files: str) -> Result:
+    """The record of one run.
+
+    Args:
+        uri: Tracking URI.
+        run: MLflow's name of the run, for errors.
+        files: Where its files are, as MLflow tells it.
+    Raises:
+        MissingError: They are not there.
+        DataError: The record is damaged.
+    """
+    text = read_file(files, uri, "record.json")
+    if text is None:
+        raise MissingError(
+            f"tracking store {shown_uri(uri)}: the files of run {run} are not at {files}; if the "
+            "folder was moved, delete its mlflow.db and run `bench report` again"
+        )
+    return result_from_json(text.decode(), f"{shown_uri(uri)} run {run}")
+
+
+def read_file(files: str, uri: str, path: str) -> bytes | None:
+    """The bytes of a logged file; None where there is none of that name.
+
+    Files on this machine are read where they lie: MLflow would copy each of them first.
+
+    Args:
+        files: Where the run's files are, as MLflow tells it.
+        uri: Tracking URI.
+        path: The file's path below them; one that leads out of them names no file.
+    """
+    parts = urllib.parse.urlsplit(files)
+    if parts.scheme not in ("", "file"):
+        return _artifact(files, uri, path)
+    root = Path(urllib.parse.unquote(parts.path)).resolve()
+    file = (root / path).resolve()
+    return file.read_bytes() if file.is_relative_to(root) and file.is_file() else None
 
 
 @contextmanager
@@ -170,43 +226,119 @@ def _locked(record: Path) -> Iterator[bytes]:
         yield file.read()
 
 
-def _sync_case(client: "MlflowClient", folder: Path, record: bytes, uri: str) -> None:
-    """Log one case unless this very record is complete in the store."""
-    try:
-        result = result_from_json(record.decode(), str(folder / "record.json"))
-    except UnicodeDecodeError as error:
-        raise DataError(f"{folder / 'record.json'}: not UTF-8 text: {error}") from error
-    sha, origin = hashlib.sha256(record).hexdigest(), f"{socket.gethostname()}:{folder.resolve()}"
-    if _runs(client, f"tags.`{RECORD}` = '{sha}' AND tags.`{STATE}` = 'complete'"):
-        return
-    for run in _runs(client, f"tags.`{STATE}` = 'logging'"):
-        if run.data.tags[ORIGIN] == origin:
-            _delete(client, run, uri)
-    ends = int((folder / "record.json").stat().st_mtime * 1000)
-    marks = {STATE: "logging", RECORD: sha, ORIGIN: origin, CASE: run_data.case_key(result)}
-    run = client.create_run(
-        _experiment(client, EXPERIMENTS + result.suite, artifact_root(uri)),
-        start_time=ends - int(1000 * sum(result.stages.values())),
-        tags={**run_data.tags(result), **marks},
-        run_name=run_data.case_name(result),
-    )
-    _log(client, run, folder, result)
-    client.set_terminated(run.info.run_id, "FAILED" if result.error else "FINISHED", ends)
-    client.set_tag(run.info.run_id, STATE, "complete")
+class _Sync:
+    """One pass over case folders: the cases one by one, then what is said of all of them."""
+
+    def __init__(self, client: "MlflowClient", uri: str) -> None:
+        self._client, self._uri = client, uri
+        self._experiments: dict[str, Experiment] = {}
+        self._shown: dict[str, Shown] = {}
+        self._executions: dict[str, Execution] = {}
+        self._begun: dict[str, str] = {}
+
+    def case(self, folder: Path, record: bytes) -> None:
+        """Log one case unless this very record is complete in the store."""
+        try:
+            result = result_from_json(record.decode(), str(folder / "record.json"))
+        except UnicodeDecodeError as error:
+            raise DataError(f"{folder / 'record.json'}: not UTF-8 text: {error}") from error
+        self._shown.setdefault(result.suite, Shown()).add(result)
+        execution = execution_of(folder, result)
+        if execution is not None:
+            self._executions[execution.key] = execution
+        client, sha = self._client, hashlib.sha256(record).hexdigest()
+        origin = f"{socket.gethostname()}:{folder.resolve()}"
+        experiment = self._experiment(result.suite).experiment_id
+        here = [experiment]
+        known = f"tags.`{RECORD}` = '{sha}' AND tags.`{STATE}` = 'complete'"
+        if search_runs(client, known, here):
+            return
+        for run in search_runs(client, f"tags.`{STATE}` = 'logging'", here):
+            if run.data.tags[ORIGIN] == origin:
+                _delete(client, run, self._uri)
+        ends = _end(folder / "record.json")
+        marks = {STATE: "logging", RECORD: sha, ORIGIN: origin, CASE: run_data.case_key(result)}
+        if execution is not None:
+            marks[PARENT] = self._parent(execution)
+        run = client.create_run(
+            experiment, start_time=_start(result, ends),
+            tags={**run_data.tags(result), **shown_tags(result), **marks},
+            run_name=run_name(result),
+        )  # fmt: skip
+        _log(client, run, folder, result)
+        client.set_terminated(run.info.run_id, "FAILED" if result.error else "FINISHED", ends)
+        client.set_tag(run.info.run_id, STATE, "complete")
+
+    def end(self) -> list[Failure]:
+        """Finish the executions that were begun, here or by a process that was killed."""
+        failures = []
+        try:
+            for suite, shown in self._shown.items():
+                write_views(self._client, self._experiment(suite), suite, shown)
+            for key, run in executions.unfinished(self._client).items():
+                if key in self._executions:
+                    self._finish(run, self._executions[key])
+        except store_errors() as error:
+            failures = [Failure(one.root, one_line(error)) for one in self._executions.values()]
+        return failures
+
+    def _finish(self, run: str, execution: Execution) -> None:
+        """Say what came out of all cases of an execution, also of those that were not asked for."""
+        cases = _cases_of(execution)
+        ends = max(end for _, end in cases)
+        executions.finish(self._client, run, execution, [result for result, _ in cases], ends)
+
+    def _experiment(self, suite: str) -> "Experiment":
+        if suite not in self._experiments:
+            found = experiment_of(self._client, suite, artifact_root(self._uri))
+            self._experiments[suite] = found
+        return self._experiments[suite]
+
+    def _parent(self, execution: Execution) -> str:
+        if execution.key not in self._begun:
+            experiment = self._experiment(execution.suite).experiment_id
+            start = min(_start(result, end) for result, end in _cases_of(execution))
+            run = executions.begin(self._client, execution, experiment, start)
+            self._begun[execution.key] = run
+        return self._begun[execution.key]
+
+
+def _cases_of(execution: Execution) -> list[tuple[Result, int]]:
+    """Every case of an execution, and when it ended in ms since 1970; damaged records are none."""
+    found = []
+    for folder in find_cases(execution.root):
+        record = folder / "record.json"
+        try:
+            result = result_from_json(record.read_text(encoding="utf-8"), str(record))
+        except (DataError, UnicodeDecodeError):
+            continue  # told where it is synced
+        if execution_of(folder, result) == execution:
+            found.append((result, _end(record)))
+    return found
+
+
+def _end(record: Path) -> int:
+    return int(record.stat().st_mtime * 1000)
+
+
+def _start(result: Result, end: int) -> int:
+    return end - int(1000 * sum(result.stages.values()))
 
 
 def _log(client: "MlflowClient", run: "Run", folder: Path, result: Result) -> None:
-    """Send params, metrics, curves and files, in batches of the size that MLflow takes."""
+    """Send params, metrics, curves, the data set and files, in batches that MLflow takes."""
     from mlflow.entities import Metric, Param
 
     identity, when = run.info.run_id, run.info.start_time
     values = [Metric(name, value, when, 0) for name, value in run_data.metrics(result).items()]
     values += [Metric(name, value, when, step) for name, step, value in run_data.curves(result)]
-    for batch in _batches(values, METRICS_A_BATCH):
-        client.log_batch(identity, metrics=batch)
-    named = run_data.params(result).items()
-    for batch in _batches([Param(n, v[:LONGEST_PARAM]) for n, v in named], PARAMS_A_BATCH):
-        client.log_batch(identity, params=batch)
+    named = [Param(n, v[:LONGEST_PARAM]) for n, v in run_data.params(result).items()]
+    batches = itertools.zip_longest(
+        _batches(values, METRICS_A_BATCH), _batches(named, PARAMS_A_BATCH), fillvalue=()
+    )
+    for some_metrics, some_params in batches:
+        client.log_batch(identity, metrics=some_metrics, params=some_params)
+    client.log_inputs(identity, datasets=[data_set(result)])
     for name in ARTIFACTS:
         path = folder / name
         if path.is_dir():
@@ -218,31 +350,6 @@ def _log(client: "MlflowClient", run: "Run", folder: Path, result: Result) -> No
 def _batches(items: list[Any], size: int) -> Iterator[list[Any]]:
     for start in range(0, len(items), size):
         yield items[start : start + size]
-
-
-def _experiment(client: "MlflowClient", name: str, location: str | None) -> str:
-    """Identity of the experiment, made where it does not exist."""
-    found = client.get_experiment_by_name(name)
-    return found.experiment_id if found else client.create_experiment(name, location)
-
-
-def _runs(client: "MlflowClient", filter_string: str) -> list["Run"]:
-    """All our runs that match, page by page."""
-    ours = f"name LIKE '{EXPERIMENTS}%'"
-    experiments = [e.experiment_id for e in _pages(client.search_experiments, filter_string=ours)]
-    if not experiments:
-        return []
-    return _pages(client.search_runs, experiment_ids=experiments, filter_string=filter_string)
-
-
-def _pages(search: Callable[..., Any], **query: object) -> list[Any]:
-    items, token = [], None
-    while True:
-        page = search(**query, page_token=token)
-        items += page
-        token = page.token
-        if not token:
-            return items
 
 
 def _delete(client: "MlflowClient", run: "Run", uri: str) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 
 from splatproof.base.errors import MissingError
 from splatproof.reports.mlflow_client import artifact_root, one_line, open_client, store_errors
-from splatproof.reports.store import EXPERIMENTS, METRICS_A_BATCH
+from splatproof.reports.mlflow_search import EXPERIMENTS
+from splatproof.reports.store import METRICS_A_BATCH
 
 NAMED_BY = ("component", "twin", "case")
 """Columns that name a row."""

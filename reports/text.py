@@ -1,6 +1,7 @@
 """Tables for the terminal, for Markdown, and cases for machines."""
 
 import re
+from collections.abc import Sequence
 
 import rich.table
 from rich.console import Group
@@ -154,22 +155,31 @@ def markdown(tables: list[Table]) -> str:
     for table in tables:
         heads = headings(table)
         rules = ["---:" if i != 1 else ":---" for i in range(len(heads))]
-        lines = [f"## {_escaped(table.title)}", "", _line(heads), _line(rules)]
+        lines = [f"## {escaped(table.title)}", "", table_line(heads), table_line(rules)]
         for row in table.rows:
             cells = texts(table, row)
-            lines.append(_line([f"**{_escaped(t)}**" if b else _escaped(t) for t, b in cells]))
-        said = [f"- {_escaped(line)}" for line in (*notes(table), *difference_lines(table))]
+            lines.append(table_line([f"**{escaped(t)}**" if b else escaped(t) for t, b in cells]))
+        said = [f"- {escaped(line)}" for line in (*notes(table), *difference_lines(table))]
         blocks.append("\n".join([*lines, "", *said]).rstrip())
-    known = [f"- {_escaped(name)}: {_escaped(about)}" for name, about in explained(tables).items()]
+    known = [f"- {escaped(name)}: {escaped(about)}" for name, about in explained(tables).items()]
     return "\n\n".join([*blocks, LEGEND, "\n".join(known)]) + "\n"
 
 
-def _line(cells: list[str]) -> str:
+def table_line(cells: Sequence[str]) -> str:
+    """A row of a Markdown table.
+
+    Args:
+        cells: Text that is Markdown already.
+    """
     return f"| {' | '.join(cells)} |"
 
 
-def _escaped(text: str) -> str:
-    """Text that Markdown shows as it is."""
+def escaped(text: str) -> str:
+    """Text that Markdown shows as it is.
+
+    Args:
+        text: Any text; line breaks become spaces.
+    """
     for mark in ("\\", "|", "*", "_", "<", "`"):
         text = text.replace(mark, f"\\{mark}")
     return " ".join(text.split())

@@ -78,8 +78,8 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(claim, "not testable here", fault)
     every = [run for pair in pairs for side in pair for run in side]
     seeds = min(len(side) for pair in pairs for side in pair)
-    if claim.metric in TIMES and (waited := sorted({run.row for run in every if _waited(run)})):
-        fault = f"{', '.join(waited)}: timed while the machine had other work"
+    if claim.metric in TIMES and (busy := sorted({run.row for run in every if waited(run)})):
+        fault = f"{', '.join(busy)}: timed while the machine had other work"
         return _without(claim, "not testable here", fault, seeds)
     if short := _short(claim, every, seeds):
         return _without(claim, "too short to judge", short, seeds)
@@ -104,8 +104,12 @@ def _short(claim: Claim, every: Sequence[Measured], seeds: int) -> str:
     return "; ".join(few)
 
 
-def _waited(run: Measured) -> bool:
-    """Whether a run's training took longer than its work."""
+def waited(run: Measured) -> bool:
+    """Whether a run's training took longer than its work, so that its times are of the machine's load.
+
+    Args:
+        run: A finished run.
+    """
     wall, cpu = (run.values.get(name, 0.0) for name in ("train_seconds", "cpu_seconds"))
     return wall > WAITED * cpu
 

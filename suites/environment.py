@@ -1,8 +1,11 @@
 """Where a result was made: versions, commit, machine, threads, SIMD level."""
 
+import datetime
+import hashlib
 import os
 import platform
 import subprocess
+import uuid
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -30,6 +33,22 @@ def environment(backend: str) -> dict[str, str]:
         "simd": simd_level(),
         "backend": backend,
     }
+
+
+def boot() -> str:
+    """Short hash that runs on the same machine since its last start share, and no others.
+
+    It says nothing of the machine but that. Where the system gives no such number, it is made of the
+    network address alone.
+    """
+    given = Path("/proc/sys/kernel/random/boot_id")
+    text = given.read_text() if given.exists() else str(uuid.getnode())
+    return hashlib.sha256(text.strip().encode()).hexdigest()[:12]
+
+
+def now() -> str:
+    """This moment in UTC as ISO 8601 writes it, to the millisecond."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
 
 
 def package_version(name: str) -> str:

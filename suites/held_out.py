@@ -63,7 +63,7 @@ def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
 
 def score_views(
     scene: Scene, model: Reconstruction, protocol: Protocol, folder: Path
-) -> tuple[tuple[ImageScore, ...], float]:
+) -> tuple[ImageScore, ...]:
     """Score every test view, one in memory at a time.
 
     Writes renders/, truth/, masks/ (where the scene has any) and errors/ (FLIP error maps, magma,
@@ -75,12 +75,11 @@ def score_views(
         model: What is scored.
         protocol: The rules.
         folder: Folder of the case.
-    Returns: Scores sorted by name, and the median milliseconds a frame after warm-up.
+    Returns: Scores sorted by name.
     Raises: DataError where `scored_views` refuses the scene, or a view cannot be scored.
     """
     views = scored_views(scene, protocol)
     names = [picture_name(view.name) for view in views]
-    background = torch.tensor(protocol.background)
     scores = []
     masked = any(view.load_mask is not None for view in views)
     seen = seen_in_training(scene)
@@ -109,7 +108,7 @@ def score_views(
             if masked:
                 valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
                 write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
-    return tuple(scores), render_milliseconds(views, model, background)
+    return tuple(scores)
 
 
 def drawn(

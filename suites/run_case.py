@@ -8,12 +8,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import torch
+
 from splatproof.base.errors import SplatproofError
 from splatproof.base.files import write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
@@ -21,13 +24,13 @@ from splatproof.methods.registry import get_method
 from splatproof.methods.training.threads import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
-from splatproof.reference.types.result import ImageScore, Result, prior_name
+from splatproof.reference.types.result import BEGAN, BOOT, ENDED, ImageScore, Result, prior_name
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
 from splatproof.suites.case_keys import case_key
-from splatproof.suites.environment import environment
-from splatproof.suites.held_out import score_views, scored_views
+from splatproof.suites.environment import boot, environment, now
+from splatproof.suites.held_out import render_milliseconds, score_views, scored_views
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
@@ -111,6 +114,8 @@ class Spent:
     """Wall seconds by stage."""
     facts: dict[str, str] = field(default_factory=dict)
     """What the method says of how it was trained."""
+    counters: dict[str, int] = field(default_factory=dict)
+    """Work that training was, by name."""
     cpu_seconds: float = 0.0
     """CPU seconds of all processes together."""
     peak_memory_mb: float = 0.0
@@ -208,7 +213,7 @@ def _run(job: Job, tell: Tell) -> None:
     # What is scored is what lies on disk, so a continued case and an undisturbed one agree.
     model = load_reconstruction(job.folder / "model", backend=job.backend)
     with measure.timed(before.stages, "score"):
-        images, means, render_ms = _scores(job, scene, model)
+        images, means, render_ms, drawn = _scores(job, scene, model)
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     identity["environment"] |= before.facts | {
@@ -227,6 +232,7 @@ def _run(job: Job, tell: Tell) -> None:
         split_sha256=measure.split_sha256(scene),
         model_sha256=measure.arrays_sha256(job.folder / "model"),
         curve=curve.points(),
+        counters=before.counters | drawn,
         scene_facts=given.facts | job.data,
         left_out=scene.left_out,
     )
@@ -235,16 +241,22 @@ def _run(job: Job, tell: Tell) -> None:
 
 def _scores(
     job: Job, scene: Scene, model: Reconstruction
-) -> tuple[tuple[ImageScore, ...], dict[str, float], float]:
-    """The scores of each held-out view, those of the scene, and milliseconds a frame."""
+) -> tuple[tuple[ImageScore, ...], dict[str, float], float, dict[str, int]]:
+    """The scores of each held-out view, those of the scene, milliseconds a frame, and counters."""
     if not scene.test:
-        return (), {}, math.nan
-    images, render_ms = score_views(scene, model, job.case.protocol, job.folder)
+        return (), {}, math.nan, {}
+    backend, rules = get_backend(job.backend), job.case.protocol
+    listed = backend.pairs()
+    images = score_views(scene, model, rules, job.folder)
+    drawn = {"render_pairs": backend.pairs() - listed} if backend.counts_pairs else {}
+    render_ms = render_milliseconds(
+        scored_views(scene, rules), model, torch.tensor(rules.background)
+    )
     means = scene_metrics(images) | geometry_metrics(scene, model)
     if isinstance(model, CityModel):
-        images, extra = city_scores(scene, model, job.case.protocol, images, job.folder)
+        images, extra = city_scores(scene, model, rules, images, job.folder)
         means |= extra
-    return images, means, render_ms
+    return images, means, render_ms, drawn
 
 
 def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> None:
@@ -256,6 +268,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
         tell("train", step, total, values)
 
     tell("init", 0, 0, {})
+    spent.facts |= {BEGAN: now(), BOOT: boot()}
     model = method.fit(
         scene.for_training(),
         job.case.settings,
@@ -268,6 +281,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             report=report,
             on_stage=spent.stages.__setitem__,
             on_fact=spent.facts.__setitem__,
+            on_count=spent.counters.__setitem__,
             checkpoint_seconds=job.checkpoint_seconds,
             workers=job.workers,
             engine=job.engine,
@@ -275,6 +289,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             say=lambda line: tell("train", 0, 0, {}, line),
         ),
     )
+    spent.facts[ENDED] = now()
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
         save_model(model, folder, job.case.origin)

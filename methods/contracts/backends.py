@@ -32,6 +32,17 @@ class Backend:
     """What to install before it can be used; empty when it is ready."""
     device: str = "cpu"
     """Kind of torch device that it draws on, and that models and images are kept on for it."""
+    count_pairs: Callable[[], int] | None = None
+    """Pairs of Gaussian and tile of all pictures of this process so far; None: it does not count."""
+
+    @property
+    def counts_pairs(self) -> bool:
+        """Whether `pairs` tells anything."""
+        return self.count_pairs is not None
+
+    def pairs(self) -> int:
+        """Pairs of Gaussian and tile of all pictures of this process so far; 0 if it does not count."""
+        return 0 if self.count_pairs is None else self.count_pairs()
 
     def draw(self, camera: Camera, splats: Splats, **asked: Any) -> RenderOutput:
         """The image of splats.
@@ -63,7 +74,8 @@ def _cpu() -> Backend:
     except ImportError as error:
         return _absent("cpu", f"the compiled kernels do not load ({error}); run `pip install .`")
     return Backend(
-        name="cpu", rasterize=kernel.rasterize, capabilities=CONTRACT - {"float64"}
+        name="cpu", rasterize=kernel.rasterize, capabilities=CONTRACT - {"float64"},
+        count_pairs=kernel.pairs_listed,
     )  # fmt: skip
 
 

@@ -33,6 +33,15 @@ def keep_fact(name: str, value: str) -> None:
     """
 
 
+def count_nothing(name: str, count: int) -> None:
+    """The counters that nobody records.
+
+    Args:
+        name: What was counted.
+        count: How often it happened in the whole run.
+    """
+
+
 def keep_to_oneself(line: str) -> None:
     """The words that nobody hears.
 
@@ -64,6 +73,10 @@ class Run:
     continued run's seconds include those before the interruption."""
     on_fact: Callable[[str, str], None] = keep_fact
     """Called as on_fact(name, value) for what the record of the run is to say of how it was trained."""
+    on_count: Callable[[str, int], None] = count_nothing
+    """Called as on_count(name, number) at the end for work that was done, see
+    `splatproof.methods.training.counts`; a continued run's numbers include those before the
+    interruption. Methods that train in blocks, each in a process of its own, do not count."""
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
     image_bytes: int = 2**30

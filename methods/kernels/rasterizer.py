@@ -155,6 +155,15 @@ _NAMES = (
 )  # fmt: skip
 
 
+def pairs_listed() -> int:
+    """Pairs of Gaussian and tile of all pictures that this process has drawn so far.
+
+    A Gaussian is paired with each 16 x 16 tile whose pixels its support meets. The number depends
+    on the model and the cameras alone, so it says how much work there was where seconds cannot.
+    """
+    return _ext.pairs_listed()
+
+
 def plain(tensor: Tensor | None) -> Tensor | None:
     """The values alone, contiguous, as the kernels read them."""
     return None if tensor is None else tensor.detach().contiguous()

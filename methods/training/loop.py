@@ -16,6 +16,7 @@ from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
+from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
@@ -57,6 +58,7 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(run.seed)
         self.step = 0
         self.seconds = 0.0
+        self.counts = Counts()
         self.native = self._can_be_native()
 
     def _can_be_native(self) -> bool:
@@ -100,6 +102,7 @@ class Trainer:
         Returns: The loss of the image terms, mean over the views, and each term by its name.
         """
         self.step += 1
+        before = self.backend.pairs()
         mean, told = GradientMean(), []
         for _ in range(self.plan.views_per_step):
             view = self.plan.views[self.order.next(self.generator)]
@@ -112,7 +115,9 @@ class Trainer:
         mean.leave(self.model.parameters.trained)
         self.update()
         edits = self.plan.density.edits(self.step, self.model.parameters, self.generator)
+        self.counts = self.counts.after_step(self.backend.pairs() - before)
         for edit in edits:
+            self.counts = self.counts.after_edit(edit, len(self.model.parameters))
             self.model.parameters.edit(edit)
             self.optimizer.edit(edit)
         return {name: sum(each[name] for each in told) / len(told) for name in told[0]}
@@ -257,13 +262,14 @@ class Trainer:
         }
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
-                 "seconds": self.seconds}  # fmt: skip
+                 "seconds": self.seconds, "counts": self.counts.named()}  # fmt: skip
         write_tensors(self.checkpoint, tensors, facts)
 
     def resume(self) -> None:
         """Continue from the checkpoint, if there is one.
 
-        Raises: UsageError if it belongs to another scene, settings, seed, background or backend.
+        Raises: UsageError if it belongs to another scene, settings, seed, background or backend, or
+            an earlier release wrote it.
         """
         if self.checkpoint is None or not self.checkpoint.exists():
             return
@@ -273,12 +279,18 @@ class Trainer:
                 f"{self.checkpoint}: belongs to a run with another scene, settings, seed, "
                 "background or backend; remove it or choose another folder"
             )
+        if "counts" not in facts:
+            raise UsageError(
+                f"{self.checkpoint}: an earlier release wrote it, which counted no work; remove it, "
+                "or finish the run with that release"
+            )
         self.model.parameters.restore(_part(tensors, "parameters."))
         self.optimizer.restore(_part(tensors, "optimizer."))
         counted = _part(tensors, "density.")
         self.plan.density.restore({n: value.to(self.device) for n, value in counted.items()})
         self.generator.set_state(tensors["generator"])
         self.step, self.seconds = facts["step"], facts["seconds"]
+        self.counts = Counts(**facts["counts"])
         self.order.restore(facts["order"], self.step * self.plan.views_per_step)
 
 

@@ -35,8 +35,8 @@ def run_key(scene: Scene, settings: Any, run: Run, *special: str) -> str:
 def train(run: Run, prepare: Callable[[], tuple[M, Plan]]) -> M:
     """Train a model to the end of its plan, or continue it, and return it.
 
-    Stages "init" (prepare and resume) and "train" are timed, and the record says whether the
-    kernels' own step or autograd computed the gradients.
+    Stages "init" (prepare and resume) and "train" are timed, work is counted, and the record says
+    whether the kernels' own step or autograd computed the gradients.
 
     Args:
         run: Where checkpoints go, and who is told.
@@ -54,6 +54,9 @@ def train(run: Run, prepare: Callable[[], tuple[M, Plan]]) -> M:
         run.on_fact("gradients by", trainer.path)
         trainer.train()
         run.on_stage("train", trainer.seconds)
+        for name, count in trainer.counts.named().items():
+            if name != "pairs" or trainer.backend.counts_pairs:
+                run.on_count(name, count)
     return model
 
 

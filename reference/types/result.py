@@ -7,7 +7,11 @@ from pathlib import PurePosixPath
 
 AROUND = ("load", "init", "save", "score")
 """Stages that every method has around its own."""
-
+BEGAN, ENDED, BOOT = "training began", "training ended", "boot"
+"""Where an environment says when a case was trained (ISO 8601, UTC), and by a hash that changes with the
+machine and its every start, on which."""
+MOMENTS = (BEGAN, ENDED, BOOT)
+"""What differs between two runs of the same code in the same place."""
 
 TRUE_POSES = "none"
 """Level of pose noise of a case whose training views keep their poses."""
@@ -106,6 +110,11 @@ class Result:
     """Hash of the saved model's arrays."""
     curve: tuple[tuple[int, dict[str, float]], ...] = ()
     """Pairs (step, values by name) that were logged while training."""
+    counters: dict[str, int] = field(default_factory=dict)
+    """Work that was done, by name: steps, pairs (of Gaussian and tile, all views of the training),
+    densifications, rows_added, rows_removed, resets, see `splatproof.methods.training.counts`; and
+    render_pairs (of the held-out views). The same bits of code, data, seed and SIMD level give the
+    same numbers, however busy the machine is. Without what a method or backend does not count."""
     environment: dict[str, str] = field(default_factory=dict)
     """Versions, git commit, machine, threads, SIMD level, backend."""
     scene_facts: dict[str, str] = field(default_factory=dict)

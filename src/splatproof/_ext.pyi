@@ -161,6 +161,9 @@ def memory() -> tuple[int, int, int]:
 def forget_peak() -> None:
     """The most in use starts again at what is in use now."""
 
+def pairs_listed() -> int:
+    """Pairs of Gaussian and tile of all pictures of this process so far."""
+
 def set_backward_rows(count: int) -> None:
     """Pairs of Gaussian and tile whose gradients a backward pass holds at once."""
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.suites.studies import memory, partition, priors, seen, size, size_plot, stability
+from splatproof.suites.studies.instructions import measure as instructions
 from splatproof.suites.studies.speed import measure as speed
 from splatproof.suites.studies.speed import page as speed_page
 
@@ -44,6 +45,12 @@ STUDIES = {
                  "disturbed_percent", "ok", "note"),
         rows=speed.rows, options=frozenset({"wait", "backend"}), pictures=speed.pictures,
         page=speed_page.page, logged=True,
+    ),
+    "instructions": Study(
+        description="instructions of fixed kernel work, counted by valgrind, against the baseline's",
+        columns=("workload", "instructions", "per_gaussian", "per_pair", "per_pixel", "per_anchor",
+                 "simd", "repeats", "change", "ok", "note"),
+        rows=instructions.rows,
     ),
     "partition": Study(
         description="partitions of a scene side by side: balance, cut, views a block",

@@ -84,6 +84,12 @@ def write_case(out: Path, case: Result, height: int = 60, width: int = 80) -> Pa
     """Write the folder of a case: record, truth, renders, error maps and a model file."""
     seed = f"seed{case.seed}"
     folder = out / case.suite / case.scene / case.method / case.protocol / seed
+    return fill_folder(folder, case, height, width)
+
+
+def fill_folder(folder: Path, case: Result, height: int = 60, width: int = 80) -> Path:
+    """Write record, truth, renders, error maps and a model file of a case into a folder."""
+    seed = f"seed{case.seed}"
     for image in case.images:
         truth = photo(case.scene + image.name, height, width)
         noise = generator(case.method, seed).normal(0, 12, truth.shape)

@@ -21,6 +21,7 @@ def test_a_result_as_plain_data():
             metrics={"psnr": 20.123456789, "lpips": math.nan},
             environment={"cores": "2", "simd": "avx2", "python": "3"},
             bytes_on_disk=2**21,
+            counters={"steps": 2000, "pairs": 123_456_789_012},
             render_ms=20.0,
         )
     )
@@ -32,6 +33,7 @@ def test_a_result_as_plain_data():
         20.0,
     )
     assert (found.values["train_seconds"], found.values["cpu_seconds"]) == (33.0, 70.0)
+    assert found.counters == {"pairs": 123_456_789_012, "steps": 2000}  # exact, not rounded
     assert "lpips" not in found.values
     assert set(found.images) == set(NAMES)
     assert Measured(**json.loads(json.dumps(dataclasses.asdict(found)))) == found

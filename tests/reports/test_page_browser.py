@@ -1,44 +1,22 @@
 """The page in a real browser: it shows, slides and sorts, and asks the network for nothing."""
 
 import datetime
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from helpers import chromium
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.page import render_page
 from splatproof.reports.store import StoredResult
 
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium on the PATH; on Debian: apt-get install chromium"
-)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
+pytestmark = pytest.mark.skipif(chromium.CHROMIUM is None, reason=chromium.ABSENT)
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator:
-    with playwright.sync_playwright() as driver:
-        context = driver.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"), executable_path=CHROMIUM, args=FLAGS
-        )
-        yield context
-        context.close()
+    yield from chromium.started(tmp_path_factory.mktemp("profile"))
 
 
 @pytest.fixture(scope="module")

@@ -20,8 +20,10 @@ from helpers import case_folders
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.reference.types.result_json import result_to_json
 from splatproof.reports import run_data
+from splatproof.reports.executions import SUITE
 from splatproof.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
-from splatproof.reports.store import EXPERIMENTS, STATE, Picture, find_cases, read_results, sync
+from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
+from splatproof.reports.store import Picture, find_cases, read_results, sync
 
 KINDS: tuple[Picture, ...] = ("truth", "render", "error")
 REFUSING = "http://127.0.0.1:9"  # the discard port: nothing listens there
@@ -33,11 +35,12 @@ def uri(migrated: Path, tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'mlflow.db'}"
 
 
-def runs_of(uri: str) -> list:
-    """Every run of the suite that is not deleted, whatever its state."""
+def runs_of(uri: str, *, parents: bool = False) -> list:
+    """Every run of the suite's cases, or of its executions, that is not deleted."""
     client = open_client(uri)
     experiment = client.get_experiment_by_name(EXPERIMENTS + "quick")
-    return list(client.search_runs([experiment.experiment_id])) if experiment else []
+    runs = client.search_runs([experiment.experiment_id]) if experiment else []
+    return [run for run in runs if (run.data.tags[STATE] == SUITE) == parents]
 
 
 def write(out: Path, seed: int = 0, **changes: object) -> Path:
@@ -70,16 +73,16 @@ def test_what_mlflow_itself_shows(tmp_path: Path, uri: str):
     sync([folder], uri)
     (run,) = runs_of(uri)
     case = case_folders.result()
-    assert run.info.run_name == "quick/town/3dgs/ours_250/seed0"
+    assert run.info.run_name == "3dgs seed0 town ours_250"
     assert run.info.status == "FINISHED"
     assert run.data.metrics["psnr"] == case.metrics["psnr"]
-    assert run.data.metrics["seconds.train"] == case.stages["train"]
-    assert run.data.metrics["primitives"] == case.primitives
+    assert run.data.metrics["seconds/train"] == case.stages["train"]
+    assert run.data.metrics["cost/primitives"] == case.primitives
     assert run.data.params["settings.densify.grad_threshold"] == "0.0002"
     assert run.data.params["protocol_rules.rounding"] == "round"
     assert run.data.tags["environment.torch"] == "2.13.0"
     client = open_client(uri)
-    loss = client.get_metric_history(run.info.run_id, "curve.loss")
+    loss = client.get_metric_history(run.info.run_id, "curve/loss")
     assert [(m.step, m.value) for m in loss] == [(s, v["loss"]) for s, v in case.curve]
     listed = {file.path for file in client.list_artifacts(run.info.run_id)}
     assert listed == {"record.json", "renders", "truth", "errors", "model"}
@@ -90,7 +93,7 @@ def test_more_values_than_one_batch_takes(tmp_path: Path, uri: str):
     settings = {f"s{i}": "x" * 7000 for i in range(150)}
     sync([write(tmp_path, curve=curve, settings=settings)], uri)
     (run,) = runs_of(uri)
-    assert len(open_client(uri).get_metric_history(run.info.run_id, "curve.loss")) == 1500
+    assert len(open_client(uri).get_metric_history(run.info.run_id, "curve/loss")) == 1500
     assert len([name for name in run.data.params if name.startswith("settings.")]) == 150
     assert read_results(uri)[0].result.settings == settings
 

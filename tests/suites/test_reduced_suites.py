@@ -3,14 +3,13 @@
 import pytest
 
 from helpers.printed_rows import judged_in_reduced_form, rows_of
-from helpers.real_scenes import real_scene
 from splatproof.suites.suite_files import load_suite
 
 SEAMS = ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage")
 
 
+@pytest.mark.needs_scene("brighton_beach")
 def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
-    real_scene("brighton_beach")
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     rows = rows_of(["run", "city", "--quick", "--out", str(tmp_path)], capsys)
     assert len(rows) == len(load_suite("city-quick").cases)

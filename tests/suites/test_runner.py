@@ -69,6 +69,7 @@ def test_a_case_leaves_a_whole_record_and_pictures(tmp_path):
     assert result.cpu_seconds > 0
     assert result.render_ms > 0
     assert result.environment["backend"] == "reference"
+    assert result.counters == {}  # neither this method nor this backend counts
     assert result.left_out == (("blurred.jpg", "did not register"),)
     for kind in ("renders", "truth", "errors"):
         assert sorted(p.name for p in (outcome.folder / kind).iterdir()) == ["0.png", "3.png"]

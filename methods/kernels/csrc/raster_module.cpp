@@ -205,6 +205,7 @@ void bind_raster(nb::module_& m) {
     return std::make_tuple(now.held, now.peak, now.idle);
   }, "Bytes of scratch in use, most in use at once, and kept for later.");
   m.def("forget_peak", &forget_peak, "The most in use starts again at what is in use now.");
+  m.def("pairs_listed", &pairs_listed, "Pairs of Gaussian and tile of all pictures of this process so far.");
   m.def("set_backward_rows", &set_backward_rows, nb::arg("count"),
         "Pairs of Gaussian and tile whose gradients a backward pass holds at once.");
 }

@@ -12,6 +12,7 @@ namespace splat {
 namespace {
 
 std::atomic<size_t> most_rows{(size_t)1 << 22};  // 256 MB at 3 channels
+std::atomic<uint64_t> listed{0};
 
 // First tiles of runs of tiles that hold at most `most` pairs each (or are a single tile), and the end.
 std::vector<int> bands_of(const Bins& bins, int tiles, size_t most) {
@@ -23,6 +24,8 @@ std::vector<int> bands_of(const Bins& bins, int tiles, size_t most) {
 }
 
 }  // namespace
+
+uint64_t pairs_listed() { return listed; }
 
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
@@ -55,6 +58,7 @@ void lay_out(const Model& model, float* radii, int threads, State& state) {
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
   clock.lap(STAGE_PROJECT);
   bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
+  listed += state.bins.entries.size();
   clock.lap(STAGE_BIN);
 }
 

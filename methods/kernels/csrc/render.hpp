@@ -29,6 +29,10 @@ struct State {
 void lay_out(const Model& model, float* radii, int threads, State& state);
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state);
 
+// Pairs of Gaussian and tile that all pictures of this process so far were made of: work that does not depend on
+// the machine's load, nor on threads.
+uint64_t pairs_listed();
+
 // Pairs of Gaussian and tile whose gradients are held at once by every backward pass from now on. Fewer take less
 // memory and more time; the result has the same bits.
 void set_backward_rows(size_t count);

@@ -1,6 +1,7 @@
 """Lock files: one process at a time; the kernel frees them when the process ends, however it ends."""
 
 import fcntl
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,3 +47,18 @@ def lock(file: IO[Any], *, busy: str = "") -> None:
         fcntl.flock(file, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0))
     except BlockingIOError:
         raise UsageError(busy) from None
+
+
+@contextmanager
+def locked_folder(path: Path) -> Iterator[None]:
+    """Hold a lock on a folder while the block runs, waiting for it; nothing is written.
+
+    Args:
+        path: A folder that can be read.
+    """
+    held = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(held)

@@ -95,6 +95,21 @@ COMMANDS = {
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
     ),
+    "dashboard": Command(
+        module="dashboard",
+        functions={"": "dashboard"},
+        help="Show leaderboards, histories, claims, plots and pictures of a store in the browser.",
+    ),
+    "compare": Command(
+        module="compare",
+        functions={"": "compare"},
+        help="Say what got better, worse or stayed equal between two sets of results.",
+    ),
+    "baseline": Command(
+        module="baseline",
+        functions={"save": "save", "list": "list_saved", "bands": "bands"},
+        help="Freeze results in a file, list such files, measure the noise of metrics.",
+    ),
     "published": Command(
         module="published",
         functions={"": "published"},

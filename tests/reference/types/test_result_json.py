@@ -40,6 +40,7 @@ fields = st.fixed_dictionaries(
     | dict.fromkeys(sizes, numbers)
     | dict.fromkeys(("metrics", "stages"), table)
     | dict.fromkeys(("protocol_rules", "settings"), st.dictionaries(names, free, max_size=3))
+    | {"counters": st.dictionaries(names, st.integers(), max_size=3)}
     | dict.fromkeys(("environment", "scene_facts"), st.dictionaries(names, names, max_size=2))
     | {
         "images": st.lists(image, max_size=3),
@@ -82,6 +83,15 @@ def test_a_record_from_before_a_rule_was_made_by_its_default():
     older = {name: rule for name, rule in rules.items() if name not in ("max_width", "hold")}
     for stored in (older, rules):
         assert result_from_json(changed(protocol_rules=stored), "r").protocol_rules == rules
+
+
+def test_a_record_from_before_work_was_counted_has_no_counters():
+    older = json.loads(result_to_json(a_result()))
+    del older["counters"]
+    assert result_from_json(json.dumps(older), "r") == result_from_json(changed(), "r")
+    assert result_from_json(changed(counters={"pairs": 3}), "r").counters == {"pairs": 3}
+    with pytest.raises(DataError, match="counters.pairs: expected int, found float"):
+        result_from_json(changed(counters={"pairs": 3.5}), "r")
 
 
 def test_every_field_stands_under_its_own_name():

@@ -223,7 +223,7 @@ def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
         model=of.model, blocks=of.blocks, distances=of.distances, regions=BOXED,
         block_facts=facts, packed=b"12345",
     )  # fmt: skip
-    plain, _ = score_views(scene(), model, PROTOCOL, tmp_path)
+    plain = score_views(scene(), model, PROTOCOL, tmp_path)
     images, found = city_scores(scene(), model, PROTOCOL, plain, tmp_path)
     assert found["seam_psnr"] == scores(of, tmp_path)[1]["seam_psnr"]
     assert found["seconds_max_over_mean"] == pytest.approx(2 / 1.5)

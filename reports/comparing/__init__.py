@@ -1,0 +1,1 @@
+"""Two sides of results compared: what got better, equal or worse, and what cannot be said."""

@@ -1,0 +1,1 @@
+"""`bench dashboard`: one page over a whole store, served on this machine or written as plain files."""

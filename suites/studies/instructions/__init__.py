@@ -1,0 +1,1 @@
+"""How many instructions fixed pieces of kernel work take, counted by valgrind."""
