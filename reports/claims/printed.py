@@ -59,7 +59,14 @@ def effect_of(
 
 
 def source_of(paper: str, cells: Cells, numbers: Numbers, where: str) -> str:
-    """Table and printed cells in words: "table 3: psnr 29.74, 28.11"; a mean says over how many scenes."""
+    """Table and printed cells in words: "table 3: psnr 29.74, 28.11"; a mean says over how many scenes.
+
+    Args:
+        paper: As in the numbers.
+        cells: Which values.
+        numbers: All published values.
+        where: File and claim, for errors.
+    """
     row, other = sides(paper, cells, numbers, where)
     name = f"table{'s' if len(cells.tables) > 1 else ''} {', '.join(cells.tables)}"
     digits = 4 if len(row) > 1 else 6  # printed values as they are, means as far as it matters
@@ -72,7 +79,16 @@ Sides = tuple[dict[tuple[str, str], float], dict[tuple[str, str], float]]
 
 
 def sides(paper: str, cells: Cells, numbers: Numbers, where: str) -> Sides:
-    """Printed values of both rows by (data set, scene). Raises: see `effect_of`."""
+    """Printed values of both rows by (data set, scene).
+
+    Args:
+        paper: As in the numbers.
+        cells: Which values.
+        numbers: All published values.
+        where: File and claim, for errors.
+
+    Raises: UsageError, see `effect_of`.
+    """
     row = _values(paper, cells, cells.row, numbers, where)
     other = _values(paper, cells, cells.other, numbers, where) if cells.other else {}
     named = [{"dataset", "scene"} & side.keys() for side in (cells.row, cells.other)]

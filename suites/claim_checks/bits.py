@@ -27,7 +27,12 @@ class Stopped(Exception):
 
 
 def differing(one: bytes, other: bytes) -> int:
-    """How many bytes of two files differ; what one is longer counts too."""
+    """How many bytes of two files differ; what one is longer counts too.
+
+    Args:
+        one: A file.
+        other: Another one.
+    """
     common = min(len(one), len(other))
     a, b = (np.frombuffer(data[:common], dtype=np.uint8) for data in (one, other))
     return int((a != b).sum()) + abs(len(one) - len(other))
@@ -61,29 +66,29 @@ def twice(one: Fit, other: Fit, how: str) -> Callable[[bool, Path], Measurement]
     return measure
 
 
-def straight(method: str, steps: int, folder: Path, *, seed: int = 0, threads: int = 1) -> bytes:
+def _straight(method: str, steps: int, folder: Path, *, seed: int = 0, threads: int = 1) -> bytes:
     """A fit from beginning to end, without a checkpoint."""
     return stored(fit(method, steps, Run(seed=seed, threads=threads)), folder)
 
 
 @functools.cache
-def _once(method: str, steps: int) -> bytes:
+def _kept(method: str, steps: int) -> bytes:
     with tempfile.TemporaryDirectory(prefix="splatproof-") as folder:
-        return straight(method, steps, Path(folder))
+        return _straight(method, steps, Path(folder))
 
 
-def once(method: str, steps: int, folder: Path) -> bytes:
+def _once(method: str, steps: int, folder: Path) -> bytes:
     """A straight fit on one thread, shared by the checks that hold another against it."""
     del folder
-    return _once(method, steps)
+    return _kept(method, steps)
 
 
-def on_two_threads(method: str, steps: int, folder: Path) -> bytes:
+def _on_two_threads(method: str, steps: int, folder: Path) -> bytes:
     """The same on two threads."""
-    return straight(method, steps, folder, threads=2)
+    return _straight(method, steps, folder, threads=2)
 
 
-def broken_off(method: str, steps: int, folder: Path) -> bytes:
+def _broken_off(method: str, steps: int, folder: Path) -> bytes:
     """A fit that ends by an error half-way, and is continued from its checkpoint."""
     reached = False
 
@@ -108,7 +113,11 @@ def broken_off(method: str, steps: int, folder: Path) -> bytes:
 
 
 def in_memory(model: Gaussians) -> str:
-    """Hash of all tensors of a model."""
+    """Hash of all tensors of a model.
+
+    Args:
+        model: What is hashed.
+    """
     digest = hashlib.sha256()
     for name in FIELDS:
         digest.update(getattr(model, name).contiguous().numpy().tobytes())
@@ -119,7 +128,7 @@ def _unpack(connection: Connection, path: Path) -> None:
     connection.send(in_memory(read_packed(path, threads=2)[0]))
 
 
-def elsewhere(reduced: bool, folder: Path) -> Measurement:
+def _elsewhere(reduced: bool, folder: Path) -> Measurement:
     """1 where a packed file decodes to other bits in another process on other threads, else 0."""
     model = fit("3dgs", QUICK_STEPS if reduced else STEPS, Run(threads=1))
     assert isinstance(model, ExplicitModel)
@@ -135,7 +144,7 @@ def elsewhere(reduced: bool, folder: Path) -> Measurement:
     )
 
 
-def ply(reduced: bool, folder: Path) -> Measurement:
+def _ply(reduced: bool, folder: Path) -> Measurement:
     """1 where a .ply does not give back the bits of the model that was written, else 0."""
     model = fit("3dgs", QUICK_STEPS if reduced else STEPS, Run(threads=1))
     assert isinstance(model, ExplicitModel)
@@ -149,20 +158,20 @@ def ply(reduced: bool, folder: Path) -> Measurement:
     )
 
 
-def other_seed(method: str, steps: int, folder: Path) -> bytes:
+def _other_seed(method: str, steps: int, folder: Path) -> bytes:
     """The control: another seed gives another model."""
-    return straight(method, steps, folder, seed=1)
+    return _straight(method, steps, folder, seed=1)
 
 
 BITS = {
-    "same_seed": Check(measure=twice(once, straight, "one seed twice"), unit="bytes",
+    "same_seed": Check(measure=twice(_once, _straight, "one seed twice"), unit="bytes",
                        seconds=(12.0, 4.0)),
-    "other_seed": Check(measure=twice(once, other_seed, "two seeds"), unit="bytes",
+    "other_seed": Check(measure=twice(_once, _other_seed, "two seeds"), unit="bytes",
                         seconds=(12.0, 4.0)),
-    "continued": Check(measure=twice(once, broken_off, "straight, and stopped half-way"),
+    "continued": Check(measure=twice(_once, _broken_off, "straight, and stopped half-way"),
                        unit="bytes", seconds=(14.0, 5.0)),
-    "threads": Check(measure=twice(once, on_two_threads, "one thread and two"), unit="bytes",
+    "threads": Check(measure=twice(_once, _on_two_threads, "one thread and two"), unit="bytes",
                      seconds=(12.0, 4.0)),
-    "packed_elsewhere": Check(measure=elsewhere, unit="", seconds=(8.0, 5.0)),
-    "ply_copy": Check(measure=ply, unit="bytes", seconds=(4.0, 2.0)),
+    "packed_elsewhere": Check(measure=_elsewhere, unit="", seconds=(8.0, 5.0)),
+    "ply_copy": Check(measure=_ply, unit="bytes", seconds=(4.0, 2.0)),
 }  # fmt: skip

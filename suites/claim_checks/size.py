@@ -20,7 +20,11 @@ OURS = f"gate {FileSettings().gate}"
 
 @functools.cache
 def model(steps: int) -> ExplicitModel:
-    """The model that every format stores."""
+    """The model that every format stores.
+
+    Args:
+        steps: Number of its training steps.
+    """
     found = fit("3dgs", steps, Run(), {})
     assert isinstance(found, ExplicitModel)
     return found
@@ -62,7 +66,12 @@ def smaller(than: str, reduced: bool, folder: Path) -> Measurement:
 
 
 def lost(reduced: bool, folder: Path) -> Measurement:
-    """PSNR in dB that the packed file's model has less than the trained one on held-out views."""
+    """PSNR in dB that the packed file's model has less than the trained one on held-out views.
+
+    Args:
+        reduced: See `row`.
+        folder: See `row`.
+    """
     ours = row(OURS, reduced, folder)
     return Measurement(
         values=(-ours["psnr_change"],),

@@ -15,7 +15,7 @@ from splatproof.reference.types.scene import Scene
 
 SCENE, PROTOCOL = "courtyard", "quick"
 DENSITY = {"density": Density(least_interval=10)}
-"""Of runs as short as these: something is densified all the same."""
+"""Settings of 3dgs by which something is densified in runs as short as these."""
 SETTINGS: dict[str, dict[str, Any]] = {"3dgs": DENSITY, "scaffold-gs": {}}
 
 

@@ -332,7 +332,7 @@ def test_the_page_begins_with_what_went_against_a_paper():
     assert "| this project | 2 |  |  |  |  | 2 |  |  |" in text
     head, rest = text.split("## P\n")
     assert head.index("What came out against its claim") < head.index(
-        "❌ contradicted | a is better"
+        "| **contradicted** | **a is better**"
     )
     assert "[a](i/a.jpg) [curves](i/curves.png) [s](s.md#pictures)" in head
     assert "- **method c is not built**\n  - c is better | much: +1" in rest

@@ -34,7 +34,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(size, "QUICK_STEPS", STEPS)
     monkeypatch.setattr(bits, "SETTINGS", {"3dgs": trained.DENSITY})
     monkeypatch.setattr(trained, "scene", tiny_scene)
-    bits._once.cache_clear()
+    bits._kept.cache_clear()
     size.model.cache_clear()
 
 
