@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from helpers.flat_ground import (
     FOCAL,
@@ -15,11 +16,20 @@ from helpers.flat_ground import (
     plane_points,
     view,
 )
-from splatproof.datasets.seen import seen_pixels
+from splatproof.datasets import seen
 from splatproof.reference.types.scene import SparsePoints, View
 
 
-def overlap(shift: float) -> torch.Tensor:
+def seen_pixels(
+    scored: View, training: list[View], points: SparsePoints, number: int = 0
+) -> Tensor:
+    """`seen.seen_pixels` where something is known."""
+    found = seen.seen_pixels(scored, training, points, number)
+    assert found is not None
+    return found
+
+
+def overlap(shift: float) -> Tensor:
     """Columns of the view at 0 whose ground the one at `shift` shows: x + 0.5 - FOCAL shift / GROUND >= 0."""
     columns = torch.arange(WIDTH) + 0.5 - FOCAL * shift / GROUND
     return ((columns >= 0) & (columns < WIDTH)).expand(HEIGHT, WIDTH)
@@ -27,15 +37,13 @@ def overlap(shift: float) -> torch.Tensor:
 
 @pytest.mark.parametrize("shift", [-5.0, 0.0, 3.0, 7.05])
 def test_with_true_depth_a_plane_is_seen_where_the_images_overlap(shift):
-    found = seen_pixels(view(0, PLANE), [view(shift, PLANE)], plane_points(), 0)
-    assert found is not None
+    found = seen_pixels(view(0, PLANE), [view(shift, PLANE)], plane_points())
     assert torch.equal(found, overlap(shift))
 
 
 @pytest.mark.parametrize("shift", [-5.0, 0.0, 3.0])
 def test_without_it_a_plane_is_seen_where_the_images_may_overlap(shift):
-    found = seen_pixels(view(0), [view(shift)], plane_points(), 0)
-    assert found is not None
+    found = seen_pixels(view(0), [view(shift)], plane_points())
     # a point at 0.8 to 1.25 of its depth moves by up to a quarter of the shift in pixels
     certain, possible = overlap(shift), overlap(0.8 * shift)
     assert (found | ~certain).all()
@@ -43,13 +51,13 @@ def test_without_it_a_plane_is_seen_where_the_images_may_overlap(shift):
 
 
 def test_a_view_that_looks_elsewhere_shows_nothing():
-    assert not seen_pixels(view(0), [view(100.0)], plane_points(), 0).any()
-    assert not seen_pixels(view(0, PLANE), [view(100.0, PLANE)], plane_points(), 0).any()
+    assert not seen_pixels(view(0), [view(100.0)], plane_points()).any()
+    assert not seen_pixels(view(0, PLANE), [view(100.0, PLANE)], plane_points()).any()
 
 
 def test_more_photos_never_show_less():
-    few = seen_pixels(view(0, PLANE), [view(4.0, PLANE)], plane_points(), 0)
-    more = seen_pixels(view(0, PLANE), [view(4.0, PLANE), view(-9.0, PLANE)], plane_points(), 0)
+    few = seen_pixels(view(0, PLANE), [view(4.0, PLANE)], plane_points())
+    more = seen_pixels(view(0, PLANE), [view(4.0, PLANE), view(-9.0, PLANE)], plane_points())
     assert (more | ~few).all()
     assert more.sum() > few.sum()
 
@@ -57,7 +65,7 @@ def test_more_photos_never_show_less():
 def test_what_stands_before_a_surface_hides_it():
     wall = PLANE.clone()
     wall[:, 20:40] = 4.0  # of the photo; the scored view beside it looks past the wall
-    found = seen_pixels(view(0, PLANE), [view(0, wall)], plane_points(), 0)
+    found = seen_pixels(view(0, PLANE), [view(0, wall)], plane_points())
     assert found[:, :19].all()
     assert not found[:, 21:39].any()
 
@@ -65,8 +73,8 @@ def test_what_stands_before_a_surface_hides_it():
 def test_sky_is_seen_where_a_photo_has_sky():
     sky = PLANE.clone()
     sky[:30] = torch.inf
-    assert seen_pixels(view(0, sky), [view(3.0, sky)], plane_points(), 0)[:29].all()
-    found = seen_pixels(view(0, sky), [view(3.0, PLANE)], plane_points(), 0)
+    assert seen_pixels(view(0, sky), [view(3.0, sky)], plane_points())[:29].all()
+    found = seen_pixels(view(0, sky), [view(3.0, PLANE)], plane_points())
     assert not found[:29].any()
 
 
@@ -76,15 +84,15 @@ def test_what_moves_is_seen_where_a_photo_looks_whatever_stands_there_then():
     moving = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
     moving[20:30, 20:40] = True
     scored = view(0, car)
-    assert not seen_pixels(scored, [view(0, PLANE)], plane_points(), 0)[21:29, 21:39].any()
+    assert not seen_pixels(scored, [view(0, PLANE)], plane_points())[21:29, 21:39].any()
     known = replace(scored, load_moving=lambda: {"vehicles": moving})
-    assert seen_pixels(known, [view(0, PLANE)], plane_points(), 0).all()
-    assert not seen_pixels(known, [view(90, PLANE)], plane_points(), 0).any()
+    assert seen_pixels(known, [view(0, PLANE)], plane_points()).all()
+    assert not seen_pixels(known, [view(90, PLANE)], plane_points()).any()
 
 
 def test_a_view_that_trains_itself_is_seen_whole():
     own = view(0, PLANE)
-    assert seen_pixels(own, [own], plane_points(), 0).all()
+    assert seen_pixels(own, [own], plane_points()).all()
 
 
 def test_points_of_the_views_own_track_are_asked_first():
@@ -105,7 +113,7 @@ def test_points_of_the_views_own_track_are_asked_first():
 
 
 def test_too_few_points_say_nothing():
-    assert seen_pixels(view(0), [view(0)], plane_points(5), 0) is None
+    assert seen.seen_pixels(view(0), [view(0)], plane_points(5), 0) is None
 
 
 def test_a_large_image_is_looked_at_coarsely():
@@ -118,7 +126,7 @@ def test_a_large_image_is_looked_at_coarsely():
         View(name=name, camera=camera, load=lambda: depth, load_depth=lambda: depth)
         for name, camera in (("a", large), ("b", beside))
     ]
-    found = seen_pixels(views[0], views[1:], plane_points(), 0)
+    found = seen_pixels(views[0], views[1:], plane_points())
     assert found.shape == depth.shape
     exact = torch.arange(WIDTH * 6) + 0.5 >= 6 * FOCAL * 3.0 / GROUND
     assert (found != exact).double().mean() < 3 / (WIDTH * 6)

@@ -34,5 +34,7 @@ def test_a_scene_that_is_not_here_is_noted(monkeypatch, tmp_path):
 def test_the_picture_shows_what_is_not_seen_in_red(tmp_path, monkeypatch):
     monkeypatch.setattr(seen, "open_scene", lambda *_: flat_scene(0.0, 3.0))
     (path,) = seen.draw([{"scene": "plane", "protocol": "quick"}], tmp_path)
-    picture = cv2.imread(str(path)).astype(int)
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    picture = picture.astype(int)
     assert ((picture[..., 2] > picture[..., 1] + 60).mean()) > 0.02
