@@ -84,8 +84,8 @@ def case_record(result: Result, pictures: Pictures | None = None) -> CaseRecord:
     return CaseRecord(
         suite=result.suite,
         measured=measured(result),
-        settings={name: _plain(value) for name, value in flatten(result.settings)},
-        rules={name: _plain(value) for name, value in flatten(result.protocol_rules)},
+        settings={name: plain(value) for name, value in flatten(result.settings)},
+        rules={name: plain(value) for name, value in flatten(result.protocol_rules)},
         environment=dict(result.environment),
         data={k: _short(v) for k, v in result.scene_facts.items() if k.endswith(DATA_ENDS)},
         split=_short(result.split_sha256),
@@ -100,9 +100,13 @@ def _not_finite(metrics: Mapping[str, float]) -> dict[str, str]:
     return {name: str(value) for name, value in metrics.items() if not math.isfinite(value)}
 
 
-def _plain(value: object) -> object:
-    """A value as JSON gives it back: lists for tuples."""
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+def plain(value: object) -> object:
+    """A value as JSON gives it back: lists for tuples.
+
+    Args:
+        value: Anything that JSON holds, or tuples of it.
+    """
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _short(sha: str) -> str:

@@ -2,12 +2,15 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 
-from splatproof.reports.comparing.cases import CaseRecord
+from splatproof.reference.types.protocol import Protocol
+from splatproof.reports.comparing.cases import CaseRecord, plain
 
 SCORING_ADDS = ("name", "source", "metrics", "parts", "colour_fit")
 """Rules of a protocol that change no score, but which scores there are and what it is called."""
+USUAL = {rule.name: plain(rule.default) for rule in fields(Protocol) if rule.default is not MISSING}
+"""What a rule is that a record does not name, since it was made before there was that rule."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,14 +151,14 @@ def _fault(group: Group) -> str:
     """Why the cases of a group must not be compared; empty where they may be."""
     one = group.base[0]
     for other in (*group.base[1:], *group.new):
-        names = sorted(one.rules.keys() | other.rules.keys())
+        ours, theirs = USUAL | one.rules, USUAL | other.rules
         rules = [
-            name for name in names
-            if name.split(".")[0] not in SCORING_ADDS and one.rules.get(name) != other.rules.get(name)
+            name for name in sorted(ours.keys() | theirs.keys())
+            if name.split(".")[0] not in SCORING_ADDS and ours.get(name) != theirs.get(name)
         ]  # fmt: skip
         pair = f"({_place(group, one)} and {_place(group, other)})"
         if rules:
-            told = ", ".join(f"{n} {one.rules.get(n)!r}, {other.rules.get(n)!r}" for n in rules)
+            told = ", ".join(f"{n} {ours.get(n)!r}, {theirs.get(n)!r}" for n in rules)
             return f"other rules of the protocol: {told} {pair}"
         if one.split != other.split:
             return f"other training or test views {pair}"

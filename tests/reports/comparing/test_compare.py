@@ -130,6 +130,17 @@ def test_a_rule_that_adds_scores_keeps_the_others_comparable():
     assert {one.name for one in found.differing if one.kind == "protocol"} == {"metrics", "parts"}
 
 
+def test_records_from_before_there_was_a_rule_compare_with_those_that_have_it_as_usual():
+    base, new = drawn_pair(0)
+
+    def ruled(**rules):
+        cases = tuple(dataclasses.replace(c, rules=c.rules | rules) for c in new.cases)
+        return compare(base, dataclasses.replace(new, cases=cases), bands=BANDS)
+
+    assert not ruled(region="full").not_comparable
+    assert ruled(region="right_half").not_comparable
+
+
 def test_a_metric_of_one_side_is_said_by_name():
     base, new = drawn_pair(0)
     scores = {"psnr": np.arange(8.0)}
