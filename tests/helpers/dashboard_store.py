@@ -10,7 +10,7 @@ from splatproof.reference.types.result import Result
 
 HOSTILE = "<img src=x onerror=alert(1)>'\"& \u202eevil"
 """A variant that is markup, has both quotes and turns the direction of writing."""
-COMMITS = ("1111111aaaa", "2222222bbbb")
+COMMITS = ("1111111aaa", "2222222bbb")
 GAIN = 0.8
 """dB that method 3dgs gains from the first commit to the second."""
 

@@ -103,7 +103,7 @@ def test_undecided_is_shown_and_fails_where_that_is_asked_for(
     project: pytest.Pytester, changed: Change
 ):
     saved(project)
-    changed("0.01", "0.0101")
+    changed("+ WRONG", "+ 0.3 * (run.seed - 1)")  # lighter, the same and darker
     result = project.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*= splatproof =*", "*undecided against base.json:*"])

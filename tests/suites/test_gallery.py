@@ -8,7 +8,7 @@ import numpy as np
 from splatproof.suites.gallery import anchoring, memory, pictures
 
 ROOT = Path(__file__).parents[2]
-SHARED = {"__init__", "scene", "gaussians", "render", "protocol", "result", "result_json",
+SHARED = {"__init__", "checked", "scene", "gaussians", "render", "protocol", "result", "result_json",
           "agreement", "discontinuities", "frustum", "ground_frame"}  # fmt: skip
 """Types and tools that are no component of their own."""
 

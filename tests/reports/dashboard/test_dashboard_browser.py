@@ -241,7 +241,7 @@ def test_comparing_says_better_and_what_changed(page: Page):
     )
     by_commit = dict(sides)
     page.go(f"#/compare?a={by_commit[COMMITS[0]]}&b={by_commit[COMMITS[1]]}")
-    assert set(page.texts("tbody .verdict")) == {"better"}
+    assert {"better"} < set(page.texts("tbody .verdict")) <= {"better", "equal", "not judged"}
     assert COMMITS[1] in "".join(page.texts("main td"))
     page.tab.locator("a.button", has_text="Swap").click()
     page.until("document.querySelector('tbody .verdict')?.textContent === 'worse'")
@@ -348,7 +348,7 @@ def test_the_static_page_has_the_same_from_disk(from_disk: Page):
     from_disk.tab.locator(".row .label", has_text="3dgs").first.click()
     from_disk.tab.locator("table .verdict.better").wait_for()
     from_disk.tab.locator("td a", has_text="compare").first.click()
-    assert set(from_disk.texts("tbody .verdict")) == {"better"}
+    assert {"better"} < set(from_disk.texts("tbody .verdict")) <= {"better", "equal", "not judged"}
     from_disk.go("#/plots")
     from_disk.tab.locator(".js-plotly-plot .point").first.wait_for()
 
