@@ -186,6 +186,7 @@ def test_a_baseline_holds_several_suites(project: pytest.Pytester):
     project.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(passed=1)
 
 
+@pytest.mark.slow  # three starts of python, each with all imports
 def test_processes_of_xdist_run_each_case_once(project: pytest.Pytester):
     """Two workers ask for the same suite at once; both pass, and each record is written once."""
     text = CHECK.replace("def test_mine", "def test_{}")

@@ -96,6 +96,7 @@ def test_the_same_code_is_identical(now: Side, tmp_path: Path):
     assert {one.verdict for one in found.counters} == {"same"}
 
 
+@pytest.mark.slow  # as long as a planted fault, and rarer news
 def test_other_seeds_are_not_called_worse(baseline: Side, tmp_path: Path):
     found = compare(baseline, run(tmp_path, (3, 4, 5)))
     assert not found.regressions, told(found)
