@@ -39,7 +39,7 @@ def build_tables(results: Iterable[Result]) -> list[Table]:
         results: Results of any suites, scenes, methods, seeds and protocols; failed ones included.
             Where several are of one case, the last counts.
     Returns: For each suite and protocol first the means over scenes, where the suite has several
-        scenes, then its scenes by name.
+        scenes, then its scenes by name; means that no row has yet come last.
     Raises: DataError where a protocol names no metric.
     """
     found = {run_data.case_key(result): result for result in results}
@@ -62,7 +62,9 @@ def _protocol_tables(images: pd.DataFrame, found: Found, warnings: list[str]) ->
     declared = sorted({scene for case in labels for scene in found[case].suite_scenes})
     if len(declared) < 2:
         return scenes
-    return [_mean_table(scenes, declared, warnings), *scenes]
+    means = _mean_table(scenes, declared, warnings)
+    # nobody opens a page to see that there is nothing yet
+    return [means, *scenes] if any(row.cells for row in means.rows) else [*scenes, means]
 
 
 def _labels(images: pd.DataFrame) -> dict[str, str]:

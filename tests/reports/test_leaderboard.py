@@ -172,6 +172,11 @@ def test_the_mean_is_given_only_where_every_declared_scene_is_there():
     assert rows(town)["partial"].rank is not None
 
 
+def test_a_table_of_means_that_no_row_has_yet_is_not_the_first():
+    tables = build_tables(of(seeds(), suite_scenes=("beach", "town")))
+    assert [table.scene for table in tables] == ["town", ""]
+
+
 def test_a_suite_of_one_scene_or_of_undeclared_scenes_has_no_mean():
     assert [t.scene for t in build_tables(of(seeds(), suite_scenes=("town",)))] == ["town"]
     assert [t.scene for t in build_tables([*seeds(), *seeds(scene="b")])] == ["b", "town"]
@@ -182,7 +187,7 @@ def test_the_mean_takes_the_seeds_that_every_scene_has():
     mean = build_tables(of(some, suite_scenes=("beach", "town")))[0]
     assert mean.rows[0].seeds == 3
     apart = [*seeds(1, scene="town"), result(scene="beach", seed=5)]
-    mean = build_tables(of(apart, suite_scenes=("beach", "town")))[0]
+    mean = build_tables(of(apart, suite_scenes=("beach", "town")))[-1]
     assert mean.rows[0].note == "no mean: its scenes share no seed"
 
 
