@@ -89,6 +89,7 @@ def test_the_record_says_how_gradients_were_computed_and_curves_name_the_terms(s
         assert terms <= set(last["values"])
 
 
+@pytest.mark.slow  # many kills; tests/suites/test_kill.py has those of our own methods
 def test_killed_and_continued_is_the_same_to_the_bit(straight, environment, tmp_path):
     folder, _ = straight
     killed = prepared(tmp_path / "killed")

@@ -21,7 +21,8 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
     assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
 
 
-@pytest.mark.parametrize("study", ["stability", "speed"])
+# every twin in a process of its own, each with all imports: a minute
+@pytest.mark.parametrize("study", ["stability", pytest.param("speed", marks=pytest.mark.slow)])
 def test_studies_pass_in_their_reduced_form(study: str, tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     rows = rows_of(["study", study, "--quick", "--out", str(tmp_path)], capsys)

@@ -54,8 +54,8 @@ def list_scenes(
     for column in ("name", "kind", "licence", "present", "path"):
         table.add_column(column, overflow="fold")
     for entry, path in rows:
-        present = "yes" if path else "makes itself" if entry.kind == "made" else "no"
-        table.add_row(entry.name, entry.kind, entry.licence, present, str(path or ""))
+        here = "yes" if path else "makes itself" if entry.kind == "made" else "no"
+        table.add_row(entry.name, entry.kind, entry.licence, here, str(path or ""))
     # a pipe has no width of its own: nothing is folded there
     width = None if sys.stdout.isatty() else 240
     Console(highlight=False, markup=False, width=width).print(table)

@@ -56,7 +56,10 @@ def test_what_is_visible_is_what_triangles_say(world, density):
     assert len(truth.visible_surface(caster, cloud, training)) == (counts > 0).sum()
 
 
-@pytest.mark.parametrize(("world", "density"), [("city", 2.0), ("aerial-sparse", 2.0)])
+@pytest.mark.parametrize(
+    ("world", "density"),
+    [("city", 2.0), pytest.param("aerial-sparse", 2.0, marks=pytest.mark.slow)],
+)
 def test_blind_facades_are_hidden_from_every_training_view(world, density):
     caster, training, tests = stage_of(world)
     cloud = truth.surface_cloud(caster.world, density, 0)

@@ -39,6 +39,7 @@ def unbounded():
     return {shot.name: picture(plan, shot) for shot in shots}
 
 
+@pytest.mark.slow  # half a minute of rays
 def test_the_frames_do_not_depend_on_the_tiles_kept(unbounded):
     plan, shots = picked(replace(BLOCKS, tiles=2))
     for shot in reversed(shots):  # nor on the order of views

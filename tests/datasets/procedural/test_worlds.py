@@ -284,7 +284,17 @@ def test_an_aerial_scene_has_nine_views_to_train_on():
     assert len(aerial.SCENES) == 8
 
 
-@pytest.mark.parametrize("kind", ["church", "mountain", "stadium", "factory", "park"])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "church",
+        "mountain",
+        *(pytest.param(kind, marks=SLOW) for kind in ("stadium", "factory", "park")),
+    ],
+)
 def test_aerial_worlds_differ_by_seed_and_are_alike_for_one(kind):
     a, b, other = (aerial.SCENES[kind](seed) for seed in (1, 1, 2))
     assert np.array_equal(a.vertices, b.vertices)
