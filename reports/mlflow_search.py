@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from splatproof.reports.mlflow_client import store_errors
+
 if TYPE_CHECKING:
     from mlflow.entities import Experiment, Run
     from mlflow.tracking import MlflowClient
@@ -45,7 +47,15 @@ def experiment_of(client: "MlflowClient", suite: str, location: str | None) -> "
     """
     name = EXPERIMENTS + suite
     found = client.get_experiment_by_name(name)
-    return found or client.get_experiment(client.create_experiment(name, location))
+    if found is not None:
+        return found
+    try:
+        return client.get_experiment(client.create_experiment(name, location))
+    except store_errors():
+        made = client.get_experiment_by_name(name)  # by another process, between the two calls
+        if made is None:
+            raise
+        return made
 
 
 def _pages(search: Callable[..., Any], **query: object) -> list[Any]:

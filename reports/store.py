@@ -49,6 +49,9 @@ FOLDERS = {"render": "renders", "truth": "truth", "error": "errors"}
 Picture = Literal["render", "truth", "error"]
 # metrics and params that MLflow takes in one batch
 METRICS_A_BATCH, PARAMS_A_BATCH, LONGEST_PARAM = 1000, 100, 6000
+TRIES = 2
+"""Times that what is said of a whole execution is written: two processes that write the same tag for the first
+time collide in the database, and the second try of the later one finds it there."""
 
 
 @dataclass(frozen=True)
@@ -272,15 +275,20 @@ class _Sync:
     def end(self) -> list[Failure]:
         """Finish the executions that were begun, here or by a process that was killed."""
         failures = []
-        try:
-            for suite, shown in self._shown.items():
-                write_views(self._client, self._experiment(suite), suite, shown)
-            for key, run in executions.unfinished(self._client).items():
-                if key in self._executions:
-                    self._finish(run, self._executions[key])
-        except store_errors() as error:
-            failures = [Failure(one.root, one_line(error)) for one in self._executions.values()]
+        for _ in range(TRIES):
+            try:
+                self._ended()
+                return []
+            except store_errors() as error:
+                failures = [Failure(one.root, one_line(error)) for one in self._executions.values()]
         return failures
+
+    def _ended(self) -> None:
+        for suite, shown in self._shown.items():
+            write_views(self._client, self._experiment(suite), suite, shown)
+        for key, run in executions.unfinished(self._client).items():
+            if key in self._executions:
+                self._finish(run, self._executions[key])
 
     def _finish(self, run: str, execution: Execution) -> None:
         """Say what came out of all cases of an execution, also of those that were not asked for."""

@@ -13,13 +13,15 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mlflow.exceptions import MlflowException
 
 from helpers import case_folders
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.reference.types.result_json import result_to_json
-from splatproof.reports import run_data
+from splatproof.reports import run_data, store
 from splatproof.reports.executions import SUITE
 from splatproof.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
 from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
@@ -164,6 +166,24 @@ def test_a_case_that_another_process_logs_is_waited_for(tmp_path: Path, uri: str
     both = [subprocess.Popen([sys.executable, "-c", command, folder, uri]) for _ in range(2)]
     assert [one.wait(60) for one in both] == [0, 0]
     assert len(runs_of(uri)) == 1
+
+
+def test_a_collision_with_another_process_at_the_end_is_tried_again(
+    tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch
+):
+    folder, write_views, left = write(tmp_path), store.write_views, [1]
+
+    def collides(*arguments: Any) -> None:
+        if left:
+            left.pop()
+            raise MlflowException("UNIQUE constraint failed: experiment_tags.key")
+        write_views(*arguments)
+
+    monkeypatch.setattr(store, "write_views", collides)
+    assert sync([folder], uri) == []
+    assert not left
+    left += [1, 1]
+    assert [one.reason for one in sync([folder], uri)] != []
 
 
 def test_an_absent_server_costs_seconds_and_the_records_are_logged_later(
