@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.spatial import QhullError
 from torch import Tensor
 from torch.nn.functional import max_pool2d
 
@@ -168,7 +169,10 @@ def _sparse_depth(
         for count, length in zip(small, (camera.width, camera.height), strict=True)
     )
     cells = np.meshgrid(x, y)
-    between = LinearNDInterpolator(where, disparity)(*cells)
+    try:
+        between = LinearNDInterpolator(where, disparity)(*cells)
+    except QhullError:  # all on one line of the image: nothing lies between them
+        between = np.full(cells[0].shape, np.nan)
     beyond = NearestNDInterpolator(where, disparity)(*cells)
     picture = np.where(np.isfinite(between), between, beyond)
     whole = cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)

@@ -110,9 +110,8 @@ def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:
     for photo in survey.photos:
         copy = work / "scene/photos" / photo.name
         copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(
-            photo.path, copy
-        )  # a link would let an edit of the scene reach the user's photos
+        # a link would let an edit of the scene reach the user's photos
+        shutil.copy2(photo.path, copy)
     write_text(known, job)
     return False
 

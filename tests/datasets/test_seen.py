@@ -112,6 +112,14 @@ def test_points_of_the_views_own_track_are_asked_first():
     )
 
 
+def test_points_on_one_line_are_points():
+    line = plane_points(20)
+    line.positions[:, :2] = torch.linspace(-4, 4, 20, dtype=torch.float64)[:, None] * torch.tensor(
+        [1.0, 0.0]
+    )
+    assert seen_pixels(view(0), [view(0)], line).all()
+
+
 def test_too_few_points_say_nothing():
     assert seen.seen_pixels(view(0), [view(0)], plane_points(5), 0) is None
 
