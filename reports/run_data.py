@@ -66,11 +66,16 @@ def metrics(result: Result) -> dict[str, float]:
     return {_name(name): float(str(value)) for name, value in named.items()}
 
 
-def curves(result: Result) -> list[tuple[str, int, float]]:
-    """(curve/NAME, step, value) of everything that was logged while training."""
+def curves(result: Result) -> list[tuple[str, int, float, float]]:
+    """(curve/NAME, step, value, seconds since the fit began) of all that was logged while training.
+
+    Of a record without its clock the seconds are 0.
+    """
+    known = len(result.curve_seconds) == len(result.curve)
+    clock = result.curve_seconds if known else (0.0,) * len(result.curve)
     return [
-        (_name(f"curve/{name}"), step, float(str(value)))
-        for step, values in result.curve
+        (_name(f"curve/{name}"), step, float(str(value)), seconds)
+        for (step, values), seconds in zip(result.curve, clock, strict=True)
         for name, value in values.items()
     ]
 

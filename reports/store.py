@@ -339,7 +339,11 @@ def _log(client: "MlflowClient", run: "Run", folder: Path, result: Result) -> No
 
     identity, when = run.info.run_id, run.info.start_time
     values = [Metric(name, value, when, 0) for name, value in run_data.metrics(result).items()]
-    values += [Metric(name, value, when, step) for name, step, value in run_data.curves(result)]
+    # with a time of their own, MLflow draws curves over seconds too
+    values += [
+        Metric(name, value, when + int(1000 * seconds), step)
+        for name, step, value, seconds in run_data.curves(result)
+    ]
     named = [Param(n, v[:LONGEST_PARAM]) for n, v in run_data.params(result).items()]
     batches = itertools.zip_longest(
         _batches(values, METRICS_A_BATCH), _batches(named, PARAMS_A_BATCH), fillvalue=()

@@ -232,6 +232,7 @@ def _run(job: Job, tell: Tell) -> None:
         split_sha256=measure.split_sha256(scene),
         model_sha256=measure.arrays_sha256(job.folder / "model"),
         curve=curve.points(),
+        curve_seconds=curve.seconds(),
         counters=before.counters | drawn,
         scene_facts=given.facts | job.data,
         left_out=scene.left_out,

@@ -1,6 +1,7 @@
 """The training curve on disk: what a killed case had logged is not logged again."""
 
 import json
+import time
 from pathlib import Path
 
 from splatproof.base.files import write_text
@@ -15,7 +16,7 @@ class Curve:
     """What one training run reports, as points (step, values) appended to a file of JSON lines.
 
     A run that continues from a checkpoint reports again the steps after it; those points are
-    replaced. Each line also holds the CPU seconds and the peak memory so far, over all attempts.
+    replaced. Each line also holds wall seconds, CPU seconds and the peak memory so far, over all attempts.
     """
 
     def __init__(self, path: Path) -> None:
@@ -23,8 +24,8 @@ class Curve:
         self.path = path
         self._lines = _whole_lines(path)
         self._first = True
-        self._start = cpu_seconds()
-        self._before = (0.0, 0.0)
+        self._start, self._began = cpu_seconds(), time.perf_counter()
+        self._before = self._spent()
 
     def add(self, step: int, total: int, values: dict[str, float]) -> None:
         """Keep this point if it is the first of its 1/POINTS of the run, or the last.
@@ -45,7 +46,9 @@ class Curve:
         if step != total and step // stride == last // stride:
             return
         cpu, peak = self.spent()
-        line = {"step": step, "values": values, "cpu_seconds": cpu, "peak_memory_mb": peak}
+        wall = self._before[2] + time.perf_counter() - self._began
+        line = {"step": step, "values": values, "seconds": round(wall, 3)}
+        line |= {"cpu_seconds": cpu, "peak_memory_mb": peak}
         self._lines.append(line)
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
@@ -54,16 +57,25 @@ class Curve:
         """All points, by step."""
         return tuple((line["step"], line["values"]) for line in self._lines)
 
+    def seconds(self) -> tuple[float, ...]:
+        """Wall seconds of the fit at each point, what comes before the first step included.
+
+        Empty where an attempt of an earlier release began the curve without them.
+        """
+        known = all("seconds" in line for line in self._lines)
+        return tuple(line["seconds"] for line in self._lines) if known else ()
+
     def spent(self) -> tuple[float, float]:
         """CPU seconds and peak memory (2^20 bytes) over all attempts, as far as they count."""
-        cpu, peak = self._spent() if self._first else self._before
+        cpu, peak, _ = self._before
         return cpu + cpu_seconds() - self._start, max(peak, peak_memory_mb())
 
-    def _spent(self) -> tuple[float, float]:
-        """What the attempts before this one had used at the last point that counts."""
+    def _spent(self) -> tuple[float, float, float]:
+        """CPU seconds, peak memory and wall seconds of earlier attempts at the last point that counts."""
         if not self._lines:
-            return 0.0, 0.0
-        return self._lines[-1]["cpu_seconds"], self._lines[-1]["peak_memory_mb"]
+            return 0.0, 0.0, 0.0
+        last = self._lines[-1]
+        return last["cpu_seconds"], last["peak_memory_mb"], last.get("seconds", 0.0)
 
 
 def _whole_lines(path: Path) -> list[dict]:

@@ -110,6 +110,8 @@ class Result:
     """Hash of the saved model's arrays."""
     curve: tuple[tuple[int, dict[str, float]], ...] = ()
     """Pairs (step, values by name) that were logged while training."""
+    curve_seconds: tuple[float, ...] = ()
+    """Wall seconds since the fit began at each point of the curve, over all attempts; empty: not known."""
     counters: dict[str, int] = field(default_factory=dict)
     """Work that was done, by name: steps, pairs (of Gaussian and tile, all views of the training),
     densifications, rows_added, rows_removed, resets, see `splatproof.methods.training.counts`; and

@@ -10,7 +10,6 @@ from splatproof.reports import run_data
 from splatproof.reports.columns import Column
 from splatproof.reports.dashboard.numbers import plain_value, short
 from splatproof.reports.leaderboard import build_tables
-from splatproof.reports.measured import Curve
 from splatproof.reports.table import Row, Table
 
 POINTS = 200
@@ -57,7 +56,7 @@ def _plain(table: Table, runs: Mapping[str, str]) -> dict[str, Any]:
             for one, other, d in table.differences
         ],
         "curves": {} if not table.scene else {
-            runs[run_data.case_key(result)]: thinned(result.curve)
+            runs[run_data.case_key(result)]: thinned(result)
             for row in table.rows for result in row.results
         },
     }  # fmt: skip
@@ -118,17 +117,22 @@ def _settings(table: Table) -> dict[str, Any]:
     return {"values": own, "odd": odd}
 
 
-def thinned(curve: Curve) -> dict[str, Any]:
-    """A curve as columns, of at most about POINTS points evenly taken, its ends among them.
+def thinned(result: Result) -> dict[str, Any]:
+    """A result's curve as columns, of at most about POINTS points evenly taken, its ends among them.
 
     Args:
-        curve: Pairs (step, values by name), as Result.curve.
-    Returns: `step` and every name with as many numbers; None where a point has no such value.
+        result: Whose curve it is.
+    Returns: `step`, `seconds` where the record has them, and every name with as many numbers; None where
+        a point has no such value.
     """
+    curve = result.curve
     step = max(1, -(-len(curve) // POINTS))
-    kept = [point for place, point in enumerate(curve) if not place % step]
-    if curve and kept[-1] != curve[-1]:
-        kept.append(curve[-1])
+    places = list(range(0, len(curve), step))
+    if curve and places[-1] != len(curve) - 1:
+        places.append(len(curve) - 1)
+    kept = [curve[place] for place in places]
     names = dict.fromkeys(name for _, values in kept for name in values)
     columns = {name: [short(values.get(name)) for _, values in kept] for name in names}
+    if len(result.curve_seconds) == len(curve):
+        columns["seconds"] = [short(result.curve_seconds[place]) for place in places]
     return {"step": [number for number, _ in kept]} | columns

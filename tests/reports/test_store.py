@@ -86,6 +86,8 @@ def test_what_mlflow_itself_shows(tmp_path: Path, uri: str):
     client = open_client(uri)
     loss = client.get_metric_history(run.info.run_id, "curve/loss")
     assert [(m.step, m.value) for m in loss] == [(s, v["loss"]) for s, v in case.curve]
+    seconds = [(m.timestamp - run.info.start_time) / 1000 for m in loss]
+    assert seconds == pytest.approx(case.curve_seconds, abs=0.01)
     listed = {file.path for file in client.list_artifacts(run.info.run_id)}
     assert listed == {"record.json", "renders", "truth", "errors", "model"}
 

@@ -24,8 +24,9 @@ BENCH = [str(Path(sys.executable).with_name("bench")), "run", "quick", "--quiet"
 def essence(result: Result) -> Result:
     """The result without what depends on the clock and the machine."""
     return replace(
-        result, stages={}, cpu_seconds=0.0, peak_memory_mb=0.0, render_ms=0.0, environment={}
-    )
+        result, stages={}, cpu_seconds=0.0, peak_memory_mb=0.0, render_ms=0.0, environment={},
+        curve_seconds=(),
+    )  # fmt: skip
 
 
 def records(out: Path) -> dict[str, Result]:

@@ -56,6 +56,30 @@ def test_cpu_time_and_memory_of_lost_steps_do_not_count(tmp_path, monkeypatch):
     assert [step for step, _ in second.points()] == [1, 2, 3]
 
 
+def test_seconds_of_lost_steps_and_of_the_pause_do_not_count(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(curve_module.time, "perf_counter", lambda: clock[0])
+    first = Curve(tmp_path / "c.jsonl")
+    for step in (1, 2, 3):
+        clock[0] += step
+        first.add(step, 10, {})
+    assert first.seconds() == (1.0, 3.0, 6.0)
+    clock[0] = 5000.0  # killed, continued from step 2 by another process
+    second = Curve(tmp_path / "c.jsonl")
+    clock[0] += 4
+    second.add(3, 10, {})
+    assert second.seconds() == Curve(tmp_path / "c.jsonl").seconds() == (1.0, 3.0, 7.0)
+
+
+def test_a_curve_that_an_earlier_release_began_has_no_seconds(tmp_path):
+    line = '{"step": 1, "values": {}, "cpu_seconds": 1.0, "peak_memory_mb": 1.0}'
+    (tmp_path / "c.jsonl").write_text(line + "\n")
+    curve = Curve(tmp_path / "c.jsonl")
+    curve.add(10, 10, {})
+    assert len(curve.points()) == 2
+    assert curve.seconds() == ()
+
+
 def test_training_that_had_ended_reports_nothing_and_keeps_its_points(tmp_path, monkeypatch):
     monkeypatch.setattr(curve_module, "cpu_seconds", lambda: 5.0)
     Curve(tmp_path / "c.jsonl").add(1, 1, {"loss": 0.5})

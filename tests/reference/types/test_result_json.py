@@ -45,6 +45,7 @@ fields = st.fixed_dictionaries(
     | {
         "images": st.lists(image, max_size=3),
         "curve": st.lists(st.tuples(st.integers(), table), max_size=3).map(tuple),
+        "curve_seconds": st.lists(st.floats(allow_nan=False), max_size=3).map(tuple),
         "left_out": st.lists(st.tuples(names, names), max_size=2).map(tuple),
         "suite_scenes": st.lists(names, max_size=2).map(tuple),
     }

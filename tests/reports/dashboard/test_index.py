@@ -1,18 +1,21 @@
 """What the dashboard keeps of a store: right, read once, and made anew where it is damaged."""
 
+import dataclasses
 import shutil
 from pathlib import Path
 
 import pytest
 
-from helpers import dashboard_store
+from helpers import case_folders, dashboard_store
 from helpers.generated_store import write_store
 from splatproof.base.errors import MissingError
 from splatproof.reports.dashboard import index
 from splatproof.reports.dashboard.cache import Cache
 from splatproof.reports.dashboard.index import refreshed
 from splatproof.reports.dashboard.listing import list_runs
+from splatproof.reports.dashboard.numbers import short
 from splatproof.reports.dashboard.site import Site
+from splatproof.reports.dashboard.tables import POINTS, thinned
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.mlflow_client import open_client
 from splatproof.reports.run_data import case_key
@@ -141,3 +144,15 @@ def test_a_generated_store_reads_as_the_cases_it_was_made_of(migrated: Path, tmp
     cases = list(dashboard_store.cases())[:4]
     uri = write_store(tmp_path, cases)
     assert [one.result for one in read_history(uri)] == cases
+
+
+def test_a_curve_keeps_its_clock_where_the_record_has_one():
+    points = tuple((step, {"loss": 1 / step}) for step in range(1, 1001))
+    clock = tuple(0.01 * step**1.2 for step in range(1, 1001))
+    timed = dataclasses.replace(case_folders.result(), curve=points, curve_seconds=clock)
+    columns = thinned(timed)
+    assert len(columns["seconds"]) == len(columns["step"]) <= POINTS + 1
+    assert columns["step"][-1] == 1000
+    expected = [short(clock[step - 1]) for step in columns["step"]]
+    assert columns["seconds"] == expected
+    assert "seconds" not in thinned(dataclasses.replace(timed, curve_seconds=()))
