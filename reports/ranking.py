@@ -81,6 +81,7 @@ class Reader:
     def __init__(self) -> None:
         """Begin without any."""
         self._scenes: dict[str, dict[str, pd.DataFrame]] = {}
+        self._cases: dict[tuple[str, str], pd.DataFrame] = {}
         self._scores: dict[tuple[str, str, str], Scores] = {}
 
     def scenes(self, row: Row) -> dict[str, pd.DataFrame]:
@@ -88,6 +89,18 @@ class Reader:
         if row.label not in self._scenes:
             self._scenes[row.label] = dict(groups(row.scores, "scene"))
         return self._scenes[row.label]
+
+    def cases(self, row: Row, scene: str) -> pd.DataFrame:
+        """The first row of each of the row's cases in a scene: one a seed.
+
+        Args:
+            row: A row of the table.
+            scene: One of its scenes.
+        """
+        key = (row.label, scene)
+        if key not in self._cases:
+            self._cases[key] = cases_of(self.scenes(row)[scene])
+        return self._cases[key]
 
     def scores(self, row: Row, scene: str, column: Column) -> Scores:
         """A row a seed and a column an image, sorted by name; one column where images have no values.
@@ -100,7 +113,7 @@ class Reader:
         key = (row.label, scene, column.key)
         if key not in self._scores:
             own = self.scenes(row)[scene]
-            cases = cases_of(own)
+            cases = self.cases(row, scene)
             self._scores[key] = (
                 own[column.key].to_numpy(dtype=np.float64).reshape(len(cases), -1)
                 if column.per_image
