@@ -4,6 +4,7 @@ import json
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import PurePosixPath
@@ -36,6 +37,8 @@ THUMBS = 4096
 """Small pictures that are kept in memory, of about 4 kB each."""
 CASES = 1024
 """Records that are kept in memory for comparisons, of about 20 kB each."""
+PATIENCE = 1.5
+"""Seconds that a page waits for new runs to be read; then it shows what was known, and says so."""
 TYPES = {
     ".html": "text/html; charset=utf-8", ".js": "text/javascript; charset=utf-8",
     ".css": "text/css; charset=utf-8", ".json": "application/json", ".png": "image/png",
@@ -73,8 +76,10 @@ class Site:
         """
         self.uri, self._cache, self._claims = uri, cache, claims
         self._lock = threading.Lock()
-        self.state = self._read(progress)
         self._listed = self._names()
+        self.state = self._read(progress)
+        self._reader = ThreadPoolExecutor(1, "reading")
+        self._coming: Future[tuple[State, list[str]]] | None = None
         self._texts: dict[str, bytes] = {}
         self._thumb = lru_cache(THUMBS)(self._small)
         self._case = lru_cache(CASES)(self._read_case)
@@ -181,6 +186,7 @@ class Site:
         site = {
             "mode": mode, "format": format, "pictures": pictures, "left_out": left_out,
             "uri": shown_uri(self.uri), "version": __version__, "made": state.made,
+            "reading": self._coming is not None,
             "images": sum(len(one.numbers.images) for one in state.index.shown),
         }  # fmt: skip
         sides = [side.plain() for side in state.sides.values()]
@@ -201,10 +207,24 @@ class Site:
         return [one.run for one in list_runs(self.uri)]
 
     def _refresh(self) -> None:
+        """Take new runs into the state; those that take long to read come with a later page."""
+        if self._coming is None and self._names() != self._listed:
+            self._coming = self._reader.submit(self._read_again)
+        if self._coming is None:
+            return
+        self._texts.clear()
+        try:
+            self.state, self._listed = self._coming.result(PATIENCE)
+        except TimeoutError:
+            return
+        except Exception:
+            self._coming = None  # the next page tries again
+            raise
+        self._coming = None
+
+    def _read_again(self) -> tuple[State, list[str]]:
         names = self._names()
-        if names != self._listed:
-            self.state, self._listed = self._read(silent), names
-            self._texts.clear()
+        return self._read(silent), names
 
     def _read(self, progress: Progress) -> State:
         index = refreshed(self.uri, self._cache, progress)

@@ -34,7 +34,7 @@
     document.querySelector(".switch").onclick = () => S.switchTheme();
     document.querySelector(".help").onclick = S.help;
     const { site } = S.known, about = document.querySelector(".about-store");
-    about.replaceChildren(...[S.plural(S.known.count, "run"), S.plural(site.images, "image"), site.uri, `${site.mode === "static" ? "built" : "read"} ${S.date(site.made)}`, `splatproof ${site.version}`].map((t) => h("span", {}, h("bdi", {}, t))), ...(site.left_out ? [h("span", {}, site.left_out)] : []));
+    about.replaceChildren(...[S.plural(S.known.count, "run"), S.plural(site.images, "image"), site.uri, `${site.mode === "static" ? "built" : "read"} ${S.date(site.made)}`, `splatproof ${site.version}`].map((t) => h("span", {}, h("bdi", {}, t))), ...(site.left_out ? [h("span", {}, site.left_out)] : []), ...(site.reading ? [h("span", {}, "new runs are being read: refresh in a while")] : []));
     if (site.mode === "served") about.append(h("button.linklike", { type: "button", onclick: refresh }, "refresh"));
   };
   const refresh = async () => {

@@ -1,19 +1,25 @@
 """The dashboard's files: what stands at each path, and that no path leads elsewhere."""
 
 import json
+import shutil
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from helpers.dashboard_store import COMMITS
-from splatproof.base.errors import UsageError
+from splatproof.base.errors import DataError, UsageError
 from splatproof.reports.claims.claim import Claim
 from splatproof.reports.dashboard import assets
+from splatproof.reports.dashboard import site as site_module
 from splatproof.reports.dashboard.cache import Cache
+from splatproof.reports.dashboard.index import Progress
+from splatproof.reports.dashboard.listing import list_runs
 from splatproof.reports.dashboard.numbers import script, short
 from splatproof.reports.dashboard.site import Site
 from splatproof.reports.dashboard.static_site import MARK, build_site
+from splatproof.reports.mlflow_client import open_client
 
 
 def data(site: Site, name: str) -> Any:
@@ -167,3 +173,47 @@ def test_a_budget_of_pictures_is_kept_and_spread(site: Site, tmp_path: Path):
     assert size / 2 <= kept <= size / 2 + most
     _, index = handed((tmp_path / "half" / "data" / "index.js").read_text("utf-8"))
     assert {0, 3} <= {place for own in index["site"]["pictures"].values() for place in own}
+
+
+def test_a_page_does_not_wait_for_a_long_reading_and_says_so(
+    store_uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    shutil.copy(Path(store_uri.removeprefix("sqlite:///")), tmp_path / "mlflow.db")
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    site, go = Site(uri, Cache(None), ()), threading.Event()
+    true = site._read
+
+    def slow(progress: Progress) -> Any:
+        assert go.wait(30)
+        return true(progress)
+
+    monkeypatch.setattr(site, "_read", slow)
+    monkeypatch.setattr(site_module, "PATIENCE", 0.01)
+    before = data(site, "index")
+    open_client(uri).delete_run(list_runs(uri)[0].run)
+    meanwhile = data(site, "index")
+    assert (before["site"]["reading"], meanwhile["site"]["reading"]) == (False, True)
+    assert meanwhile["runs"] == before["runs"]
+    go.set()
+    monkeypatch.setattr(site_module, "PATIENCE", 30)
+    after = data(site, "index")
+    assert not after["site"]["reading"]
+    assert len(after["runs"]["run"]) == len(before["runs"]["run"]) - 1
+
+
+def test_a_failed_reading_is_told_and_tried_again(
+    store_uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    shutil.copy(Path(store_uri.removeprefix("sqlite:///")), tmp_path / "mlflow.db")
+    uri = f"sqlite:///{tmp_path}/mlflow.db"
+    site = Site(uri, Cache(None), ())
+
+    def broken(progress: Progress) -> Any:
+        raise DataError("record.json: damaged")
+
+    open_client(uri).delete_run(list_runs(uri)[0].run)
+    with monkeypatch.context() as patch:
+        patch.setattr(site, "_read", broken)
+        with pytest.raises(DataError, match="damaged"):
+            site.read("data/index.js")
+    assert not data(site, "index")["site"]["reading"]
