@@ -238,6 +238,7 @@ class _Sync:
         self._shown: dict[str, Shown] = {}
         self._executions: dict[str, Execution] = {}
         self._begun: dict[str, str] = {}
+        self._last: list[Path] = []
 
     def case(self, folder: Path, record: bytes) -> None:
         """Log one case unless this very record is complete in the store."""
@@ -246,6 +247,7 @@ class _Sync:
         except UnicodeDecodeError as error:
             raise DataError(f"{folder / 'record.json'}: not UTF-8 text: {error}") from error
         self._shown.setdefault(result.suite, Shown()).add(result)
+        self._last = [folder]
         execution = execution_of(folder, result)
         if execution is not None:
             self._executions[execution.key] = execution
@@ -280,7 +282,9 @@ class _Sync:
                 self._ended()
                 return []
             except store_errors() as error:
-                failures = [Failure(one.root, one_line(error)) for one in self._executions.values()]
+                # cases that no suite ran, such as fits, have no execution to name
+                roots = [one.root for one in self._executions.values()] or self._last
+                failures = [Failure(root, one_line(error)) for root in roots]
         return failures
 
     def _ended(self) -> None:

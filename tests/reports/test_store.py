@@ -25,7 +25,7 @@ from splatproof.reports import run_data, store
 from splatproof.reports.executions import SUITE
 from splatproof.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
 from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
-from splatproof.reports.store import Picture, find_cases, read_results, sync
+from splatproof.reports.store import Failure, Picture, find_cases, read_results, sync
 
 KINDS: tuple[Picture, ...] = ("truth", "render", "error")
 REFUSING = "http://127.0.0.1:9"  # the discard port: nothing listens there
@@ -186,6 +186,19 @@ def test_a_collision_with_another_process_at_the_end_is_tried_again(
     assert not left
     left += [1, 1]
     assert [one.reason for one in sync([folder], uri)] != []
+
+
+def test_views_that_cannot_be_written_are_told_also_of_a_case_that_no_suite_ran(
+    tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch
+):
+    folder = case_folders.fill_folder(tmp_path / "my_fit", case_folders.result())
+
+    def refuses(*arguments: object) -> None:
+        raise MlflowException("read-only database")
+
+    monkeypatch.setattr(store, "write_views", refuses)
+    (failure,) = sync([folder], uri)
+    assert failure == Failure(folder, "read-only database")
 
 
 def test_an_absent_server_costs_seconds_and_the_records_are_logged_later(
