@@ -10,9 +10,10 @@ bench: setup
 	$(BIN)/bench run quick
 	$(BIN)/bench report
 
-# a worker a core; a file's tests share what its fixtures made, so they stay on one worker
+# a worker a core, each of one thread: waiting threads of two workers would spin on each other's cores;
+# a file's tests share what its fixtures made, so they stay on one worker
 test: setup-dev
-	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile
 
 # budgets of time and memory are measured alone; planted faults share nothing
 test-slow: setup-dev

@@ -9,6 +9,8 @@ from splatproof.base.processes import Worker
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.run_case import Job, Tell, failed_result, run_case
 
+PRELOAD = ("splatproof.suites.run_case",)
+"""Imported once for all cases of a run: most of what a short case would cost."""
 Launch = Callable[[Job, Tell], None]
 """launch(job, tell): runs a job to its record; `tell` hears where it is."""
 
@@ -24,7 +26,7 @@ def in_process(job: Job, tell: Tell) -> None:
 
 
 def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
-    """Run the case in a fresh process, which costs some seconds of imports.
+    """Run the case in a fresh process; the imports, some seconds, are made once for all cases.
 
     Its peak memory is then its own, a crash (out of memory, a fault in native code) fails one case
     and not the suite, and nothing leaks from case to case. The process ends when this one does,
@@ -36,7 +38,7 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
         target: What the other process runs; importable by name.
     """
     (job.folder / RECORD_NAME).unlink(missing_ok=True)  # one that is there afterwards is new
-    with Worker(_work, target, job) as worker:
+    with Worker(_work, target, job, preload=PRELOAD) as worker:
         with suppress(EOFError):
             while True:
                 tell(*worker.receive())

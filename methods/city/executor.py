@@ -18,6 +18,8 @@ BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""
 Engine = Callable[[Sequence[BlockJob], int, int | None, BlocksReport], list[BlockFacts]]
 """engine(jobs, workers, threads, report): the facts of all blocks, in the order of the jobs."""
+PRELOAD = (__name__,)
+"""Imported once for all blocks, which may be many and short."""
 ENGINES = {
     "processes": "splatproof.methods.city.executor:run_in_processes",
     "inline": "splatproof.methods.city.executor:run_inline",
@@ -133,7 +135,7 @@ def run_in_processes(
 
 def _start(job: BlockJob, threads: int) -> Worker:
     try:
-        return Worker(_work, job, threads)
+        return Worker(_work, job, threads, preload=PRELOAD)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise UsageError(
             f"scene {job.scene.name!r} was made in memory and cannot be sent to another process "

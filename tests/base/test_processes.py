@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.talking_workers import die, echo, tell_quiet
+from helpers.talking_workers import die, echo, tell_quiet, tell_variable
 from splatproof.base.processes import Worker, how_it_ended, listening
 from splatproof.base.quiet import silenced
 
@@ -35,6 +35,17 @@ def test_what_is_said_comes_back(preload):
 def test_a_worker_is_as_quiet_as_the_one_that_starts_it(quiet, preload):
     with silenced(quiet), Worker(tell_quiet, preload=preload) as worker:
         assert worker.receive() is quiet
+
+
+@pytest.mark.parametrize("preload", [(), ("splatproof.base.errors",)])
+def test_a_worker_has_the_environment_of_its_own_start(preload, monkeypatch):
+    for value in ("first", "second"):
+        monkeypatch.setenv("SPLATPROOF_OF_A_TEST", value)
+        with Worker(tell_variable, "SPLATPROOF_OF_A_TEST", preload=preload) as worker:
+            assert worker.receive() == value
+    monkeypatch.delenv("SPLATPROOF_OF_A_TEST")
+    with Worker(tell_variable, "SPLATPROOF_OF_A_TEST", preload=preload) as worker:
+        assert worker.receive() is None
 
 
 @pytest.mark.parametrize(("code", "how"), [(7, "exit code 7"), (-signal.SIGTERM, "by SIGTERM")])

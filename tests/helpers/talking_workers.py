@@ -24,3 +24,8 @@ def die(says: Connection, code: int) -> None:
 def tell_quiet(says: Connection) -> None:
     """Say whether logs and progress are silenced here."""
     says.send(is_quiet())
+
+
+def tell_variable(says: Connection, name: str) -> None:
+    """Say a variable of the environment."""
+    says.send(os.environ.get(name))

@@ -19,6 +19,8 @@ from splatproof.suites.records import read_record
 
 FAKE = [sys.executable, str(Path(run_fake_suite.__file__))]
 BENCH = [str(Path(sys.executable).with_name("bench")), "run", "quick", "--quiet", "--out"]
+HANGS = 600
+"""Seconds after which a test gives up; a start of seconds takes minutes on a machine with much other work."""
 
 
 def essence(result: Result) -> Result:
@@ -55,7 +57,7 @@ def kill_after(command: list[str], out: Path, delay: float) -> None:
     Its worker must then end by itself.
     """
     process = start(command, out)
-    wait_until(lambda: at_work(out) or process.poll() is not None, 120)
+    wait_until(lambda: at_work(out) or process.poll() is not None, HANGS)
     time.sleep(delay)
     process.kill()
     process.wait()

@@ -30,18 +30,23 @@ class Worker:
         Args:
             work: Called in the new process as work(connection, *arguments); importable by name.
             arguments: What else it gets, sent by pickle.
-            preload: Modules that are imported once for all workers that name them, where import
-                costs more than what a worker does; empty: the worker imports what it needs.
+            preload: Modules that are imported once for all workers of this process (those that the
+                first of them names), where import costs as much as what a worker does; empty: the
+                worker imports what it needs. Either way it has the environment of this moment.
 
         Raises: PicklingError, AttributeError or TypeError if an argument cannot be sent.
         """
         if preload:
             context = multiprocessing.get_context("forkserver")
             context.set_forkserver_preload(list(preload))
+            environment = dict(os.environ)  # its parent's is of the moment when that was started
         else:
             context = multiprocessing.get_context("spawn")
+            environment = None
         self._says, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(work, theirs, arguments, is_quiet()))
+        self._process = context.Process(
+            target=_serve, args=(work, theirs, arguments, is_quiet(), environment)
+        )
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says)
         try:
@@ -124,10 +129,14 @@ def _end(process: BaseProcess, says: Connection) -> None:
 
 
 def _serve(
-    work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...], quiet: bool
-) -> None:
+    work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...], quiet: bool,
+    environment: dict[str, str] | None,
+) -> None:  # fmt: skip
     """What a worker's process does; it is as quiet as the one that started it."""
     serve_parent()
+    if environment is not None:
+        os.environ.clear()
+        os.environ.update(environment)
     with connection, silenced(quiet):
         work(connection, *arguments)
 
