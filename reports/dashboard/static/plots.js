@@ -28,6 +28,14 @@
   S.redraw = (page) => { for (const box of page.querySelectorAll(".plot")) box.draw?.(); };
   const safe = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
   S.safe = safe;
+  // Means over a tenth of the points around each; as they are where there are few.
+  const smooth = (values) => {
+    const reach = Math.floor(values.length / 20);
+    return values.map((one, place) => {
+      const near = values.slice(Math.max(0, place - reach), place + reach + 1).filter((v) => typeof v === "number");
+      return one === null || !near.length ? one : near.reduce((a, b) => a + b) / near.length;
+    });
+  };
   // Curves of the runs of some rows of a table.
   S.curves = (table, full, rows) => {
     const runs = rows.flatMap((row) => row.runs.filter((r) => full.curves[r]).map((r) => [row, r]));
@@ -42,13 +50,18 @@
       return total === null || total === undefined ? null : curve.step.map((s) => (s / last) * total);
     };
     const draw = () => {
-      const traces = () => runs.map(([row, r]) => ({ x: over === "seconds" ? seconds(r) ?? full.curves[r].step : full.curves[r].step, y: full.curves[r][name], mode: "lines", name: safe(row.label), run: r, line: { width: 1.4, color: S.series(table.rows.indexOf(row)) }, hovertemplate: `${safe(row.label)} seed ${S.known.runs.seed[S.known.place.get(r)]}<br>%{x:.4g}: %{y:.4g}<extra></extra>` }));
+      // a step's loss is that of one view: a mean over neighbours shows the way, what was measured stays faint behind it
+      const traces = () => runs.flatMap(([row, r]) => {
+        const x = over === "seconds" ? seconds(r) ?? full.curves[r].step : full.curves[r].step, y = full.curves[r][name];
+        const line = (values, width, opacity) => ({ x, y: values, opacity, mode: "lines", name: safe(row.label), line: { width, color: S.series(table.rows.indexOf(row)) }, hovertemplate: `${safe(row.label)} seed ${S.known.runs.seed[S.known.place.get(r)]}<br>%{x:.4g}: %{y:.4g}<extra></extra>` });
+        return [line(y, 1, 0.22), line(smooth(y), 1.8, 1)];
+      });
       const log = ["loss", "photometric"].includes(name);
-      plot = S.plot(`${name} over ${over}`, traces, () => ({ xaxis: { title: { text: over === "seconds" ? "seconds of training" : "step" } }, yaxis: { title: { text: name }, type: log ? "log" : "linear" } }), (p) => { location.hash = S.link("run", { id: runs[p.curveNumber][1] }); });
+      plot = S.plot(`${name} over ${over}`, traces, () => ({ xaxis: { title: { text: over === "seconds" ? "seconds of training" : "step" } }, yaxis: { title: { text: name }, type: log ? "log" : "linear" } }), (p) => { location.hash = S.link("run", { id: runs[p.curveNumber >> 1][1] }); });
       const even = over === "seconds" && runs.some(([, r]) => !full.curves[r].seconds);
       box.replaceChildren(h("div.filters.plain", {}, S.choice("What", "", names, { value: name, onpick: (v) => { name = v; draw(); } }),
         S.segments("Over", [["seconds", "seconds"], ["step", "steps"]], over, (v) => { over = v; draw(); })), plot,
-      even ? S.note("Seconds: the run's training time spread evenly over its steps, which is all that the record tells.") : "");
+      S.note("Thick: means over a tenth of the points around each. Thin: what was logged."), even ? S.note("Seconds: the run's training time spread evenly over its steps, which is all that the record tells.") : "");
     };
     draw();
     return box;
