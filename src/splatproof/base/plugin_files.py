@@ -34,7 +34,7 @@ class PluginFile:
 
 
 _loaded: dict[str, PluginFile] = {}
-"""By the names of their modules, in the order in which they were loaded."""
+"""Files by the names of their modules, in the order in which they were loaded."""
 
 
 def plugin_files() -> tuple[PluginFile, ...]:
