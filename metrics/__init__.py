@@ -26,8 +26,6 @@ _WHERE = {
 }
 """Module of each name, imported when it is asked for."""
 
-__all__ = [*_WHERE]  # noqa: PLE0604
-
 
 def __getattr__(name: str) -> object:
     """A metric by its name, imported at its first use."""
@@ -40,4 +38,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """The metrics' names."""
-    return sorted(__all__)
+    return sorted(_WHERE)

@@ -57,8 +57,9 @@ def table(kind: type) -> str:
 
 
 def _docstring(node: ast.stmt) -> str:
-    lone = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    return " ".join(str(node.value.value).split()) if lone else ""
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+        return " ".join(str(node.value.value).split())
+    return ""
 
 
 def _shown(value: object, kind: object) -> str:

@@ -61,7 +61,8 @@ def test_the_method_learns_and_its_number_stays(followed: Path):
     assert frame["primitives"].unique().tolist() == [40]
     truth = [read_photo(path) for path in sorted((followed / "still" / "truth").iterdir())]
     black = [sp.metrics.psnr(torch.zeros_like(image), image) for image in truth]
-    assert frame["psnr"].mean() > sum(black) / len(black) + 4
+    scores = frame["psnr"].tolist()
+    assert sum(scores) / 3 > sum(black) / len(black) + 4
 
 
 def test_the_metric_is_scored_as_by_hand(followed: Path, capsys, monkeypatch):
@@ -100,7 +101,7 @@ def test_the_suite_runs_with_the_plug_ins(followed: Path, capsys, monkeypatch):
     follow("guides/suite.md", followed, monkeypatch)
     frame = sp.results_frame(followed / "runs")
     assert set(frame["row"]) == {"still-splats", "still-splats@faint", "3dgs"}
-    assert frame["worst_tile"].notna().all()
+    assert all(0 < value < 1 for value in frame["worst_tile"].tolist())
     assert (followed / "runs" / "report.html").is_file()
     facts = frame["facts.plugin worst_tile.py"].unique().tolist()
     assert facts == [next(file.sha256 for file in loaded() if file.name == "worst_tile.py")]

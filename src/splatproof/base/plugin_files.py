@@ -69,7 +69,7 @@ def load_plugin_file(path: str | Path, *, expected: str = "") -> PluginFile:
         raise UsageError(f"plugin {path}: changed while it was at work; run the command again")
     name = PREFIX + file.stem
     before = _loaded.get(name)
-    if before == found:
+    if before is not None and before == found:
         return before
     if before is not None and before.path != file:
         raise UsageError(f"plugin {path}: {before.path} has the same name; rename one of the two")
