@@ -65,4 +65,4 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 	touch $@
 
 clean:
-	rm -rf build $(VENV)
+	rm -rf build docs/metrics docs/methods $(VENV)

@@ -127,12 +127,17 @@ def pages(plots: dict[str, str]) -> dict[str, str]:
 
 
 def write_pages(plots: dict[str, str]) -> None:
-    """Write the pages that have changed below docs/metrics and docs/methods.
+    """Write the pages that have changed below docs/metrics and docs/methods; no other page stays there.
 
     Args:
         plots: File name of each metric's plot.
     """
-    for place, text in pages(plots).items():
+    made = pages(plots)
+    for folder in ("metrics", "methods"):
+        for path in (DOCS / folder).glob("*.md"):
+            if str(path.relative_to(DOCS)) not in made:
+                path.unlink()
+    for place, text in made.items():
         path = DOCS / place
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.parent.mkdir(exist_ok=True)

@@ -49,19 +49,21 @@ FAULTS: dict[str, tuple[Fault, str, str]] = {
 
 
 def draw(folder: Path) -> dict[str, str]:
-    """Draw the plots that are not there yet.
+    """Draw the plots that are not there yet, or are older than what they show.
 
     Args:
         folder: Where they go.
     Returns: File name of each metric's plot; metrics whose weights are not public have none.
     """
     folder.mkdir(exist_ok=True)
+    sources = [PICTURE, Path(__file__), *(DOCS.parent / "metrics").glob("*.py")]
+    newest = max(path.stat().st_mtime for path in sources)
     drawn = {}
     for name, metric in BUILT_IN.items():
         if metric.load_weights is not None:
             continue
         path = folder / f"{name}.png"
-        if not path.exists():
+        if not path.exists() or path.stat().st_mtime < newest:
             _plot(metric, path)
         drawn[name] = path.name
     return drawn

