@@ -18,6 +18,7 @@ exclude_patterns = ["tools", "words", "*_findings.md"]
 html_theme = "furo"
 html_show_sphinx = False
 html_copy_source = False
+html_show_search_summary = False  # a page opened from disk may not read the others
 html_show_copyright = False
 myst_heading_anchors = 4
 autodoc_member_order = "bysource"
