@@ -4,11 +4,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev bench test test-slow baseline fuzz lint types clean
+.PHONY: setup setup-dev bench docs test test-slow baseline fuzz lint types clean
 
 bench: setup
 	$(BIN)/bench run quick
 	$(BIN)/bench report
+
+# the site, from docs/ and the code; any warning is an error, and nothing is fetched
+docs: $(VENV)/.installed-docs
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
+	@echo "site: build/site/index.html"
 
 # a worker a core, each of one thread: waiting threads of two workers would spin on each other's cores;
 # a file's tests share what its fixtures made, so they stay on one worker
@@ -53,8 +58,12 @@ $(VENV)/.installed: $(SOURCES) | $(VENV)/bin/pip
 	touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(BIN)/pip install -q -c constraints.txt -e '.[dev,distributed]'
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev,distributed,docs]'
+	touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/pip install -q -c constraints.txt -e '.[docs]'
 	touch $@
 
 clean:
-	rm -rf build $(VENV)
+	rm -rf build docs/metrics docs/methods $(VENV)

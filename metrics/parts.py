@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.metrics.colour_difference import delta_e_76_map, delta_e_2000_map
-from splatproof.metrics.flip import flip_map
 from splatproof.metrics.gradient import gradient_map
+from splatproof.metrics.ldr_flip import flip_map
 from splatproof.metrics.pairs import Pair, check_pair, mean_over
 from splatproof.metrics.pixel import psnr_of_mse
 from splatproof.metrics.ssim import WINDOW, kornia_map, skimage_map, ssim_map, windows_valid

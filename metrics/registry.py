@@ -10,8 +10,9 @@ from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
+from splatproof.base.plugin_files import PluginFile, plugin_files
 from splatproof.base.plugins import with_plugins
-from splatproof.metrics import colour_difference, flip, gradient, lpips, pixel, ssim
+from splatproof.metrics import colour_difference, gradient, ldr_flip, lpips, pixel, ssim
 from splatproof.metrics.scene_registry import SCENE_METRICS
 
 GROUP = "splatproof.metrics"
@@ -41,18 +42,22 @@ class Metric:
     they are not on this machine. None: the metric needs no weights."""
 
 
-@functools.cache
 def all_metrics() -> dict[str, Metric]:
     """Every metric that a protocol may name, in the order in which tables show them.
 
     Installed packages add theirs through entry points of the group GROUP, each of which loads to a
-    `Metric` and has its name. They are looked up at the first call, so that importing this module
-    loads no other package.
+    `Metric` and has its name; plug-in files have theirs at their top level. Packages are looked up
+    at the first call, so that importing this module loads no other package.
 
-    Returns: Ours by name, then those of other packages.
-    Raises: UsageError, naming the package, where an entry point cannot be loaded or is no Metric,
-        or where its name is another than the metric's or one that is in use.
+    Returns: Ours by name, then those of other packages, then those of plug-in files.
+    Raises: UsageError, naming the package or file, where an entry point cannot be loaded or is no
+        Metric, or where its name is another than the metric's or one that is in use.
     """
+    return _all_metrics(plugin_files())
+
+
+@functools.cache
+def _all_metrics(_: tuple[PluginFile, ...]) -> dict[str, Metric]:
     table = with_plugins(BUILT_IN, GROUP, Metric)
     for name, metric in table.items():
         if name != metric.name:
@@ -62,8 +67,8 @@ def all_metrics() -> dict[str, Metric]:
             )
         if name in SCENE_METRICS:
             raise UsageError(
-                f"entry point {name} in {GROUP}: the name is taken by a metric of whole scenes; "
-                "give it another one or uninstall it"
+                f"entry point or plugin's metric {name} in {GROUP}: the name is taken by a metric "
+                "of whole scenes; give it another one or leave it out"
             )
     return table
 
@@ -142,7 +147,7 @@ _ALL = (
     ),
     Metric(
         name="flip",
-        function=flip.flip,
+        function=ldr_flip.flip,
         unit="",
         higher_is_better=False,
         range=(0.0, 1.0),

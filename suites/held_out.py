@@ -18,7 +18,7 @@ from splatproof.base.folders import new_folder
 from splatproof.datasets.photos import write_png
 from splatproof.datasets.seen import seen_in_training
 from splatproof.methods.contracts.reconstruction import Reconstruction
-from splatproof.metrics.flip import flip_map
+from splatproof.metrics.ldr_flip import flip_map
 from splatproof.metrics.pairs import check_pair
 from splatproof.metrics.registry import find_metric
 from splatproof.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image

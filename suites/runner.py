@@ -13,6 +13,7 @@ from splatproof.methods.priors.kinds import weights_facts
 from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
+from splatproof.suites.plugin_facts import plugin_facts
 from splatproof.suites.records import RECORD_NAME, read_record
 from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
 from splatproof.suites.same_model import CASE_NAME, training_key
@@ -227,7 +228,7 @@ def _with_data(
 
     try:
         data = scenes.of(job.case.scene, job.case.protocol, report)
-        data = data | weights_facts(job.case.depth_prior)
+        data = data | weights_facts(job.case.depth_prior) | plugin_facts(job.case)
     except Exception as error:  # noqa: BLE001 (whatever an adapter raises, the other cases go on)
         return job, reason_of(error)
     return replace(job, data=data), ""

@@ -21,6 +21,8 @@ WORDS = {
     WEIGHTS: "its depth prior's weights",
 }
 """Facts that depend on files alone, neither on code nor on protocol, most telling first."""
+PLUGIN = "plugin "
+"""Start of the facts that give the hash of each plug-in file that a case uses."""
 TESTS = "tests_"
 """Start of the names of the same facts where test views have a folder of their own."""
 
@@ -61,16 +63,19 @@ class SceneData:
 
 
 def changed(old: Mapping[str, str], new: Mapping[str, str]) -> str:
-    """Say which data differ; empty where nothing does that both have.
+    """Say which data or plug-ins differ; empty where nothing does that both have.
 
     Args:
-        old: Facts of the scene's files when the result was made.
-        new: Facts of the scene's files now.
-    Returns: Words such as "its photos".
+        old: Facts of the scene's files and of plug-ins when the result was made.
+        new: The same facts now.
+    Returns: Words such as "its photos" or "plugin my_method.py".
     """
     odd = [name for name in new if name in old and old[name] != new[name]]
     if not odd:
         return ""
+    plugins = [name for name in odd if name.startswith(PLUGIN)]
+    if plugins:
+        return plugins[0]
     first = min(odd, key=lambda name: list(WORDS).index(_plain(name)))
     return "its test views" if first.startswith(TESTS) else WORDS[first]
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from splatproof.base.errors import DataError, UsageError
+from splatproof.base.plugin_files import PluginFile, plugin_files
 from splatproof.base.plugins import with_plugins
 from splatproof.datasets.adapters import (
     kitti,
@@ -118,18 +119,22 @@ ADAPTERS = (
 """Our own, in the order in which they are asked; see `all_adapters`."""
 
 
-@functools.cache
 def all_adapters() -> dict[str, Adapter]:
     """Every adapter; the first that recognises a folder opens it.
 
     Installed packages add theirs through entry points of the group GROUP, each of which loads to an
-    `Adapter` and has its name. They are looked up at the first call, so that importing this module
-    loads no other package.
+    `Adapter` and has its name; plug-in files have theirs at their top level. Packages are looked up
+    at the first call, so that importing this module loads no other package.
 
-    Returns: Ours by name, then those of other packages.
-    Raises: UsageError, naming the package, where an entry point cannot be loaded or is no Adapter,
-        or where its name is another than the adapter's or one that is in use.
+    Returns: Ours by name, then those of other packages, then those of plug-in files.
+    Raises: UsageError, naming the package or file, where an entry point cannot be loaded or is no
+        Adapter, or where its name is another than the adapter's or one that is in use.
     """
+    return _all_adapters(plugin_files())
+
+
+@functools.cache
+def _all_adapters(_: tuple[PluginFile, ...]) -> dict[str, Adapter]:
     table = with_plugins({adapter.name: adapter for adapter in ADAPTERS}, GROUP, Adapter)
     for name, adapter in table.items():
         if name != adapter.name:
@@ -178,14 +183,21 @@ def _with_test_views(folder: Path, protocol: Protocol) -> Scene:
     return with_tests(_open_folder(folder, whole), _open_folder(tests, whole), protocol)
 
 
-def _open_folder(folder: Path, protocol: Protocol) -> Scene:
-    """Open a folder with the first adapter that recognises it."""
+def adapter_of(folder: Path) -> Adapter:
+    """The first adapter that recognises a scene folder.
+
+    Raises: DataError that lists what was looked for; UsageError, see `all_adapters`.
+    """
     adapters = all_adapters().values()
     for adapter in adapters:
         if adapter.recognises(folder):
-            return adapter.open(folder, protocol)
+            return adapter
     looked = "; ".join(f"{adapter.name}: {adapter.looks_for}" for adapter in adapters)
     raise DataError(
         f"{folder}: no scene found here; looked for {looked}; "
         "to make one from photos run `bench ingest PHOTOS OUT`"
     )
+
+
+def _open_folder(folder: Path, protocol: Protocol) -> Scene:
+    return adapter_of(folder).open(folder, protocol)

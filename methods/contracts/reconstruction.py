@@ -218,6 +218,7 @@ def require_kind(facts: Mapping[str, Any], known: Mapping[str, object], folder: 
     if kind not in known:
         raise DataError(
             f"{folder / DESCRIPTION}: kind {kind!r}, this installation loads "
-            f"{', '.join(sorted(known))}; install the package whose method made it"
+            f"{', '.join(sorted(known))}; install the package whose method "
+            "made it, or name its file with --plugin"
         )
     return str(kind)

@@ -123,7 +123,7 @@ COMPONENTS = (
     ),
     Component(
         title="Metrics",
-        modules=("metrics/ssim", "metrics/flip", "metrics/colour_difference", "metrics/gradient",
+        modules=("metrics/ssim", "metrics/ldr_flip", "metrics/colour_difference", "metrics/gradient",
                  "metrics/seam", "metrics/seam_released", "metrics/geometry", "metrics/depth",
                  "metrics/balance", "metrics/scoring"),
         source="spec of each in its docstring; StitchGS, Sec. 5 for the seam family",

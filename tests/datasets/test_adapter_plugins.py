@@ -12,7 +12,13 @@ from helpers.tiny_scene import tiny_scene
 from splatproof.base import plugins
 from splatproof.base.errors import DataError, UsageError
 from splatproof.cli import main
-from splatproof.datasets.catalogue.opening import ADAPTERS, GROUP, Adapter, all_adapters, open_scene
+from splatproof.datasets.catalogue.opening import (
+    ADAPTERS,
+    GROUP,
+    Adapter,
+    _all_adapters,
+    open_scene,
+)
 from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="test")
@@ -39,10 +45,10 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
         monkeypatch.setattr(
             plugins, "entry_points", lambda group: [p for p in points if p.group == group]
         )
-        all_adapters.cache_clear()
+        _all_adapters.cache_clear()
 
     yield offer
-    all_adapters.cache_clear()
+    _all_adapters.cache_clear()
 
 
 def test_a_folder_of_another_package_opens(tmp_path, installed):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from helpers.flip_formula import flip_formula
 from helpers.images import noise_image, pairs, photo, random_mask, spoiled
-from splatproof.metrics.flip import flip, flip_map
+from splatproof.metrics.ldr_flip import flip, flip_map
 from splatproof.metrics.pairs import check_pair
 
 FLOAT32 = 2e-4

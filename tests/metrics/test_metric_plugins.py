@@ -35,9 +35,9 @@ def offered(monkeypatch):
         monkeypatch.setattr(plugins, "entry_points", entry_points)
         return looked
 
-    all_metrics.cache_clear()
+    registry._all_metrics.cache_clear()
     yield offer
-    all_metrics.cache_clear()
+    registry._all_metrics.cache_clear()
 
 
 def test_it_stands_behind_ours_and_is_looked_up_once(offered):
@@ -57,7 +57,7 @@ def test_a_protocol_names_it_and_it_is_scored_and_ranked(offered, tmp_path):
     offered()
     with pytest.raises(UsageError, match="metric: unknown 'brightness'"):
         load_protocol(path)
-    all_metrics.cache_clear()
+    registry._all_metrics.cache_clear()
     offered(brightness="BRIGHTNESS")
     rules = load_protocol(path)
     truth, results = torch.full((4, 4, 3), 0.5), []

@@ -7,7 +7,7 @@
   const layout = (extra) => {
     const ink = S.colour("ink"), soft = S.colour("soft"), line = S.colour("line");
     const axis = (a = {}) => ({ gridcolor: line, zerolinecolor: line, linecolor: line, tickfont: { color: soft }, automargin: true, ...a, title: { standoff: 8, ...a.title, font: { color: soft, size: 12 } } });
-    return { paper_bgcolor: "transparent", plot_bgcolor: "transparent", font: { color: ink, size: 12, family: getComputedStyle(document.body).fontFamily }, margin: { l: 56, r: 16, t: 16, b: 48 }, hovermode: "closest", hoverlabel: { font: { size: 12 } }, showlegend: false, ...extra, xaxis: axis(extra.xaxis), yaxis: axis(extra.yaxis) };
+    return { paper_bgcolor: "transparent", plot_bgcolor: "transparent", font: { color: ink, size: 12, family: getComputedStyle(document.body).fontFamily }, margin: { l: 56, r: 16, t: 16, b: 48 }, modebar: { bgcolor: "transparent", color: soft, activecolor: ink }, hovermode: "closest", hoverlabel: { font: { size: 12 } }, showlegend: false, ...extra, xaxis: axis(extra.xaxis), yaxis: axis(extra.yaxis) };
   };
   // traces and extra are functions: they are asked again when the theme changes.
   S.plot = (label, traces, extra, onpoint) => {

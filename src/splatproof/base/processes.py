@@ -3,14 +3,18 @@
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from types import ModuleType
 from typing import Any, final
 
+from splatproof.base.plugin_files import Brought
 from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
 
@@ -44,14 +48,14 @@ class Worker:
             context = multiprocessing.get_context("spawn")
             environment = None
         self._says, theirs = context.Pipe()
-        self._process = context.Process(
-            target=_serve, args=(work, theirs, arguments, is_quiet(), environment)
-        )
+        # plug-ins come first: what follows may be made of their classes
+        given = (Brought(), work, theirs, arguments, is_quiet(), environment)
+        self._process = context.Process(target=_serve, args=given)
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says)
         try:
             resource_tracker.ensure_running()  # unblocks ctrl-C, so not inside `start`
-            with held_back():
+            with held_back(), _without_main():
                 self._process.start()
         except BaseException:
             self._end()
@@ -128,11 +132,30 @@ def _end(process: BaseProcess, says: Connection) -> None:
     says.close()  # not before: the worker would say that nobody listens
 
 
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """A process that starts inside the block does not run the script again that started it.
+
+    What workers run is importable by name; without this a script that fits at its top level would
+    start itself over in every worker.
+    """
+    before = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = before
+
+
 def _serve(
-    work: Callable[..., object], connection: Connection, arguments: tuple[Any, ...], quiet: bool,
+    _: Brought,
+    work: Callable[..., object],
+    connection: Connection,
+    arguments: tuple[Any, ...],
+    quiet: bool,
     environment: dict[str, str] | None,
-) -> None:  # fmt: skip
-    """What a worker's process does; it is as quiet as the one that started it."""
+) -> None:
+    """What a worker's process does; it knows the plug-ins of who started it, and is as quiet."""
     serve_parent()
     if environment is not None:
         os.environ.clear()

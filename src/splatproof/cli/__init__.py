@@ -17,13 +17,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Annotated, Any, get_type_hints
 
-import tyro
 from tyro.extras import SubcommandApp
 
 from splatproof.base.errors import MissingError, SplatproofError, UsageError
-from splatproof.cli import output
+from splatproof.cli import flags
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
@@ -41,6 +39,8 @@ class Command:
     """Subcommand name to function name; "" for a command without subcommands. Empty: the module's
     function subcommands() returns subcommand name to function (they depend on a registry)."""
     help: str
+    plugins: bool = False
+    """Whether it takes `--plugin`: it looks up methods, metrics or kinds of scene folders by name."""
 
 
 COMMANDS = {
@@ -53,32 +53,43 @@ COMMANDS = {
         module="scenes",
         functions={"list": "list_scenes", "show": "show", "get": "get", "make": "make"},
         help="List, show, download or make the registered scenes.",
+        plugins=True,
     ),
     "fit": Command(
         module="fit",
         functions={},
         help="Train one method on one scene and score the held-out views.",
+        plugins=True,
     ),
     "render": Command(
-        module="render", functions={"": "render"}, help="Render a trained model's views as images."
+        module="render",
+        functions={"": "render"},
+        help="Render a trained model's views as images.",
+        plugins=True,
     ),
     "score": Command(
         module="score",
         functions={"": "score"},
         help="Score a folder of renders, made by anything, against a folder of truths.",
+        plugins=True,
     ),
     "export": Command(
-        module="export", functions={"": "export"}, help="Write a trained model as a .ply file."
+        module="export",
+        functions={"": "export"},
+        help="Write a trained model as a .ply file.",
+        plugins=True,
     ),
     "run": Command(
         module="run",
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
+        plugins=True,
     ),
     "protocols": Command(
         module="protocols",
         functions={"": "protocols"},
         help="List and explain the rules by which views are held out and scored.",
+        plugins=True,
     ),
     "study": Command(
         module="study",
@@ -94,16 +105,19 @@ COMMANDS = {
         module="report",
         functions={"": "report"},
         help="Print the leaderboard and write the report page from the tracking store.",
+        plugins=True,
     ),
     "dashboard": Command(
         module="dashboard",
         functions={"": "dashboard"},
         help="Show leaderboards, histories, claims, plots and pictures of a store in the browser.",
+        plugins=True,
     ),
     "compare": Command(
         module="compare",
         functions={"": "compare"},
         help="Say what got better, worse or stayed equal between two sets of results.",
+        plugins=True,
     ),
     "baseline": Command(
         module="baseline",
@@ -207,6 +221,9 @@ def _told(action: Callable[[], int]) -> int:
 
 def _run(arguments: list[str]) -> int:
     """Parse with the chosen command loaded and the others as one-line stubs, and run it."""
+    command = next((COMMANDS[name] for name in arguments if name in COMMANDS), None)
+    if command is not None and command.plugins:
+        arguments = flags.with_plugins_loaded(arguments)
     chosen, below = ([a for a in arguments if not a.startswith("-")] + ["", ""])[:2]
     app = SubcommandApp()
     for name, command in COMMANDS.items():
@@ -230,7 +247,8 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
     """
     module = importlib.import_module(f"splatproof.cli.{command.module}")
     named = {key: getattr(module, f) for key, f in command.functions.items()}
-    functions = {key: _with_style(f) for key, f in (named or module.subcommands()).items()}
+    given = named or module.subcommands()
+    functions = {key: flags.with_flags(f, plugins=command.plugins) for key, f in given.items()}
     if "" in functions:
         app.command(name=name)(functions[""])
         return
@@ -241,39 +259,3 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
         first = inspect.cleandoc(function.__doc__ or "").splitlines()[0]
         group.command(name=key, help=None if key == below else first)(function)
     app.command(group, name=name, help=command.help)
-
-
-JsonFlag = Annotated[
-    bool,
-    tyro.conf.FlagCreatePairsOff,
-    tyro.conf.arg(help="Print results as JSON, one object a line."),
-]
-QuietFlag = Annotated[
-    bool,
-    tyro.conf.FlagCreatePairsOff,
-    tyro.conf.arg(help="No logs and no progress on stderr."),
-]
-
-
-def _with_style(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The command with `--json` and `--quiet` added: how splatproof.cli.output speaks."""
-
-    def command(*args: Any, json: bool, quiet: bool, **named: Any) -> Any:
-        with output.speaking(output.Style(json=json, quiet=quiet)):
-            return function(*args, **named)
-
-    # Tests wrap every function to check its types; tyro would read the wrapper's signature.
-    command = inspect.unwrap(command)
-    flags = {"json": JsonFlag, "quiet": QuietFlag}
-    parameters = [
-        *inspect.signature(function).parameters.values(),
-        *(
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
-            for name, kind in flags.items()
-        ),
-    ]
-    # tyro reads these; functools.wraps would make it read the inner function's, without the flags.
-    command.__name__, command.__doc__ = function.__name__, function.__doc__
-    command.__annotations__ = get_type_hints(function, include_extras=True) | flags
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    return command

@@ -5,8 +5,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from splatproof.api.paths import model_path
 from splatproof.base.errors import UsageError
-from splatproof.cli.models import model_path, protocol_of, scene_of
+from splatproof.cli.models import protocol_of, scene_of
 
 if TYPE_CHECKING:
     from splatproof.methods.contracts.reconstruction import Reconstruction

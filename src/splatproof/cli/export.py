@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from splatproof.api.paths import model_path
 from splatproof.cli import output
 from splatproof.cli.baking import UNSEEN, Seen, baked, view_of
-from splatproof.cli.models import model_path
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -24,9 +24,6 @@ from splatproof.cli.running import (
 if TYPE_CHECKING:
     from splatproof.suites.runner import Outcome
 
-SUITE = "fit"
-"""What records and leaderboards call the suite of one case that each fit is."""
-
 
 def subcommands() -> dict[str, Callable[..., int]]:
     """One command a method, so that each shows and takes its own settings."""
@@ -87,28 +84,22 @@ def fit(
     from splatproof.metrics.protocol_files import load_protocol, resized
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.chosen_folder import check_chosen
-    from splatproof.suites.run_case import Job
+    from splatproof.suites.one_case import job_of_one
     from splatproof.suites.runner import run_alone
     from splatproof.suites.scenes import check_opens, check_scene
-    from splatproof.suites.suite_files import Case, Suite
 
     uri = default_uri(out)
     where = str(Path(scene).resolve()) if Path(scene).is_dir() else scene
-    case = Case(
-        scene=where, method=method, settings=settings, seed=seed,
-        protocol=resized(load_protocol(protocol), width), pose_noise=pose_noise,
-        depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"),
-    )  # fmt: skip
-    suite = Suite(name=SUITE, description="", cases=(case,), scenes=())
-    job = Job(
-        case=case, suite=suite.name, suite_scenes=suite.scenes, folder=out, unscored=True,
-        **options(running, blocks),
+    suite, job = job_of_one(
+        method, where, settings, out=out, protocol=resized(load_protocol(protocol), width),
+        seed=seed, pose_noise=pose_noise,
+        depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"), **options(running, blocks),
     )  # fmt: skip
     check_options(suite, running, blocks)
     check_scene(where)
     check_chosen(job)
     prepare(suite)
-    check_opens(case)
+    check_opens(job.case)
     with output.progress() as bar:
         screen = Screen(bar, _print_scores)
         outcome = run_alone(job, on_progress=screen.progress, on_result=screen.result)

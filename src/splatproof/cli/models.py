@@ -10,12 +10,6 @@ if TYPE_CHECKING:
     from splatproof.reference.types.protocol import Protocol
 
 
-def model_path(given: Path) -> Path:
-    """The model that a path means: itself, or its model/ where it is what `bench fit` calls OUT."""
-    inner = given / "model"
-    return inner if (inner / "model.json").is_file() else given
-
-
 def scene_of(given: Path, origin: "Origin", scene: str | None) -> str:
     """The scene whose views are looked at: the one that is named, else the model's own.
 

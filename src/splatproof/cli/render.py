@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from splatproof.api.paths import model_path
 from splatproof.cli import output
-from splatproof.cli.models import model_path, protocol_of, scene_of
+from splatproof.cli.models import protocol_of, scene_of
 
 if TYPE_CHECKING:
     from torch import Tensor

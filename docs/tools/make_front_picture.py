@@ -1,0 +1,51 @@
+"""The README's picture: leaderboard and slider of a report page, photographed in headless Chromium.
+
+bench run quick && bench report && python docs/tools/make_front_picture.py runs/report.html
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+from splatproof.base.errors import MissingError
+
+PICTURE = Path(__file__).parents[1] / "images" / "front.jpg"
+WIDTH = 1000
+"""Pixels of the page; wide tables scroll below it."""
+BELOW = 12
+"""Pixels that are left below the slider."""
+
+
+def make(page: Path, picture: Path) -> None:
+    """Photograph the first scene of a page, from its heading to the slider.
+
+    Args:
+        page: What `bench report` wrote.
+        picture: JPEG that is written.
+    Raises: MissingError where there is no Chromium.
+    """
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        raise MissingError("no Chromium on the PATH; on Debian: apt-get install chromium")
+    with sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+        tab = opened.new_page(viewport={"width": WIDTH, "height": 2000}, device_scale_factor=1.5)
+        tab.goto(page.resolve().as_uri())
+        tab.wait_for_load_state("networkidle")
+        tab.locator("section.scene details").first.evaluate("one => { one.open = true }")
+        first, last = (
+            tab.locator("h2").first.bounding_box(),
+            tab.locator(".slider").first.bounding_box(),
+        )
+        assert first is not None
+        assert last is not None
+        top, end = first["y"] - BELOW, last["y"] + last["height"] + BELOW
+        clip = {"x": 0, "y": top, "width": WIDTH, "height": end - top}
+        tab.screenshot(path=picture, type="jpeg", quality=85, clip=clip)  # type: ignore[arg-type]
+        opened.close()
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]), PICTURE)

@@ -1,0 +1,15 @@
+from splatproof.metrics.colour_difference import delta_e_76 as delta_e_76
+from splatproof.metrics.colour_difference import delta_e_2000 as delta_e_2000
+from splatproof.metrics.gradient import gradient_l1 as gradient_l1
+from splatproof.metrics.ldr_flip import flip as flip
+from splatproof.metrics.lpips import lpips_alex_m11 as lpips_alex_m11
+from splatproof.metrics.lpips import lpips_vgg_01 as lpips_vgg_01
+from splatproof.metrics.lpips import lpips_vgg_m11 as lpips_vgg_m11
+from splatproof.metrics.pixel import l1 as l1
+from splatproof.metrics.pixel import psnr as psnr
+from splatproof.metrics.registry import find_metric as find_metric
+from splatproof.metrics.ssim import ms_ssim_kornia as ms_ssim_kornia
+from splatproof.metrics.ssim import ssim_3dgs as ssim_3dgs
+from splatproof.metrics.ssim import ssim_kornia as ssim_kornia
+from splatproof.metrics.ssim import ssim_skimage as ssim_skimage
+from splatproof.metrics.ssim import ssim_valid as ssim_valid

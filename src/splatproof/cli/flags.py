@@ -1,0 +1,93 @@
+"""Options that commands share: how they speak, and the user's own plug-in files."""
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import tyro
+
+from splatproof.cli import output
+
+JsonFlag = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(help="Print results as JSON, one object a line."),
+]
+QuietFlag = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(help="No logs and no progress on stderr."),
+]
+
+
+PluginFiles = Annotated[
+    tuple[Path, ...],
+    tyro.conf.UseAppendAction,
+    tyro.conf.arg(
+        metavar="FILE.py",
+        help="Python file with methods, metrics or adapters of your own; can be given several times.",
+    ),
+]
+
+
+def with_flags(function: Callable[..., Any], *, plugins: bool) -> Callable[..., Any]:
+    """The command with `--json`, `--quiet` and `--plugin` added.
+
+    The first two say how splatproof.cli.output speaks; plug-ins were loaded before parsing.
+
+    Args:
+        function: The command.
+        plugins: Whether it takes `--plugin`.
+    Returns: The command with the signature that tyro reads.
+    """
+
+    def command(*args: Any, json: bool, quiet: bool, plugin: object = (), **named: Any) -> Any:
+        with output.speaking(output.Style(json=json, quiet=quiet)):
+            return function(*args, **named)
+
+    # Tests wrap every function to check its types; tyro would read the wrapper's signature.
+    command = inspect.unwrap(command)
+    added: dict[str, Any] = {"json": (JsonFlag, False), "quiet": (QuietFlag, False)}
+    if plugins:
+        added["plugin"] = (PluginFiles, ())
+    parameters = [
+        *inspect.signature(function).parameters.values(),
+        *(
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=usual, annotation=kind)
+            for name, (kind, usual) in added.items()
+        ),
+    ]
+    # tyro reads these; functools.wraps would make it read the inner function's, without the flags.
+    command.__name__, command.__doc__ = function.__name__, function.__doc__
+    kinds = {name: kind for name, (kind, _) in added.items()}
+    command.__annotations__ = get_type_hints(function, include_extras=True) | kinds
+    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def with_plugins_loaded(arguments: list[str]) -> list[str]:
+    """Load the files that follow `--plugin`.
+
+    It comes before parsing: a plug-in's method is a subcommand of its own.
+
+    Args:
+        arguments: The command line.
+    Returns: What remains of it.
+    Raises: UsageError for a file that cannot be used.
+    """
+    rest, files = list[str](), list[str]()
+    for argument in arguments:
+        if rest and rest[-1] == "--plugin":
+            rest.pop()
+            files.append(argument)
+        elif argument.startswith("--plugin="):
+            files.append(argument.removeprefix("--plugin="))
+        else:
+            rest.append(argument)
+    if files:
+        from splatproof.api.plugins import use_plugin  # brings torch
+
+        for file in files:
+            use_plugin(file)
+    return rest
