@@ -12,7 +12,17 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "src" / "splatproof"
-ROOMS = ("reference", "metrics", "datasets", "methods", "suites", "reports", "base", "cli")
+ROOMS = (
+    "reference",
+    "metrics",
+    "datasets",
+    "methods",
+    "suites",
+    "reports",
+    "base",
+    "cli",
+    "viewing",
+)
 
 
 def our_modules() -> dict[str, str]:

@@ -62,6 +62,16 @@ COMMANDS = {
     "render": Command(
         module="render", functions={"": "render"}, help="Render a trained model's views as images."
     ),
+    "view": Command(
+        module="view",
+        functions={"": "view"},
+        help="Look at trained models in the browser, from anywhere.",
+    ),
+    "turntable": Command(
+        module="turntable",
+        functions={"": "turntable"},
+        help="Write a film of a trained model: round the scene, or along its cameras.",
+    ),
     "score": Command(
         module="score",
         functions={"": "score"},
