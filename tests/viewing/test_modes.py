@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from splatproof.base.errors import UsageError
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.reference.types.scene import camera_view
 from splatproof.viewing.asked import read_asked
 from splatproof.viewing.frames import Wishes, frame_of, picture_of
@@ -94,6 +95,7 @@ def _pink(stage: Stage, **told: str) -> float:
 def _doubled(stage: Stage):
     """The model, and a copy of it behind all cameras."""
     model = stage.models[0].model
+    assert isinstance(model, ExplicitModel)
     parts = {name: torch.cat([value, value]) for name, value in vars(model.model).items()}
     parts["means"][len(model.model) :, 2] -= 8.4
     return replace(model, model=replace(model.model, **parts))

@@ -39,33 +39,38 @@ def view(
         open: Also open the page in the browser.
         backend: Name of the rasterizer: cpu, reference or cuda.
         measure: Instead of serving: ask for this many frames of 640 x 360 on a walk round the scene,
-            as the page would, and print how long they took, as text or one JSON object.
+            as the page would, and print how long they took, as text or one JSON object. Without a
+            MODEL that is of 100,000 random Gaussians, all of them in the image.
     """
     from splatproof.base.local_server import HOST, listening, server_of
-    from splatproof.viewing.measuring import measured
+    from splatproof.viewing.measuring import measured, random_stage, sway, walk
     from splatproof.viewing.opening import open_stage
     from splatproof.viewing.server import application
 
-    if not models:
-        raise UsageError("name at least one model: what `bench fit` calls OUT")
     if measure is not None and measure < 1:
         raise UsageError(f"--measure {measure}: expected 1 or more frames")
+    if not models:
+        if measure is None:
+            raise UsageError("name at least one model: what `bench fit` calls OUT")
+        stage, camera = random_stage(backend)
+        found = measured(stage, sway(camera, measure))
+        output.emit(found.record(), found.text())
+        return
     stage = open_stage(
         [(given, model_path(given)) for given in models], scene=scene, protocol=protocol,
         backend=backend, scene_of=scene_of, protocol_of=protocol_of, say=output.log,
     )  # fmt: skip
-    at = listening(0 if measure is not None else port)
-    number = at.getsockname()[1]
-    server = server_of(application(stage, number))
     if measure is not None:
-        found = measured(server, at, stage, measure)
+        found = measured(stage, walk(stage, measure))
         output.emit(found.record(), found.text())
         return
+    at = listening(port)
+    number = at.getsockname()[1]
     address = f"http://{HOST}:{number}/"
     output.emit({"address": address}, f"{address}  (ctrl-C ends it)")
     if open:
         webbrowser.open(address)
     try:
-        server.run(sockets=[at])
+        server_of(application(stage, number)).run(sockets=[at])
     except KeyboardInterrupt:
         output.log("ended")

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.regions import nearest_region
@@ -79,6 +80,19 @@ def mode_named(name: str) -> Mode:
     return MODES[name]
 
 
+def check_mode(stage: Stage, name: str) -> None:
+    """Refuse a mode in which the first model cannot be shown.
+
+    Args:
+        stage: What is shown.
+        name: Name of the mode.
+    Raises: UsageError.
+    """
+    missing = mode_named(name).missing(stage, stage.models[0])
+    if missing:
+        raise UsageError(f"--mode {name}: {missing}")
+
+
 def _colour(looked: Looked) -> Picture:
     return looked.colours, {}
 
@@ -104,7 +118,7 @@ def _blocks(looked: Looked) -> Picture:
         looked.view.camera, painted, mode=model.mode,
         background=None if behind is None else behind.to(backend.device),
     ).to("cpu")  # fmt: skip
-    return output.colour.clamp(0, 1), {"blocks": str(len(model.block_facts))}
+    return output.colour.clamp(0, 1), {"blocks": str(len(model.blocks.unique()))}
 
 
 def block_colours(count: int) -> Float[Tensor, "count 3"]:
