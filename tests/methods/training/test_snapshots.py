@@ -13,6 +13,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.models.gaussian_model import GaussianModel
+from splatproof.methods.pvg.settings import Start
 from splatproof.methods.registry import get_method
 from splatproof.methods.training import snapshots
 from splatproof.methods.training.schedules import Rates
@@ -24,7 +25,12 @@ RUNS = {
     "3dgs with exposures": {"iterations": 20, "exposure": "affine"},
     "scaffold-gs": {"iterations": 20},
     "dlg-gs": {"iterations": 20, "vdjc": "off"},
-    "pvg": {"iterations": 20, "lidar": LidarSettings(weight=0), "sky": SkySettings(weight=0)},
+    "pvg": {
+        "iterations": 20,
+        "lidar": LidarSettings(weight=0.0),
+        "sky": SkySettings(weight=0.0),
+        "start": Start(sweep_points=0),
+    },
 }
 
 
