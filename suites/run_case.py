@@ -18,9 +18,10 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import Reconstruction, save_model
-from splatproof.methods.contracts.run import Run
+from splatproof.methods.contracts.run import Run, show_nobody
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.registry import get_method
+from splatproof.methods.training.snapshots import Snapshots
 from splatproof.methods.training.threads import threads
 from splatproof.metrics.registry import load_weights
 from splatproof.metrics.scoring import scene_metrics
@@ -96,6 +97,8 @@ class Job:
     """Where cases of one suite and the same data share trained blocks; None: they do not."""
     same_model: tuple[Path, ...] = ()
     """Folders of cases whose model is this one's too: one that is there is taken, not trained."""
+    snapshots: Path | None = None
+    """Folder that the model is written to now and then while it trains, for who watches; None: nobody."""
     data: dict[str, str] = field(default_factory=dict)
     """Facts of the scene's files, for the record; nothing that was made of other files is
     continued."""
@@ -288,6 +291,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             engine=job.engine,
             cache=job.cache,
             say=lambda line: tell("train", 0, 0, {}, line),
+            on_model=show_nobody if job.snapshots is None else Snapshots(job.snapshots),
         ),
     )
     spent.facts[ENDED] = now()

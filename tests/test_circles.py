@@ -12,7 +12,18 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "src" / "splatproof"
-ROOMS = ("reference", "metrics", "datasets", "methods", "suites", "reports", "base", "cli", "api")
+ROOMS = (
+    "reference",
+    "metrics",
+    "datasets",
+    "methods",
+    "suites",
+    "reports",
+    "base",
+    "cli",
+    "api",
+    "viewing",
+)
 
 
 def our_modules() -> dict[str, str]:

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from splatproof.methods.contracts.model import Model
+
 
 def say_nothing(step: int, total: int, values: dict[str, float]) -> None:
     """The report that nobody reads.
@@ -42,6 +44,16 @@ def count_nothing(name: str, count: int) -> None:
     """
 
 
+def show_nobody(step: int, total: int, model: Model) -> None:
+    """The model in training that nobody looks at.
+
+    Args:
+        step: Training steps that are done.
+        total: Training steps of the whole run.
+        model: The model; it changes with the next step.
+    """
+
+
 def keep_to_oneself(line: str) -> None:
     """The words that nobody hears.
 
@@ -77,6 +89,9 @@ class Run:
     """Called as on_count(name, number) at the end for work that was done, see
     `splatproof.methods.training.counts`; a continued run's numbers include those before the
     interruption. Methods that train in blocks, each in a process of its own, do not count."""
+    on_model: Callable[[int, int, Model], None] = show_nobody
+    """Called as on_model(step, total, model) as often as `report`; it must not change the model. Methods
+    that train in blocks do not call it."""
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
     image_bytes: int = 2**30

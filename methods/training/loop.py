@@ -92,6 +92,7 @@ class Trainer:
             if last or self.step % REPORT_EVERY == 0:
                 told = values | {"gaussians": float(self.model.primitives)}
                 self.run.report(self.step, self.plan.steps, told)
+                self.run.on_model(self.step, self.plan.steps, self.model)
             if last or now - saved >= self.run.checkpoint_seconds:
                 self.save()
                 clock = saved = time.perf_counter()

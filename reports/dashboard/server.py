@@ -3,7 +3,8 @@
 import socket
 from typing import TYPE_CHECKING, Any
 
-from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base import local_server
+from splatproof.base.errors import SplatproofError
 from splatproof.reports.dashboard.assets import POLICY
 from splatproof.reports.dashboard.site import Site
 
@@ -12,39 +13,14 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-HOST = "127.0.0.1"
-HEADERS = {
-    "Content-Security-Policy": f"{POLICY}; frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",
-    "X-Content-Type-Options": "nosniff",
-}
+HEADERS = local_server.headers(POLICY)
 """Data comes as scripts, which any page could include: browsers refuse that by the resource policy."""
 LASTING = ("picture/", "thumb/", "app/")
 """Starts of paths whose files do not change while the server lives."""
 
 
-def listening(port: int) -> socket.socket:
-    """A socket that this machine alone can reach.
-
-    Args:
-        port: Its port; 0: any that is free.
-    Raises: UsageError where another program has the port.
-    """
-    try:
-        return socket.create_server((HOST, port))
-    except OSError as error:
-        raise UsageError(
-            f"--port {port}: {error.strerror}; choose another, or 0 for any that is free"
-        ) from error
-
-
 def application(site: Site, port: int) -> "Starlette":
-    """The server's program: it answers GET requests for the site's paths.
-
-    Requests by another name than this machine's are refused, since a page from elsewhere could make its
-    own name point here (DNS rebinding); so are requests that a page from elsewhere makes.
+    """The server's program: it answers GET requests of this machine for the site's paths.
 
     Args:
         site: What is shown.
@@ -54,15 +30,11 @@ def application(site: Site, port: int) -> "Starlette":
     from starlette.responses import PlainTextResponse, Response
     from starlette.routing import Route
 
-    names = {f"{name}:{port}" for name in (HOST, "localhost", "[::1]")}
-
     def answer(request: "Request") -> "Response":
         path = request.path_params["path"]
-        if request.headers.get("host", "") not in names:
-            return PlainTextResponse(f"this is {HOST}:{port}\n", 421, HEADERS)
-        asked_from = request.headers.get("sec-fetch-site", "none")
-        if asked_from not in ("none", "same-origin") and path:
-            return PlainTextResponse("for its own page alone\n", 403, HEADERS)
+        refused = local_server.refusal(request, port, HEADERS, entry=not path)
+        if refused is not None:
+            return refused
         try:
             found = site.read(path)
         except SplatproofError as error:
@@ -80,7 +52,7 @@ def serve(site: Site, at: socket.socket) -> None:
 
     Args:
         site: What is shown.
-        at: Where: a socket of `listening`.
+        at: Where: a socket of `base.local_server.listening`.
     """
     server_of(site, at).run(sockets=[at])
 
@@ -92,15 +64,4 @@ def server_of(site: Site, at: socket.socket) -> Any:
         site: What is shown.
         at: Where it will listen.
     """
-    import uvicorn
-
-    return uvicorn.Server(
-        uvicorn.Config(
-            application(site, at.getsockname()[1]),
-            log_level="warning",
-            access_log=False,
-            lifespan="off",
-            ws="none",
-            server_header=False,
-        )
-    )
+    return local_server.server_of(application(site, at.getsockname()[1]))

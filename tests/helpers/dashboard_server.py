@@ -4,7 +4,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from splatproof.reports.dashboard.server import listening, server_of
+from splatproof.base.local_server import listening
+from splatproof.reports.dashboard.server import server_of
 from splatproof.reports.dashboard.site import Site
 
 

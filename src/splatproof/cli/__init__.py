@@ -67,6 +67,18 @@ COMMANDS = {
         help="Render a trained model's views as images.",
         plugins=True,
     ),
+    "view": Command(
+        module="view",
+        functions={"": "view"},
+        help="Look at trained models in the browser, from anywhere.",
+        plugins=True,
+    ),
+    "turntable": Command(
+        module="turntable",
+        functions={"": "turntable"},
+        help="Write a film of a trained model: round the scene, or along its cameras.",
+        plugins=True,
+    ),
     "score": Command(
         module="score",
         functions={"": "score"},

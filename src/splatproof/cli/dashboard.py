@@ -37,8 +37,9 @@ def dashboard(
         cache: File that keeps what was read of the store. None: beside an SQLite store, else
             OUT/dashboard.cache.
     """
+    from splatproof.base.local_server import listening
     from splatproof.reports.dashboard.cache import Cache
-    from splatproof.reports.dashboard.server import listening, serve
+    from splatproof.reports.dashboard.server import serve
     from splatproof.reports.dashboard.site import Site
     from splatproof.reports.dashboard.static_site import build_site
     from splatproof.reports.mlflow_client import check_uri, default_uri, shown_uri, sqlite_file

@@ -1,6 +1,8 @@
 """`bench fit METHOD SCENE`: train one method on one scene and score the held-out views."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -22,6 +24,7 @@ from splatproof.cli.running import (
 )
 
 if TYPE_CHECKING:
+    from splatproof.suites.run_case import Job
     from splatproof.suites.runner import Outcome
 
 
@@ -43,6 +46,7 @@ def fit(
     seed: int = 0,
     pose_noise: Literal["none", "L1", "L2", "L3"] = "none",
     depth_prior: str = "none",
+    view: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     running: Annotated[Running, tyro.conf.arg(name="")] = USUAL,
     blocks: Annotated[BlockRunning, tyro.conf.arg(name="")] = USUAL_BLOCKS,
 ) -> int:
@@ -76,6 +80,8 @@ def fit(
         depth_prior: Depth prior that the method may read of each training view: oracle (true depth
             of a made world), oracle+noise, lidar (sweeps, completed), sweep (matched photos),
             network:FILE (our own network's weights), depth-anything:FOLDER, or none.
+        view: Show the model in the browser while it trains; the address is told on stderr. The model is
+            the same to the bit.
         running: How it is run.
         blocks: How blocks of a city are trained.
     """
@@ -100,7 +106,7 @@ def fit(
     check_chosen(job)
     prepare(suite)
     check_opens(job.case)
-    with output.progress() as bar:
+    with _watched(job) if view else nullcontext(job) as job, output.progress() as bar:
         screen = Screen(bar, _print_scores)
         outcome = run_alone(job, on_progress=screen.progress, on_result=screen.result)
     if sync_cases(out, uri):
@@ -108,6 +114,16 @@ def fit(
     if not outcome.result.error:
         output.log(f"model: {out / 'model'}; page with pictures: bench report --out {out}")
     return exit_code([outcome])
+
+
+@contextmanager
+def _watched(job: "Job") -> "Iterator[Job]":
+    """The job while a page shows its model."""
+    from splatproof.viewing.live import watched
+
+    case = job.case
+    with watched(case.scene, case.protocol, f"{case.method} in training", output.log) as folder:
+        yield replace(job, snapshots=folder)
 
 
 def _print_scores(outcome: "Outcome") -> None:
@@ -134,7 +150,8 @@ def _command(name: str) -> Callable[..., int]:
     return bound(
         fit,
         {"method": name},
-        without=() if method.blocks else {"blocks"},
+        # blocks train in processes of their own, which nobody watches
+        without={"view"} if method.blocks else {"blocks"},
         kinds={"settings": Annotated[method.settings, tyro.conf.arg(name="")]},
         title=f"{method.description}.",
     )

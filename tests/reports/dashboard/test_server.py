@@ -1,43 +1,16 @@
 """The server answers this machine's own pages and nobody else."""
 
 import shutil
-from dataclasses import dataclass
-from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
 
 from helpers.dashboard_server import serving
+from helpers.local_requests import ask
 from splatproof.base.errors import UsageError
+from splatproof.base.local_server import listening
 from splatproof.reports.dashboard.cache import Cache
-from splatproof.reports.dashboard.server import listening
 from splatproof.reports.dashboard.site import Site
-
-
-@dataclass(frozen=True, kw_only=True)
-class Answer:
-    """What a server said."""
-
-    status: int
-    headers: dict[str, str]
-    text: str
-
-
-def ask(port: int, path: str, method: str = "GET", **headers: str) -> Answer:
-    """One request; headers by their names with "_" for "-"."""
-    line = HTTPConnection("127.0.0.1", port, timeout=30)
-    named = {name.replace("_", "-"): value for name, value in headers.items()}
-    line.putrequest(method, path, skip_host="host" in named)
-    for name, value in named.items():
-        line.putheader(name, value)
-    line.endheaders()
-    got = line.getresponse()
-    answer = Answer(
-        status=got.status, text=got.read().decode(),
-        headers={name.lower(): value for name, value in got.getheaders()},
-    )  # fmt: skip
-    line.close()
-    return answer
 
 
 def test_the_page_comes_with_its_policy(port: int):

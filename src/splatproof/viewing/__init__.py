@@ -1,0 +1,1 @@
+"""Looking at trained models: pictures from any camera, a page in the browser, films."""
