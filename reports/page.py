@@ -22,6 +22,8 @@ from splatproof.reports.table import Row, Table
 
 PICTURE_BUDGET = 24_000_000
 """Characters of embedded pictures in a page, shared evenly by its scenes; one image each at least."""
+OPEN_DIFFERENCES = 15
+"""Pairs of rows whose verdicts are open when the page is: all pairs of six rows."""
 
 
 def render_page(
@@ -74,6 +76,7 @@ def render_page(
         protocols={run_data.digest(t.rules): (t.protocol, _plain(t.rules)) for t in tables},
         widest=WIDEST,
         quality=QUALITY,
+        open_differences=OPEN_DIFFERENCES,
     )
 
 

@@ -60,6 +60,8 @@ class SuiteFile:
     cases: tuple[CaseTable, ...]
     optional_scenes: tuple[str, ...] = ()
     """Scenes that are left out, with a said reason, where they are not on this machine."""
+    means: bool = True
+    """Whether reports give means over the scenes; False where the scenes have nothing in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +154,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
         name=path.stem,
         description=file.description,
         cases=tuple(cases),
-        scenes=tuple(dict.fromkeys(case.scene_name for case in cases)),
+        scenes=tuple(dict.fromkeys(case.scene_name for case in cases)) if file.means else (),
         optional_scenes=tuple(_beside(name, path) for name in file.optional_scenes),
     )
 
