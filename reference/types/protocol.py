@@ -33,6 +33,10 @@ class Protocol:
     """Index of the first view (or moment) held out; the next are hold, 2 hold, ... later."""
     hold_unit: Literal["view", "time"] = "view"
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
+    least_seen: float = 0.0
+    """Share of a view's pixels, 0 to 1, that training photos must show where it is held out: a view
+    at the survey's rim that they show less of is left to training, and the next one that they show
+    this much of is held out in its place (see `splatproof.datasets.seen_split`). 0: not asked."""
     sensors: tuple[str, ...] = ()
     """Names of the cameras that are used, in training and in testing; empty: all."""
     clips: tuple[tuple[str, int, int], ...] = ()

@@ -225,6 +225,14 @@ def test_times_of_two_machines_are_not_compared():
     assert "psnr" in rows(table)["3dgs"].best
 
 
+def test_a_path_of_gradients_that_the_method_decides_is_no_other_machine():
+    ours = of(seeds(), environment={"gradients by": "kernels"})
+    other = of(seeds(method="b", psnr=20.0), environment={"gradients by": "autograd"})
+    assert not only_table([*ours, *other]).warnings
+    mixed = [*ours[:2], *of(ours[2:], environment={"gradients by": "autograd"})]
+    assert any("gradients by" in warning for warning in only_table([*mixed, *other]).warnings)
+
+
 def test_failed_cases_are_named_and_take_no_part():
     failed = of(seeds(1, method="b"), error="out of memory", metrics={}, images=())
     table = only_table([*seeds(), *failed])
