@@ -11,6 +11,7 @@ from splatproof.methods.contracts.reconstruction import (
     read_stored,
     require_kind,
 )
+from splatproof.methods.gaussian_files import FOREIGN, is_file, read_gaussians
 from splatproof.methods.models.explicit import (
     EXPLICIT,
     ExplicitModel,
@@ -18,7 +19,6 @@ from splatproof.methods.models.explicit import (
 )
 from splatproof.methods.models.exposure import EXPOSED, load_exposed
 from splatproof.methods.registry import methods
-from splatproof.methods.storage.gaussian_files import FOREIGN, is_file, read_gaussians
 from splatproof.methods.storage.packed.reader import read_packed
 
 

@@ -1,6 +1,6 @@
 """The rules that make two numbers comparable. A protocol is data; it is part of a result's key."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Literal
 
 
@@ -33,6 +33,9 @@ class Protocol:
     """Index of the first view (or moment) held out; the next are hold, 2 hold, ... later."""
     hold_unit: Literal["view", "time"] = "view"
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
+    strict: bool = False
+    """Refuse a scene whose description names photos that are not there; False: they are left out,
+    and the scene's `left_out` says so."""
     least_seen: float = 0.0
     """Share of a view's pixels, 0 to 1, that training photos must show where it is held out: a view
     at the survey's rim that they show less of is left to training, and the next one that they show
@@ -77,3 +80,22 @@ class Protocol:
     column."""
     colour_fit: tuple[Literal["cc_affine", "cc_quadratic"], ...] = ()
     """Extra columns after a colour fit to the truth; never the main column."""
+
+
+LATER = ("strict", "least_seen")
+"""Rules that came after results were kept: where they are as usual, a key does not name them."""
+
+
+def rules_of(protocol: Protocol) -> dict[str, object]:
+    """Every rule by its name, as keys of results hold them: a result from before a rule was there is
+    one of a protocol that has it at its default, and is kept.
+
+    Args:
+        protocol: The protocol.
+    """
+    usual = {field.name: field.default for field in fields(protocol)}
+    return {
+        name: value
+        for name, value in asdict(protocol).items()
+        if name not in LATER or value != usual[name]
+    }

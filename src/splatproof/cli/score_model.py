@@ -18,7 +18,7 @@ def is_model(given: Path) -> bool:
     Args:
         given: As the user named it.
     """
-    from splatproof.methods.storage.gaussian_files import is_file
+    from splatproof.methods.gaussian_files import is_file
 
     return is_file(given) or (model_path(given) / "model.json").is_file()
 
