@@ -24,7 +24,7 @@ def is_file(path: Path) -> bool:
     return path.is_file() or path.suffix.lower() in FOREIGN
 
 
-def read_gaussians(path: Path) -> tuple[Gaussians, PackedFacts]:
+def read_gaussians(path: str | Path) -> tuple[Gaussians, PackedFacts]:
     """The Gaussians of a .ply, .spz, .glb or packed file and what it says of them.
 
     Args:
@@ -34,6 +34,7 @@ def read_gaussians(path: Path) -> tuple[Gaussians, PackedFacts]:
     Raises: DataError, in one line, for a file that is missing, damaged or another kind of file;
         MissingError for an .spz without the package that reads it.
     """
+    path = Path(path)
     facts = PackedFacts()
     match path.suffix.lower():
         case ".ply":

@@ -95,7 +95,7 @@ def select(suite: Suite, *, only: str | None = None, seeds: int | None = None) -
 
 def run_suite(
     suite: Suite,
-    folder: Path,
+    folder: str | Path,
     *,
     only: str | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -132,6 +132,7 @@ def run_suite(
     Returns: One outcome a case, in the suite's order.
     Raises: UsageError if `only` matches nothing; also if another process is at work in the folder.
     """
+    folder = Path(folder)
     cases = select(suite, only=only).cases
     outcomes = []
     root = folder / suite.name

@@ -30,7 +30,7 @@ TINIEST = 1e-37
 
 
 def write_gltf(
-    path: Path,
+    path: str | Path,
     gaussians: Gaussians,
     shift: Float[Tensor, "3"] | None = None,
     mode: Mode = "classic",
@@ -52,6 +52,7 @@ def write_gltf(
 
     Source: Khronos, glTF 2.0, section 4.4 (GLB), and the extension KHR_gaussian_splatting.
     """
+    path = Path(path)
     columns = _columns(gaussians)
     views, accessors, at = [], [], 0
     for values in columns.values():
@@ -87,7 +88,7 @@ def write_gltf(
             file.write(values.tobytes())
 
 
-def read_gltf(path: Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
+def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
     """The Gaussians of a .glb file, its shift and how they are rasterized.
 
     Opacities beyond 1 - 2^-24 come back as that, scales below 1e-37 as 1e-37.
@@ -99,6 +100,7 @@ def read_gltf(path: Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
         says none) and the mode ("classic" where it says none).
     Raises: DataError, in one line, naming the file and the fault.
     """
+    path = Path(path)
     document, body = _chunks(path)
     try:
         node, primitive = _primitive(document, path)

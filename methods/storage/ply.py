@@ -45,7 +45,7 @@ def properties(bands: int) -> list[str]:
 
 
 def write_ply(
-    path: Path,
+    path: str | Path,
     gaussians: Gaussians,
     shift: Float[Tensor, "3"] | None = None,
     mode: Mode = "classic",
@@ -66,6 +66,7 @@ def write_ply(
 
     Source: the 3DGS release's save_ply.
     """
+    path = Path(path)
     offset = torch.zeros(3, dtype=torch.float64) if shift is None else shift.double()
     moved = bool((offset != 0).any())
     names = properties(gaussians.sh.shape[1])
@@ -87,7 +88,7 @@ def write_ply(
         data.write(partial)
 
 
-def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
+def read_ply(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
     """Gaussians of a .ply file, binary or ascii, of this project or another tool.
 
     Normals and unknown properties are ignored. The shift that the header names is taken off again
@@ -100,6 +101,7 @@ def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
 
     Raises: DataError, in one line, naming the file and the fault.
     """
+    path = Path(path)
     vertex, comments = _vertices(path)
     found = {prop.name for prop in vertex.properties}
     rest = sum(name.startswith("f_rest_") for name in found)
@@ -144,11 +146,12 @@ def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
     return model, shift
 
 
-def read_mode(path: Path) -> Mode:
+def read_mode(path: str | Path) -> Mode:
     """How the header of a .ply file says that its model is rasterized; "classic" where it does not.
 
     Raises: DataError as `read_ply`, or for a mode that there is not.
     """
+    path = Path(path)
     for mode in _after(MODE, _vertices(path)[1]):
         if mode not in get_args(Mode):
             raise DataError(
