@@ -93,7 +93,10 @@ def _view(
         "headings": [(_heading(h), known.get(h, "")) for h in text.headings(table)],
         "cells": [(row, series[row.label], text.texts(table, row)) for row in table.rows],
         "swatches": {label: charts.swatch(i) for label, i in series.items()},
-        "notes": [f"{row.label}: {row.note}" for row in table.rows if row.note],
+        "notes": [
+            *(f"{row.label}: {row.note}" for row in table.rows if row.note),
+            *text.variants(table),
+        ],
         "differences": text.difference_lines(table),
         "compare": _compare(shown, finished, pictures),
         "embedded": len(shown),
