@@ -28,5 +28,7 @@ def _parts(key: object) -> dict[str, object]:
         return {"key": key}
     if not isinstance(values, list) or len(values) < len(PARTS):
         return {"key": key}
-    named = dict(zip(PARTS, values, strict=False))
-    return named | ({"the rest": values[len(PARTS) :]} if len(values) > len(PARTS) else {})
+    named: dict[str, object] = dict(zip(PARTS, values, strict=False))
+    if len(values) > len(PARTS):
+        named["the rest"] = values[len(PARTS) :]
+    return named
