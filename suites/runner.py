@@ -10,6 +10,7 @@ from typing import Literal
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
 from splatproof.methods.priors.kinds import weights_facts
+from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
@@ -259,7 +260,7 @@ def finished(job: Job) -> Result | str:
         method=result.method,
         settings=result.settings,
         seed=result.seed,
-        protocol=result.protocol_rules,
+        protocol=key_rules(result.protocol_rules),
         pose_noise=result.pose_noise,
         backend=result.environment.get("backend"),
         **prior_part(result.depth_prior),

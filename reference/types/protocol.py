@@ -1,6 +1,7 @@
 """The rules that make two numbers comparable. A protocol is data; it is part of a result's key."""
 
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Literal
 
 
@@ -86,16 +87,12 @@ LATER = ("strict", "least_seen")
 """Rules that came after results were kept: where they are as usual, a key does not name them."""
 
 
-def rules_of(protocol: Protocol) -> dict[str, object]:
-    """Every rule by its name, as keys of results hold them: a result from before a rule was there is
-    one of a protocol that has it at its default, and is kept.
+def key_rules(rules: Mapping[str, object]) -> dict[str, object]:
+    """Rules as the keys of results hold them: a key from before a rule was there is one of a protocol
+    that has it at its default, and what it names is kept.
 
     Args:
-        protocol: The protocol.
+        rules: Every rule by its name.
     """
-    usual = {field.name: field.default for field in fields(protocol)}
-    return {
-        name: value
-        for name, value in asdict(protocol).items()
-        if name not in LATER or value != usual[name]
-    }
+    usual = {field.name: field.default for field in fields(Protocol)}
+    return {n: value for n, value in rules.items() if n not in LATER or value != usual[n]}

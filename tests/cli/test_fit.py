@@ -1,7 +1,7 @@
 """`bench fit` and `bench run` are one road: the same options, records and reports."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -24,7 +24,7 @@ from splatproof.methods.registry import METHODS
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.metrics.protocol_files import load_protocol
-from splatproof.reference.types.protocol import rules_of
+from splatproof.reference.types.protocol import key_rules
 from splatproof.suites import run_case as cases
 from splatproof.suites import runner
 from splatproof.suites.records import read_record
@@ -291,10 +291,11 @@ def test_points_and_strictness_are_rules_and_what_is_left_out_is_told(town, caps
 @pytest.mark.usefixtures("no_store")
 def test_a_result_from_before_a_rule_was_there_is_kept(town, capsys):
     rules = load_protocol("default")
-    assert not {"strict", "least_seen"} & set(rules_of(rules))
-    assert rules_of(replace(rules, strict=True))["strict"] is True
+    assert not {"strict", "least_seen"} & set(key_rules(asdict(rules)))
+    assert key_rules(asdict(replace(rules, strict=True)))["strict"] is True
     assert fit("--iterations", 6) == 0
-    capsys.readouterr()
+    assert fit("--iterations", 6, "--json") == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["status"] == "kept"
     assert fit("--iterations", 6, "--strict") == 2
     assert "(protocol.strict false before, true now)" in capsys.readouterr().err
 
