@@ -7,8 +7,11 @@ export PYTHONSAFEPATH := 1
 .PHONY: setup setup-dev bench docs test test-slow baseline fuzz lint types clean
 
 bench: setup
-	$(BIN)/bench run quick
+	$(BIN)/bench run start > /dev/null # the report prints the leaderboard
 	$(BIN)/bench report
+	@echo
+	@echo 'next, with photos of your own:'
+	@echo '  $(BIN)/bench ingest PHOTOS my_scene && $(BIN)/bench fit 3dgs my_scene --out my_model'
 
 # the site, from docs/ and the code; any warning is an error, and nothing is fetched
 docs: $(VENV)/.installed-docs

@@ -24,6 +24,7 @@ from splatproof.datasets.photos import photo_size
 from splatproof.datasets.protocol_subset import chosen_part
 from splatproof.datasets.resize import scale_intrinsics, scaled_size
 from splatproof.datasets.scene_frame import origin_shift, up_vector
+from splatproof.datasets.seen_split import seen_split
 from splatproof.datasets.sparse_points import seen_in_training
 from splatproof.datasets.splits import chosen_views, split_hash, split_views
 from splatproof.datasets.truth_image import Truth
@@ -34,13 +35,16 @@ from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 POSITION_BYTES = 512 * 2**20
 """Bound of the undistortion maps that a scene keeps: 8 bytes a pixel, so one camera of 64 MP."""
+_WHOLE = Protocol(name="whole", source="ours")
+"""Rules under which no point is left out."""
 Pinholes = dict[tuple[object, ...], "Pinhole"]
 
 
 def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     """Make the Scene: views, split, shift, points and the facts of the record.
 
-    The split is the protocol's test_names, else the one that the set ships, else every hold-th.
+    The split is the protocol's test_names, else the one that the set ships, else every hold-th, or
+    near it where `least_seen` asks for what training photos show.
     With `drop_test_points` sparse points come from no sweep of a held-out moment. Photos are only
     looked at (size), not decoded.
 
@@ -66,14 +70,24 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     if layout.up is None:
         up, up_source = up_vector(rotations, centres)
     train, test, split_source = _split(folder, photos, protocol)
+    views = _views(folder, layout, photos, rotations, centres - shift, shift, protocol)
+    if protocol.least_seen:
+        if split_source != "protocol":
+            raise UsageError(
+                f"{folder}: the data set ships its own split, and protocol {protocol.name} has "
+                "least_seen; take a protocol without it"
+            )
+        train, test = seen_split(
+            views, _moved(_points(layout, photos, train, _WHOLE)[0], shift), protocol
+        )
     points, every = _points(layout, photos, train, protocol)
     return Scene(
         name=folder.resolve().name,
         root=folder,
-        views=_views(folder, layout, photos, rotations, centres - shift, shift, protocol),
+        views=views,
         train=train,
         test=test,
-        points=replace(points, positions=points.positions - torch.from_numpy(shift)),
+        points=_moved(points, shift),
         up=torch.from_numpy(up),
         units=layout.units,
         shift=torch.from_numpy(shift),
@@ -92,6 +106,11 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
             "opencv": version("opencv-contrib-python-headless"),
         },
     )
+
+
+def _moved(points: SparsePoints, shift: Float64[np.ndarray, "3"]) -> SparsePoints:
+    """The points in the scene's frame."""
+    return replace(points, positions=points.positions - torch.from_numpy(shift))
 
 
 def _split(

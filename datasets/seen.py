@@ -51,6 +51,8 @@ def seen_pixels(
     points: SparsePoints,
     number: int,
     kept: TensorCache | None = None,
+    *,
+    most_rays: int = MOST_RAYS,
 ) -> Bool[Tensor, "h w"] | None:
     """Which pixels show a surface that lies in at least one training photo.
 
@@ -68,11 +70,12 @@ def seen_pixels(
         points: Sparse points of the scene; read where true depth is not known.
         number: Index of the view in the scene, by which tracks name it.
         kept: Holds bounds of training views' depths for the next call; None: they are not kept.
+        most_rays: Pixels that are looked at, about; the others are as the nearest of these.
     Returns: True where seen; None where neither true depth nor enough points say how deep it is.
     Source: ours.
     """
     known = all(one.load_depth is not None for one in (view, *training))
-    step = _step(view.camera)
+    step = _step(view.camera, most_rays)
     if known:
         assert view.load_depth is not None
         depth = view.load_depth().double()[::step, ::step]
@@ -97,9 +100,9 @@ def _moving(view: View) -> Bool[Tensor, "h w"]:
     return torch.stack([none, *masks.values()]).any(dim=0)
 
 
-def _step(camera: Camera) -> int:
+def _step(camera: Camera, most_rays: int) -> int:
     """Distance of the rows and columns that are looked at."""
-    return max(1, int(np.ceil(np.sqrt(camera.width * camera.height / MOST_RAYS))))
+    return max(1, int(np.ceil(np.sqrt(camera.width * camera.height / most_rays))))
 
 
 def _seen(

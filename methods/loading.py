@@ -11,10 +11,10 @@ from splatproof.methods.contracts.reconstruction import (
     read_stored,
     require_kind,
 )
+from splatproof.methods.gaussian_files import FOREIGN, is_file, read_gaussians
 from splatproof.methods.models.explicit import (
     EXPLICIT,
     ExplicitModel,
-    check_gaussians,
     load_explicit,
 )
 from splatproof.methods.models.exposure import EXPOSED, load_exposed
@@ -32,33 +32,37 @@ def loaders() -> dict[str, Loader]:
     return known
 
 
-def load_reconstruction(folder: Path, *, backend: str = "cpu") -> Reconstruction:
+def load_reconstruction(folder: str | Path, *, backend: str = "cpu") -> Reconstruction:
     """The model that `save_model` wrote into a folder, or a packed one.
 
     Args:
-        folder: Folder with model.json and model.safetensors, or a file of methods.storage.packed.
+        folder: Folder with model.json and model.safetensors, or a .ply, .spz, .glb or packed file.
         backend: Name of the rasterizer to draw it with.
 
-    Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version.
+    Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version;
+        MissingError for an .spz without the package that reads it.
     """
-    if folder.is_file():
-        model, packed = read_packed(folder)
-        check_gaussians(model, folder)
+    folder = Path(folder)
+    if is_file(folder):
+        model, told = read_gaussians(folder)
         return ExplicitModel(
-            model=model, backend=backend, mode=packed.mode, shift=packed.shift, units=packed.units
+            model=model, backend=backend, mode=told.mode, shift=told.shift, units=told.units
         )
     stored, known = read_stored(folder), loaders()
     return known[require_kind(stored.facts, known, folder)](folder, stored, backend)
 
 
-def load_origin(folder: Path) -> Origin:
-    """Where a model comes from: its model.json, or what a packed file says.
+def load_origin(folder: str | Path) -> Origin:
+    """Where a model comes from: its model.json, or what a packed file says; others say nothing.
 
     Args:
         folder: As for `load_reconstruction`.
 
     Raises: DataError if it cannot be read.
     """
+    folder = Path(folder)
+    if folder.suffix.lower() in FOREIGN:
+        return Origin()
     if folder.is_file():
         return read_packed(folder)[1].origin
     return origin_of(folder)

@@ -83,6 +83,7 @@ def _check(protocol: Protocol, where: str) -> None:
         )
         if given
     ]
+    other = protocol.test_names or protocol.test_folder
     problems = [
         (not protocol.source.strip(), "source is empty; say where the rules come from"),
         (not protocol.images, "images is empty; name the folder of the source images"),
@@ -99,6 +100,18 @@ def _check(protocol: Protocol, where: str) -> None:
         ),
         (protocol.hold < 0, f"hold is {protocol.hold}, expected 0 (none) or more"),
         (protocol.hold_first < 0, f"hold_first is {protocol.hold_first}, expected 0 or more"),
+        (
+            not 0 <= protocol.least_seen <= 1,
+            f"least_seen is {protocol.least_seen}, expected a share from 0 to 1",
+        ),
+        (
+            protocol.least_seen > 0
+            and (not protocol.hold or protocol.hold_unit != "view" or bool(other)),
+            (
+                "least_seen chooses among views that `hold` counts: leave test_names and test_folder out, "
+                "set hold above 0 and hold_unit to 'view'"
+            ),
+        ),
         (protocol.train_views < 0, f"train_views is {protocol.train_views}, expected 0 or more"),
         *(
             (

@@ -10,6 +10,8 @@ from splatproof.reports.frames import ENVIRONMENT, FACTS, cases_of, count_distin
 
 DATA = ("model_sha256", "cameras_sha256", "photos_sha256", "files_sha256")
 """Facts of a scene that name its files, and nothing of code or machine."""
+OF_METHODS = ("gradients by",)
+"""What the environment of a record says that a method decides and no machine."""
 MIN_SEEDS = 3
 """A row with fewer seeds is shown but not ranked."""
 
@@ -70,11 +72,18 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
     """
     names = [str(name) for name in cases.columns if str(name).startswith(ENVIRONMENT)]
     lasting = [n for n in names if n.removeprefix(ENVIRONMENT) not in MOMENTS]
-    odd = [n.removeprefix(ENVIRONMENT) for n in lasting if count_distinct(cases, n) > 1]
+    odd = [n.removeprefix(ENVIRONMENT) for n in lasting if _differs(cases, n)]
     if not odd:
         return []
     where = f"measured in different environments (other {', '.join(odd)})"
     return [f"{where}: times and memory are not comparable between them"]
+
+
+def _differs(cases: pd.DataFrame, name: str) -> bool:
+    """Whether a value of the environment differs where methods do not bring the difference."""
+    if name.removeprefix(ENVIRONMENT) in OF_METHODS:
+        return any(count_distinct(own, name) > 1 for _, own in groups(cases, "row"))
+    return count_distinct(cases, name) > 1
 
 
 def unranked_reason(seeds: int, rules: dict[str, object]) -> str:

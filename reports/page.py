@@ -22,6 +22,8 @@ from splatproof.reports.table import Row, Table
 
 PICTURE_BUDGET = 24_000_000
 """Characters of embedded pictures in a page, shared evenly by its scenes; one image each at least."""
+OPEN_DIFFERENCES = 15
+"""Pairs of rows whose verdicts are open when the page is: all pairs of six rows."""
 
 
 def render_page(
@@ -74,6 +76,7 @@ def render_page(
         protocols={run_data.digest(t.rules): (t.protocol, _plain(t.rules)) for t in tables},
         widest=WIDEST,
         quality=QUALITY,
+        open_differences=OPEN_DIFFERENCES,
     )
 
 
@@ -90,7 +93,10 @@ def _view(
         "headings": [(_heading(h), known.get(h, "")) for h in text.headings(table)],
         "cells": [(row, series[row.label], text.texts(table, row)) for row in table.rows],
         "swatches": {label: charts.swatch(i) for label, i in series.items()},
-        "notes": [f"{row.label}: {row.note}" for row in table.rows if row.note],
+        "notes": [
+            *(f"{row.label}: {row.note}" for row in table.rows if row.note),
+            *text.variants(table),
+        ],
         "differences": text.difference_lines(table),
         "compare": _compare(shown, finished, pictures),
         "embedded": len(shown),

@@ -83,8 +83,9 @@ class StoredResult:
         return read_file(self.artifact_uri, self.uri, path)
 
 
-def find_cases(out: Path) -> list[Path]:
+def find_cases(out: str | Path) -> list[Path]:
     """Every case folder below `out` that holds a record, sorted."""
+    out = Path(out)
     if not out.is_dir():
         return []
     found = []

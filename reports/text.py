@@ -9,6 +9,7 @@ from rich.text import Text
 
 from splatproof.reference.types.result import Result
 from splatproof.reports.columns import Column
+from splatproof.reports.run_data import flatten
 from splatproof.reports.table import Row, Table
 
 LEGEND = (
@@ -52,7 +53,29 @@ def _text(table: Table, row: Row, column: Column) -> str:
 def notes(table: Table) -> list[str]:
     """What must be said beside the numbers: why rows are unranked, and every warning."""
     own = [f"{row.label}: {row.note}" for row in table.rows if row.note]
-    return [*own, *(f"warning: {warning}" for warning in table.warnings)]
+    return [*own, *variants(table), *(f"warning: {warning}" for warning in table.warnings)]
+
+
+def variants(table: Table) -> list[str]:
+    """A line for each row of a method that has several: the settings in which they differ.
+
+    Args:
+        table: Its rows; one whose seeds were run with several settings is left out.
+    """
+    rows: dict[str, list[tuple[str, dict[str, object]]]] = {}
+    for row in table.rows:
+        settings = [dict(flatten(result.settings)) for result in row.results]
+        if settings and all(one == settings[0] for one in settings):
+            rows.setdefault(row.results[0].method, []).append((row.label, settings[0]))
+    lines = []
+    for several in rows.values():
+        names = list(dict.fromkeys(name for _, own in several for name in own))
+        odd = [n for n in names if len({str(own.get(n)) for _, own in several}) > 1]
+        for label, own in several if odd else ():
+            # a label of unnamed rows says it already
+            if any(f"{name}={own.get(name)}" not in label for name in odd):
+                lines.append(f"{label}: " + ", ".join(f"{n} {own.get(n)}" for n in odd))
+    return lines
 
 
 def difference_lines(table: Table) -> list[str]:

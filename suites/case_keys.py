@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import json
 
+from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import NO_PRIOR, prior_name
 from splatproof.suites.suite_files import Case
 
@@ -21,7 +22,7 @@ def case_key(case: Case, backend: str) -> str:
         method=case.method,
         settings=dataclasses.asdict(case.settings),
         seed=case.seed,
-        protocol=dataclasses.asdict(case.protocol),
+        protocol=key_rules(dataclasses.asdict(case.protocol)),
         pose_noise=case.pose_noise,
         backend=backend,
         **prior_part(prior_name(case.depth_prior)),

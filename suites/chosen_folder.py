@@ -1,9 +1,12 @@
 """The folder that a user named for one case: what lies there is never replaced unasked."""
 
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from splatproof.base.differing import differences
 from splatproof.base.errors import UsageError
 from splatproof.suites.run_case import CASE_NAME, OURS, Job
 
@@ -26,9 +29,19 @@ def check_chosen(job: Job) -> None:
         same = (case, backend) == (job.case.label, job.backend)
         raise UsageError(
             f"{job.folder}: holds {case} of backend {backend}"
-            + (" with other settings or protocol rules" if same else "")
+            + (f" with other settings or protocol rules{_which(found, job)}" if same else "")
             + "; take another folder, or start over in this one with --no-resume"
         )
+
+
+def _which(found: Mapping[str, Any], job: Job) -> str:
+    """The settings and rules that differ, where the folder says what it was made with."""
+    before, now = found.get("origin"), asdict(job.case.origin)
+    if not isinstance(before, Mapping):  # an earlier release wrote it
+        return ""
+    parts = ("settings", "protocol")
+    said = differences({name: before.get(name, {}) for name in parts}, {n: now[n] for n in parts})
+    return f" ({said})" if said else ""
 
 
 def made_of(folder: Path) -> dict[str, Any]:

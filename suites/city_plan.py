@@ -214,6 +214,24 @@ def most_useful_machines(city: City, blocks: int) -> int:
     return max(1, min(blocks, round(total / max(one.serial_seconds, 1e-9))))
 
 
+def recommended(city: City, blocks: Sequence[int], machines: Sequence[int]) -> Plan:
+    """The plan with the least wall time among those whose machines still help; of equals the cheapest.
+
+    Args:
+        city: What is built.
+        blocks: Numbers of blocks to choose from.
+        machines: Numbers of machines to choose from; of those that are too many for a number of blocks
+            the smallest counts, where no other is left.
+    Returns: One plan; its seconds are infinite where no block fits anywhere.
+    """
+    found = []
+    for count in blocks:
+        useful = most_useful_machines(city, count)
+        sensible = [number for number in machines if number <= useful] or [min(machines)]
+        found += [plan(city, count, number) for number in sensible]
+    return min(found, key=lambda one: (one.seconds, one.machines, one.blocks))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Simulated:
     """Block stages of DRAWS simulated runs, in wall seconds."""

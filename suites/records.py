@@ -10,21 +10,23 @@ from splatproof.reference.types.result_json import result_from_json, result_to_j
 RECORD_NAME = "record.json"
 
 
-def write_record(folder: Path, result: Result) -> None:
+def write_record(folder: str | Path, result: Result) -> None:
     """Write <folder>/record.json as one line of JSON; a kill leaves the old one or the new one.
 
     Args:
         folder: Folder of the case.
         result: What came out of it.
     """
+    folder = Path(folder)
     write_text(folder / RECORD_NAME, result_to_json(result) + "\n")
 
 
-def read_record(folder: Path) -> Result:
+def read_record(folder: str | Path) -> Result:
     """The result in <folder>/record.json.
 
     Raises: DataError naming the file and the fault when it is missing, damaged or of another version.
     """
+    folder = Path(folder)
     path = folder / RECORD_NAME
     try:
         text = path.read_text(encoding="utf-8")

@@ -180,11 +180,12 @@ def _prepare(job: Job) -> None:
     job.folder.mkdir(parents=True, exist_ok=True)
     path = job.folder / CASE_NAME
     made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
-    text = json.dumps(made_of) + "\n"
-    same = path.exists() and path.read_text(encoding="utf-8") == text
+    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    same = {name: before.get(name) for name in made_of} == made_of
     if not (same and job.resume):
         clear(job.folder)
-        write_text(path, text)
+        # the origin only explains what the key means: errors name what differs
+        write_text(path, json.dumps(made_of | {"origin": asdict(job.case.origin)}) + "\n")
     for name in (RECORD_NAME, "failure.txt"):
         (job.folder / name).unlink(missing_ok=True)
 

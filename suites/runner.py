@@ -10,6 +10,7 @@ from typing import Literal
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
 from splatproof.methods.priors.kinds import weights_facts
+from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
@@ -96,7 +97,7 @@ def select(suite: Suite, *, only: str | None = None, seeds: int | None = None) -
 
 def run_suite(
     suite: Suite,
-    folder: Path,
+    folder: str | Path,
     *,
     only: str | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -133,6 +134,7 @@ def run_suite(
     Returns: One outcome a case, in the suite's order.
     Raises: UsageError if `only` matches nothing; also if another process is at work in the folder.
     """
+    folder = Path(folder)
     cases = select(suite, only=only).cases
     outcomes = []
     root = folder / suite.name
@@ -259,7 +261,7 @@ def finished(job: Job) -> Result | str:
         method=result.method,
         settings=result.settings,
         seed=result.seed,
-        protocol=result.protocol_rules,
+        protocol=key_rules(result.protocol_rules),
         pose_noise=result.pose_noise,
         backend=result.environment.get("backend"),
         **prior_part(result.depth_prior),

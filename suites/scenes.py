@@ -7,6 +7,7 @@ from pathlib import Path
 from splatproof.base.errors import MissingError, UsageError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.catalogue.registry import absence, find_scene, get_entry, locate
+from splatproof.reference.types.scene import Scene
 from splatproof.suites.held_out import scored_views
 from splatproof.suites.suite_files import PATH, Case, Suite
 
@@ -100,14 +101,16 @@ def make_scenes(suite: Suite, report: Callable[[int, int], None]) -> None:
             find_scene(scene, report)
 
 
-def check_opens(case: Case) -> None:
+def check_opens(case: Case) -> Scene:
     """Open a case's scene as the case will: bad input is told before anything is written.
 
     Args:
         case: What is to be run; its scene is on this machine.
 
+    Returns: The scene.
     Raises: DataError, UsageError or MissingError, as opening and scoring would.
     """
     scene = open_scene(case.scene, case.protocol)
     if scene.test:
         scored_views(scene, case.protocol)
+    return scene

@@ -10,6 +10,7 @@ from typing import Any
 from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
+from splatproof.datasets.catalogue.registry import list_scenes
 from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.contracts.reconstruction import Origin
 from splatproof.methods.priors.kinds import resolved
@@ -60,6 +61,8 @@ class SuiteFile:
     cases: tuple[CaseTable, ...]
     optional_scenes: tuple[str, ...] = ()
     """Scenes that are left out, with a said reason, where they are not on this machine."""
+    means: bool = True
+    """Whether reports give means over the scenes; False where the scenes have nothing in common."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +155,7 @@ def load_suite(name_or_path: str | Path) -> Suite:
         name=path.stem,
         description=file.description,
         cases=tuple(cases),
-        scenes=tuple(dict.fromkeys(case.scene_name for case in cases)),
+        scenes=tuple(dict.fromkeys(case.scene_name for case in cases)) if file.means else (),
         optional_scenes=tuple(_beside(name, path) for name in file.optional_scenes),
     )
 
@@ -215,7 +218,7 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         for row, (method, _) in parts.items()
     }
     protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
-    scenes = [_beside(name, path) for name in table.scenes]
+    scenes = [_scene(name, path, f"{where}.scenes") for name in table.scenes]
     product = itertools.product(
         scenes, table.methods, protocols, table.pose_noise, priors, table.seeds
     )
@@ -267,12 +270,33 @@ def _beside(name: str, path: Path) -> str:
     return str((path.parent / name).resolve()) if name.startswith(PATH) else name
 
 
+def _scene(name: str, path: Path, where: str) -> str:
+    """A registered name or an absolute folder.
+
+    Raises: UsageError for a folder beside the suite file or here that is written like a name.
+    """
+    if not name.startswith(PATH) and name not in {entry.name for entry in list_scenes()}:
+        for folder, meant in (
+            (path.parent / name, f"./{name}"),
+            (Path(name), str(Path(name).resolve())),
+        ):
+            if folder.is_dir():
+                raise UsageError(
+                    f"{where}: {name!r} is a folder and no registered scene; a folder is written with "
+                    f"'./', '../' or '/' in front, relative to the suite file: {meant!r}"
+                )
+    return _beside(name, path)
+
+
 def _check_distinct(cases: list[Case], path: Path) -> None:
     seen: set[str] = set()
     for case in cases:
         if case.label in seen:
             raise UsageError(
-                f"{path}: the case {case.label} is there twice and would have one folder; "
-                "remove one, or give it a variant (method@variant)"
+                f"{path}: the case {case.label} is there twice and would have one folder. Where two "
+                f"runs of {case.method} differ in settings, name them apart in `methods`, as "
+                f'"{case.method}@one" and "{case.method}@two" with a table of settings each '
+                f'([cases.settings."{case.method}@two"]); tables show them as rows of their own. '
+                "Else remove one"
             )
         seen.add(case.label)

@@ -32,6 +32,8 @@ PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 """Nerfstudio reads all of these with the same parameters: k1, k2, k3 radial, p1, p2 tangential."""
 FISHEYE = "OPENCV_FISHEYE"
 BLENDER_FILES = ("transforms_train.json", "transforms_test.json")
+MISSING = "its photo is missing"
+"""Why a frame is left out that names a photo which is not there."""
 VALIDATION = "validation view: the paper trains on the training and tests on the test views"
 
 
@@ -78,7 +80,9 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     A frame's own number wins over the file's. `test_filenames` is the test split (without it
     `val_filenames`); images that no list names are left out. `protocol.images` other than
     "photos" or "images" names the folder of smaller copies beside the frames' own.
-    `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Pixels
+    `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Frames whose
+    photo is not there, as in the captures of instant-ngp, are left out with that reason, unless the
+    protocol is strict. Pixels
     where the image of `mask_path` is black are not used; copies have theirs in masks_N.
 
     Args:
@@ -104,6 +108,10 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
             left_out.append((name, "in neither the training nor the test list of transforms.json"))
             unused.append(file)
             continue
+        if not protocol.strict and not file.is_file():
+            left_out.append((name, f"{MISSING}: {file}"))
+            unused.append(file)
+            continue
         photos.append(
             PosedPhoto(
                 name=name,
@@ -114,6 +122,11 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 factor=copy_factor(protocol.images),
                 valid=_mask(folder, frame, copy_factor(protocol.images), where),
             )
+        )
+    if not photos:
+        raise DataError(
+            f"{path}: not one photo of its {len(frames)} frames is there, expected {unused[0]} and "
+            "others; put them where the frames say"
         )
     left_out += _unlisted(folder, [*(photo.path for photo in photos), *unused])
     layout = Layout(

@@ -8,6 +8,7 @@ from typing import Any
 
 from splatproof.base.errors import UsageError
 from splatproof.base.files import write_text
+from splatproof.methods.training.run_keys import what_differs
 
 
 class Stages:
@@ -29,8 +30,8 @@ class Stages:
             stored = json.loads(self.path.read_text(encoding="utf-8"))
             if stored["key"] != key:
                 raise UsageError(
-                    f"{self.path}: belongs to a run with another scene, settings, seed, "
-                    "background or backend; remove the folder or choose another one"
+                    f"{self.path}: belongs to a run that differs: {what_differs(stored['key'], key)}; "
+                    "remove the folder or choose another one"
                 )
             self.done = stored["stages"]
 

@@ -118,7 +118,7 @@ class Adapts(Protocol):
         ...
 
 
-def save_model(model: Reconstruction, folder: Path, origin: Origin) -> None:
+def save_model(model: Reconstruction, folder: str | Path, origin: Origin) -> None:
     """Write `folder`/model.safetensors and, last, model.json, which holds its hash.
 
     A folder that was interrupted has no model.json and is refused when it is loaded.
@@ -128,6 +128,7 @@ def save_model(model: Reconstruction, folder: Path, origin: Origin) -> None:
         folder: Made where it is missing.
         origin: Where the model comes from.
     """
+    folder = Path(folder)
     (folder / DESCRIPTION).unlink(missing_ok=True)
     stored = model.store(folder)
     write_tensors(folder / ARRAYS, stored.tensors)

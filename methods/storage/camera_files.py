@@ -21,7 +21,7 @@ MORE = ("time", "sensor", "appearance")
 """What an entry may have besides."""
 
 
-def read_cameras(path: Path) -> dict[str, View]:
+def read_cameras(path: str | Path) -> dict[str, View]:
     """Views that nobody took, by name, from a JSON list of objects with the keys of KEYS.
 
     They may also have those of MORE, which models that know of them obey: `time` in seconds since
@@ -33,6 +33,7 @@ def read_cameras(path: Path) -> dict[str, View]:
 
     Raises: DataError, in one line, naming the file, the entry and the fault.
     """
+    path = Path(path)
     entries = read_json(path)
     if not isinstance(entries, list) or not entries:
         raise DataError(f"{path}: expected a list of at least one camera")

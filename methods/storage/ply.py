@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -12,10 +13,13 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
+from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 
 SHIFT = "splatproof shift"
 """Header comment that holds the vector that was added to the means."""
+MODE = "splatproof mode"
+"""Header comment that holds how the model is rasterized, where that is not as in the release."""
 FAR = 10_000.0
 """Scene units; float32 resolves 1e-3 there, so positions further out are centred on import."""
 HIGHER_BANDS = {0: 1, 9: 4, 24: 9, 45: 16}
@@ -41,8 +45,11 @@ def properties(bands: int) -> list[str]:
 
 
 def write_ply(
-    path: Path, gaussians: Gaussians, shift: Float[Tensor, "3"] | None = None
-) -> None:  # fmt: skip
+    path: str | Path,
+    gaussians: Gaussians,
+    shift: Float[Tensor, "3"] | None = None,
+    mode: Mode = "classic",
+) -> None:
     """Write a binary little-endian .ply with the raw (unconstrained) parameters; normals are 0.
 
     With a shift that is not zero, positions are means + shift in float64 and x, y, z are written as
@@ -54,9 +61,12 @@ def write_ply(
         gaussians: The model, in float32.
         shift: Vector in scene units, float64; added to the means it gives positions in the original
             frame. None: zero.
+        mode: How the model is rasterized; "antialiased" is said in the header, for this project's
+            own reading: other viewers draw every such file as the release does.
 
     Source: the 3DGS release's save_ply.
     """
+    path = Path(path)
     offset = torch.zeros(3, dtype=torch.float64) if shift is None else shift.double()
     moved = bool((offset != 0).any())
     names = properties(gaussians.sh.shape[1])
@@ -72,12 +82,13 @@ def write_ply(
     for name, column in columns.items():
         rows[name] = column.detach().numpy()
     comments = [f"{SHIFT} {' '.join(repr(v) for v in offset.tolist())}"] if moved else []
+    comments += [f"{MODE} {mode}"] if mode != "classic" else []
     data = PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments)
     with whole_file(path) as partial:
         data.write(partial)
 
 
-def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
+def read_ply(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
     """Gaussians of a .ply file, binary or ascii, of this project or another tool.
 
     Normals and unknown properties are ignored. The shift that the header names is taken off again
@@ -90,6 +101,7 @@ def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
 
     Raises: DataError, in one line, naming the file and the fault.
     """
+    path = Path(path)
     vertex, comments = _vertices(path)
     found = {prop.name for prop in vertex.properties}
     rest = sum(name.startswith("f_rest_") for name in found)
@@ -132,6 +144,21 @@ def read_ply(path: Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
     )
     check_gaussians(model, path)
     return model, shift
+
+
+def read_mode(path: str | Path) -> Mode:
+    """How the header of a .ply file says that its model is rasterized; "classic" where it does not.
+
+    Raises: DataError as `read_ply`, or for a mode that there is not.
+    """
+    path = Path(path)
+    for mode in _after(MODE, _vertices(path)[1]):
+        if mode not in get_args(Mode):
+            raise DataError(
+                f"{path}: comment {MODE!r} says {mode!r}, expected one of {get_args(Mode)}"
+            )
+        return mode
+    return "classic"
 
 
 def _numbered(prefix: str, values: Float[Tensor, "n k"]) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 
 
-def write_spz(path: Path, gaussians: Gaussians, *, version: Version = 3) -> None:
+def write_spz(path: str | Path, gaussians: Gaussians, *, version: Version = 3) -> None:
     """Write positions in fixed point, 8-bit colour, opacity and scale, 5 or 4-bit harmonics.
 
     Positions get as many fractional bits as their extent leaves of 24: the package's fixed 12 are
@@ -33,6 +33,7 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: Version = 3) -> None
 
     Source: the format's public description (Niantic Labs, spz); extent-aware bits: ours.
     """
+    path = Path(path)
     gsply = _package()
     reach = float(gaussians.means.abs().max()) if len(gaussians) else 1.0
     whole = max(0, int(np.floor(np.log2(max(reach, 1e-6)))) + 1) + 1  # and the sign
@@ -47,11 +48,12 @@ def write_spz(path: Path, gaussians: Gaussians, *, version: Version = 3) -> None
         gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
 
 
-def read_spz(path: Path) -> Gaussians:
+def read_spz(path: str | Path) -> Gaussians:
     """The Gaussians of an .spz file.
 
     Raises: MissingError without the package; DataError for a file that is missing or damaged.
     """
+    path = Path(path)
     gsply = _package()
     try:
         data = gsply.read_spz(path)

@@ -138,9 +138,10 @@ def require_points(scene: Scene) -> None:
         raise DataError(f"scene {scene.name!r}: no training views. Expected at least one")
     if len(scene.points) == 0:
         raise DataError(
-            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; "
-            "reconstruct the scene again with more overlapping photos (`bench ingest`), or set "
-            "random_points to start from points drawn at random"
+            f"scene {scene.name!r}: 0 sparse points. Expected at least one to start from; `bench fit "
+            "--points triangulated` makes some from the training photos under their given poses (in a "
+            'protocol: points = "triangulated"), or set random_points to start from points drawn at '
+            "random"
         )
 
 

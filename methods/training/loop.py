@@ -19,6 +19,7 @@ from splatproof.methods.kernels.step import ViewGradients
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.run_keys import what_differs
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
@@ -277,8 +278,9 @@ class Trainer:
         tensors, facts = read_tensors(self.checkpoint)
         if not isinstance(facts, dict) or facts.get("key") != self.plan.key:
             raise UsageError(
-                f"{self.checkpoint}: belongs to a run with another scene, settings, seed, "
-                "background or backend; remove it or choose another folder"
+                f"{self.checkpoint}: belongs to a run that differs: "
+                f"{what_differs(dict(facts or {}).get('key'), self.plan.key)}; remove it or choose "
+                "another folder"
             )
         if "counts" not in facts:
             raise UsageError(

@@ -1,6 +1,7 @@
 """The rules that make two numbers comparable. A protocol is data; it is part of a result's key."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Literal
 
 
@@ -33,6 +34,13 @@ class Protocol:
     """Index of the first view (or moment) held out; the next are hold, 2 hold, ... later."""
     hold_unit: Literal["view", "time"] = "view"
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
+    strict: bool = False
+    """Refuse a scene whose description names photos that are not there; False: they are left out,
+    and the scene's `left_out` says so."""
+    least_seen: float = 0.0
+    """Share of a view's pixels, 0 to 1, that training photos must show where it is held out: a view
+    at the survey's rim that they show less of is left to training, and the next one that they show
+    this much of is held out in its place (see `splatproof.datasets.seen_split`). 0: not asked."""
     sensors: tuple[str, ...] = ()
     """Names of the cameras that are used, in training and in testing; empty: all."""
     clips: tuple[tuple[str, int, int], ...] = ()
@@ -73,3 +81,18 @@ class Protocol:
     column."""
     colour_fit: tuple[Literal["cc_affine", "cc_quadratic"], ...] = ()
     """Extra columns after a colour fit to the truth; never the main column."""
+
+
+LATER = ("strict", "least_seen")
+"""Rules that came after results were kept: where they are as usual, a key does not name them."""
+
+
+def key_rules(rules: Mapping[str, object]) -> dict[str, object]:
+    """Rules as the keys of results hold them: a key from before a rule was there is one of a protocol
+    that has it at its default, and what it names is kept.
+
+    Args:
+        rules: Every rule by its name.
+    """
+    usual = {field.name: field.default for field in fields(Protocol)}
+    return {n: value for n, value in rules.items() if n not in LATER or value != usual[n]}

@@ -77,7 +77,8 @@ STUDIES = {
     "seen": Study(
         description="what training photos show of held-out views: by sparse points and in truth",
         columns=("scene", "protocol", "views", "seen_in_truth", "seen_by_points",
-                 "called_unseen_wrongly", "called_seen_wrongly", "note"),
+                 "called_unseen_wrongly", "called_seen_wrongly", "least_seen", "views_by_rule",
+                 "least_by_rule", "seen_by_rule", "note"),
         rows=seen.rows, pictures=seen.draw,
     ),
 }  # fmt: skip

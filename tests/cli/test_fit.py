@@ -1,7 +1,7 @@
 """`bench fit` and `bench run` are one road: the same options, records and reports."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -11,19 +11,24 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import fake_scene
-from splatproof.cli import main, report
+from splatproof.cli import main, report, short_runs
 from splatproof.cli.fit import fit as fit_command
 from splatproof.cli.running import BlockRunning
+from splatproof.cli.short_runs import short_run
 from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.city.executor import ENGINES
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_origin
 from splatproof.methods.registry import METHODS
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
 from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.protocol import key_rules
 from splatproof.suites import run_case as cases
 from splatproof.suites import runner
 from splatproof.suites.records import read_record
+from splatproof.suites.suite_files import load_suite
 from splatproof.suites.workers import in_process
 
 SUITE = """
@@ -84,6 +89,10 @@ def test_what_is_there_is_never_replaced_unasked(town, capsys):
     before = tree(town)
     for other, said in (
         (["--iterations", 7], "holds town/fake/default/seed0 of backend reference with other"),
+        (
+            ["--iterations", 7, "--inner.rate", 2],
+            "(settings.iterations 6 before, 7 now; settings.inner",
+        ),
         (["--iterations", 6, "--seed", 1], "holds town/fake/default/seed0"),
         (["--iterations", 6, "--backend", "cpu"], "of backend reference; take another folder"),
     ):
@@ -266,6 +275,38 @@ def test_a_scene_that_is_not_there_is_told_before_anything_is_written(town, caps
     assert fit(scene="twon") == 2
     assert "unknown 'twon'" in capsys.readouterr().err
     assert not (town / "out").exists()
+
+
+@pytest.mark.usefixtures("no_store")
+def test_points_and_strictness_are_rules_and_what_is_left_out_is_told(town, capsys):
+    options = ["--out", "other", "--backend", "reference", "--iterations", "6"]
+    assert main(["fit", "fake", "town", *options, "--points", "triangulated", "--strict"]) == 0
+    record = read_record(town / "other")
+    assert record.protocol == "default-triangulated"
+    rules = record.protocol_rules
+    assert (rules["points"], rules["strict"]) == ("triangulated", True)
+    assert "left out: blurred.jpg: did not register" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_result_from_before_a_rule_was_there_is_kept(town, capsys):
+    rules = load_protocol("default")
+    assert not {"strict", "least_seen"} & set(key_rules(asdict(rules)))
+    assert key_rules(asdict(replace(rules, strict=True)))["strict"] is True
+    assert fit("--iterations", 6) == 0
+    assert fit("--iterations", 6, "--json") == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["status"] == "kept"
+    assert fit("--iterations", 6, "--strict") == 2
+    assert "(protocol.strict false before, true now)" in capsys.readouterr().err
+
+
+def test_a_short_run_of_the_releases_schedule_is_told_what_it_does():
+    assert "squeezed into steps 33 to 1000" in short_run(Settings(iterations=2000))
+    assert short_run(Settings(iterations=7000)) == ""
+    assert short_run(Settings(iterations=2000, density=Density(start=7500))) == ""
+    suite = load_suite(short_runs.SUITE)
+    assert {case.settings.iterations for case in suite.cases} == {2000}
+    assert {short_run(case.settings) for case in suite.cases} == {""}
 
 
 @pytest.mark.usefixtures("no_store")

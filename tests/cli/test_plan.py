@@ -1,6 +1,9 @@
 import json
 
 from splatproof.cli import main
+from splatproof.suites import city_plan
+
+CITY = city_plan.City()
 
 
 def test_a_plan_for_people_and_for_machines(capsys):
@@ -28,6 +31,23 @@ def test_what_only_a_simulation_obeys_is_refused_without_one(capsys):
         assert main(arguments) == 0
         drawn.append(json.loads(capsys.readouterr().out)["simulated_slowest"])
     assert len(set(drawn)) == 3
+
+
+def test_one_plan_is_recommended_and_the_others_come_on_request(capsys):
+    assert main(["plan", "--json"]) == 0
+    shown = capsys.readouterr()
+    (best,) = map(json.loads, shown.out.splitlines())
+    assert "--all prints every one" in shown.err
+    assert main(["plan", "--json", "--all"]) == 0
+    plans = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(plans) == 4 * 7
+    assert best in plans
+    faster = [other for other in plans if other["seconds"] < best["seconds"]]
+    assert faster
+    for other in faster:  # with machines that do not help
+        assert other["machines"] > city_plan.most_useful_machines(CITY, other["blocks"])
+    assert main(["plan", "--json", "--machines", "2", "4"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 4 * 2
 
 
 def test_what_fits_nowhere_is_told(capsys):

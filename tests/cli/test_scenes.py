@@ -75,12 +75,22 @@ def test_make(capsys, places):
     assert 'seed" = "5"' in (out / "scene.toml").read_text()
 
 
+def test_a_world_that_nobody_names_a_folder_for_says_where_it_went(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("splatproof.datasets.procedural.worlds.make", lambda *args: args[3])
+    assert run("make", "city", "--seed", "5") == 0
+    said = capsys.readouterr()
+    assert said.out.strip() == "city-small-5"
+    assert "bench fit 3dgs city-small-5" in said.err
+
+
 @pytest.mark.parametrize(
     ("args", "code", "words"),
     [
         (("get", "waymo_pvg/0145050"), 3, "looked for"),
         (("get", "waymo_pvg/014505"), 2, "did you mean 'waymo_pvg/0145050'"),
         (("show", "nowhere"), 2, "bench scenes list"),
+        (("make", "village"), 2, "there are courtyard"),
         (("make", "village", "x"), 2, "there are courtyard"),
         (("make", "courtyard", "x", "--preset", "huge"), 2, "small, medium, large"),
         (("make", "courtyard", "x", "--seed", "-1"), 2, "expected 0 or more"),

@@ -225,6 +225,28 @@ def test_times_of_two_machines_are_not_compared():
     assert "psnr" in rows(table)["3dgs"].best
 
 
+def test_a_path_of_gradients_that_the_method_decides_is_no_other_machine():
+    ours = of(seeds(), environment={"gradients by": "kernels"})
+    other = of(seeds(method="b", psnr=20.0), environment={"gradients by": "autograd"})
+    assert not only_table([*ours, *other]).warnings
+    mixed = [*ours[:2], *of(ours[2:], environment={"gradients by": "autograd"})]
+    assert any("gradients by" in warning for warning in only_table([*mixed, *other]).warnings)
+
+
+def test_variants_say_in_which_settings_they_differ():
+    whole = of(seeds(psnr=26.0), settings={"iterations": 800, "inner": {"rate": 1, "cap": 2}})
+    half = of(seeds(), variant="half", settings={"iterations": 400, "inner": {"rate": 1, "cap": 3}})
+    other = of(seeds(method="b"), settings={"iterations": 5})
+    table = only_table([*whole, *half, *other])
+    assert text.variants(table) == [
+        "3dgs: iterations 800, inner.cap 2", "3dgs@half: iterations 400, inner.cap 3",
+    ]  # fmt: skip
+    assert set(text.variants(table)) <= set(text.notes(table))
+    assert text.variants(only_table([*whole, *other])) == []
+    unnamed = [*whole, *of(seeds(), settings={"iterations": 800, "inner": {"rate": 1, "cap": 3}})]
+    assert text.variants(only_table(unnamed)) == []
+
+
 def test_failed_cases_are_named_and_take_no_part():
     failed = of(seeds(1, method="b"), error="out of memory", metrics={}, images=())
     table = only_table([*seeds(), *failed])

@@ -19,6 +19,7 @@ from splatproof.base.errors import DataError
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import Result
 from splatproof.reports import charts, pictures
+from splatproof.reports import page as report_page
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.page import render_page
 from splatproof.reports.store import StoredResult
@@ -111,6 +112,19 @@ def test_it_shows_every_row_and_every_image(stored: list[StoredResult]):
     assert "Error map: FLIP" in words
     # two scenes of four images: a truth that three methods share, and their renders and errors
     assert len(embedded(text)) == 2 * 4 * (1 + 3 * 2)
+
+
+def test_a_few_differences_and_their_verdicts_are_open_and_many_are_not(
+    stored: list[StoredResult], monkeypatch: pytest.MonkeyPatch
+):
+    def shown() -> list[bool]:
+        parts = of_store(stored).split("<details")[1:]
+        return [part.startswith(" open>") for part in parts if "Differences between" in part]
+
+    assert shown()
+    assert all(shown())
+    monkeypatch.setattr(report_page, "OPEN_DIFFERENCES", 1)
+    assert not any(shown())
 
 
 def test_it_is_the_same_twice(stored: list[StoredResult]):

@@ -49,6 +49,26 @@ def test_cases_are_the_product_with_all_settings(tmp_path):
     assert isinstance(suite.cases[0].settings.inner.rate, float)
 
 
+def test_a_folder_that_is_written_like_a_name_is_told_how_to_write_it(tmp_path, monkeypatch):
+    (tmp_path / "mine" / "scene").mkdir(parents=True)
+    (tmp_path / "here").mkdir()
+    for name, meant in (("mine/scene", "'./mine/scene'"), ("here", "here'")):
+        path = written(
+            tmp_path / "mine" if name == "here" else tmp_path, GOOD.replace("town", name)
+        )
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(
+            UsageError, match=f"{name}' is a folder .* relative to the suite file.*{meant}"
+        ):
+            load_suite(path)
+
+
+def test_two_variants_of_a_method_that_collide_are_told_about_the_at(tmp_path):
+    table = GOOD[GOOD.index("[[cases]]") :]
+    with pytest.raises(UsageError, match=r"\[cases\.settings\.\"fake@two\"\]"):
+        load_suite(written(tmp_path, GOOD + table.replace("= 7", "= 9")))
+
+
 def test_scene_folders_and_protocol_files_are_relative_to_the_suite_file(tmp_path):
     written(tmp_path, 'source = "ours"\nwidth = 64\n', "small.toml")
     text = GOOD.replace('"town"', '"./data/town"').replace('"quick"', '"./small.toml"')

@@ -44,7 +44,7 @@ ADDED: dict[str, tuple[type, ...]] = {
 
 
 def read_packed(
-    path: Path, *, threads: int | None = None, most_bytes: int = MOST_BYTES
+    path: str | Path, *, threads: int | None = None, most_bytes: int = MOST_BYTES
 ) -> tuple[Gaussians, PackedFacts]:
     """The Gaussians of a packed file in float32, in the file's order, and what it says of them.
 
@@ -55,6 +55,7 @@ def read_packed(
 
     Raises: DataError, in one line, for anything but an intact file of a known version.
     """
+    path = Path(path)
     facts, header, chunks = _opened(path, threads, most_bytes)
     if header is None:
         (model,) = chunks
@@ -69,7 +70,7 @@ def read_packed(
     return Gaussians(**arrays), facts
 
 
-def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> int:
+def unpack_packed(path: str | Path, folder: str | Path, *, threads: int | None = None) -> int:
     """Write a packed model as a model folder, a few chunks in memory at a time.
 
     Args:
@@ -82,6 +83,7 @@ def unpack_packed(path: Path, folder: Path, *, threads: int | None = None) -> in
 
     Raises: DataError as read_packed; nothing is written then.
     """
+    path, folder = Path(path), Path(folder)
     facts, header, chunks = _opened(path, threads, 2**63)
     models = list(chunks) if header is None else []  # version 1 is one chunk
     count = header["primitives"] if header else len(models[0])

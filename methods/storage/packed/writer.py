@@ -99,7 +99,7 @@ class PackedReport:
 
 
 def write_packed(
-    path: Path,
+    path: str | Path,
     source: Gaussians | Rows,
     *,
     settings: FileSettings | None = None,
@@ -122,6 +122,7 @@ def write_packed(
 
     Source: StitchGS, Sec. 3.3; layout: ours.
     """
+    path = Path(path)
     start = time.perf_counter()
     settings, facts = settings or FileSettings(), facts or PackedFacts()
     rows = MemoryRows(source) if isinstance(source, Gaussians) else source

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 
 from splatproof.base.errors import UsageError
 
-LISTED = 40
+LISTED = 60
 """Up to this many names are listed; of more, a user is told their number."""
 ALIKE = 0.5
 """Likeness (difflib's ratio, 0 to 1) from which a name may be what was meant."""

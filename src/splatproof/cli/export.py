@@ -1,7 +1,7 @@
 """`bench export MODEL`: a trained model as a file that other tools open."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from splatproof.methods.contracts.reconstruction import Origin, Reconstruction
+    from splatproof.reference.rasterizer.rasterize import Mode
     from splatproof.reference.types.gaussians import Gaussians
     from splatproof.reference.types.scene import View
 
@@ -25,29 +26,38 @@ def export(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     *,
     ply: Path | None = None,
+    spz: Path | None = None,
+    gltf: Path | None = None,
     packed: Path | None = None,
     gate: float | None = None,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     seen: Annotated[Seen, tyro.conf.arg(name="")] = UNSEEN,
 ) -> int:
-    """Write a trained model as a .ply with the original 3DGS release's properties, or packed small.
+    """Write a trained model as a file that other tools open: .ply, .spz, .glb, or packed small.
 
-    In a .ply positions return to the scene's original frame: where that is shifted (UTM, say), x, y
-    and z are written in float64, which some viewers do not read. A packed file keeps the local frame
-    and says the shift; `bench render` and `bench export` take it wherever they take a model folder.
+    In a .ply, with the original 3DGS release's properties, positions return to the scene's original
+    frame: where that is shifted (UTM, say), x, y and z are written in float64, which some viewers do
+    not read. The other kinds keep the local frame; a packed file and a .glb say the shift. `bench
+    render`, `bench score` and `bench export` take every kind wherever they take a model folder.
+
+    A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
+    opacity, scale and colour, and fewer for what depends on the view: small, and not the same.
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
     --protocol say where to find it. From other views the file is not what the model shows. Models of
     plain Gaussians look the same from everywhere and refuse these options.
 
-    With --json each written file is a line: ply or packed (its path), gaussians, view and time (null
-    where the model is the same from everywhere), and frame of a .ply; bytes, bytes_by_part and
-    open_share of a packed file.
+    With --json each written file is a line: ply, spz, gltf or packed (its path), gaussians, bytes,
+    view and time (null where the model is the same from everywhere), and frame of a .ply;
+    bytes_by_part and open_share of a packed file.
 
     Args:
-        model: The folder that `bench fit` calls OUT, the model folder in it, or a packed file.
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .glb or
+            packed file.
         ply: Path of the .ply file to write.
+        spz: Path of the .spz file to write, the small format of web viewers.
+        gltf: Path of the .glb file to write: binary glTF with the extension KHR_gaussian_splatting.
         packed: Path of the packed file to write.
         gate: With --packed: a Gaussian whose view-dependent colour is smaller than this on average,
             in units of colour (0 to 1), loses it; 0 keeps all. None: 0.02.
@@ -57,9 +67,19 @@ def export(
     """
     from splatproof.base.errors import UsageError
     from splatproof.methods.loading import load_origin, load_reconstruction
+    from splatproof.methods.storage.gltf import write_gltf
+    from splatproof.methods.storage.packed.writer import PackedFacts
+    from splatproof.methods.storage.spz import write_spz
 
-    if ply is None and packed is None:
-        raise UsageError("nothing to write: expected --ply FILE or --packed FILE")
+    if ply is None and spz is None and gltf is None and packed is None:
+        raise UsageError("nothing to write: expected --ply, --spz, --gltf or --packed with a FILE")
+    for option, path, suffix in (
+        ("ply", ply, ".ply"),
+        ("spz", spz, ".spz"),
+        ("gltf", gltf, ".glb"),
+    ):
+        if path is not None and path.suffix.lower() != suffix:
+            raise UsageError(f"--{option} {path}: expected a name that ends in {suffix}")
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
     if ply is None and local:
@@ -70,9 +90,35 @@ def export(
     if packed is not None:
         origin = load_origin(model_path(model))
         _pack(loaded, gaussians, view, origin, packed, GATE if gate is None else gate)
+    facts = PackedFacts(**_known(loaded))
+    if facts.mode == "antialiased" and (ply or spz or gltf):
+        output.log(
+            "the model was trained antialiased; other viewers draw it as the original release does, "
+            "thinner or thicker far away"
+            + (" (and an .spz cannot say it even to us)" if spz else "")
+        )
     if ply is not None:
-        _ply(gaussians, view, ply, None if local else getattr(loaded, "shift", None))
+        _ply(gaussians, view, ply, None if local else facts.shift, facts.mode)
+    if spz is not None:
+        write_spz(spz, gaussians)
+        _tell("spz", spz, gaussians, view)
+    if gltf is not None:
+        write_gltf(gltf, gaussians, facts.shift, facts.mode)
+        _tell("gltf", gltf, gaussians, view)
     return 0
+
+
+def _known(model: "Reconstruction") -> dict[str, Any]:
+    """What a model says of itself beside its Gaussians."""
+    return {n: getattr(model, n) for n in ("mode", "shift", "units") if hasattr(model, n)}
+
+
+def _tell(kind: str, path: Path, gaussians: "Gaussians", view: "View | None") -> None:
+    """Say what was written in the local frame, and how large it is."""
+    seen, words = _looks(view)
+    size = path.stat().st_size
+    record = {kind: str(path), "gaussians": len(gaussians), "bytes": size} | seen
+    output.emit(record, f"{path}: {len(gaussians)} Gaussians{words}, {size / 2**20:.1f} MB")
 
 
 def _looks(view: "View | None") -> tuple[dict[str, object], str]:
@@ -83,15 +129,18 @@ def _looks(view: "View | None") -> tuple[dict[str, object], str]:
     return {"view": view.name, "time": view.time}, f" as seen from {view.name}{when}"
 
 
-def _ply(gaussians: "Gaussians", view: "View | None", path: Path, shift: "Tensor | None") -> None:
+def _ply(
+    gaussians: "Gaussians", view: "View | None", path: Path, shift: "Tensor | None", mode: "Mode"
+) -> None:
     """Write a .ply file and say in which frame it is."""
     from splatproof.methods.storage.ply import write_ply
 
-    write_ply(path, gaussians, shift)
+    write_ply(path, gaussians, shift, mode)
     moved = [] if shift is None else [v for v in shift.tolist() if v]
     frame = f"shifted back by {shift.tolist()}" if shift is not None and moved else "as trained"
     seen, words = _looks(view)
-    record = {"ply": str(path), "gaussians": len(gaussians), "frame": frame} | seen
+    size = path.stat().st_size
+    record = {"ply": str(path), "gaussians": len(gaussians), "bytes": size, "frame": frame} | seen
     output.emit(record, f"{path}: {len(gaussians)} Gaussians{words}, positions {frame}")
 
 
@@ -106,8 +155,7 @@ def _pack(
     """Write a packed file and say how small it is."""
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 
-    known = {n: getattr(model, n) for n in ("mode", "shift", "units") if hasattr(model, n)}
-    facts = PackedFacts(**known, origin=origin)
+    facts = PackedFacts(**_known(model), origin=origin)
     report = write_packed(path, gaussians, settings=FileSettings(gate=gate), facts=facts)
     each = report.bytes / max(report.primitives, 1)
     seen, words = _looks(view)

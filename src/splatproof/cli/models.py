@@ -1,13 +1,15 @@
 """Where a command finds the trained model that it is told, and what that model says of itself."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from splatproof.base.errors import DataError, UsageError
 
 if TYPE_CHECKING:
-    from splatproof.methods.contracts.reconstruction import Origin
+    from splatproof.methods.contracts.reconstruction import Origin, Reconstruction
     from splatproof.reference.types.protocol import Protocol
+    from splatproof.reference.types.scene import Scene
 
 
 def scene_of(given: Path, origin: "Origin", scene: str | None) -> str:
@@ -33,6 +35,27 @@ def scene_of(given: Path, origin: "Origin", scene: str | None) -> str:
             "where the scene is now"
         )
     return origin.scene
+
+
+def placed(model: "Reconstruction", scene: "Scene") -> "Reconstruction":
+    """The model in a scene's frame, where it is from a file that says another shift than the scene.
+
+    A model without a shift is in the scene's frame already: an .spz, or a .ply that was written with
+    --local.
+
+    Args:
+        model: What was loaded; only explicit Gaussians say a shift.
+        scene: Whose views are looked at.
+    """
+    from splatproof.methods.models.explicit import ExplicitModel
+
+    if not isinstance(model, ExplicitModel) or not bool(model.shift.any()):
+        return model
+    step = model.shift - scene.shift
+    if not bool(step.any()):
+        return model
+    means = (model.model.means.double() + step).float()
+    return replace(model, model=replace(model.model, means=means), shift=scene.shift)
 
 
 def protocol_of(given: Path, origin: "Origin", protocol: str | None) -> "Protocol":

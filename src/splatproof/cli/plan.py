@@ -12,6 +12,8 @@ from splatproof.cli import output
 if TYPE_CHECKING:
     from splatproof.suites.city_plan import City, Plan
 
+MACHINES = (1, 2, 4, 8, 16, 32, 64)
+"""Numbers of machines that are planned for where nobody says which."""
 HEADING = "blocks machines workers  block GB  block h  blocks h  serial h   wall h"
 
 
@@ -28,7 +30,8 @@ def plan(
     cores: int = 16,
     memory_gb: float = 64.0,
     blocks: tuple[int, ...] = (),
-    machines: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64),
+    machines: tuple[int, ...] = (),
+    every: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="all")] = False,
     simulate: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     spread: float | None = None,
     seed: int | None = None,
@@ -38,6 +41,8 @@ def plan(
     Nothing is trained. Times are those of this package's CPU kernels; their constants stand, with how
     they were measured, in suites/city_plan.py and suites/estimate.py. With --json each plan is a
     line: blocks, machines, workers, memory and seconds of each part by name, and seconds in all.
+    One plan is printed, the fastest whose machines still help; with --all, or where --blocks and
+    --machines name several, every one of them.
 
     Args:
         views: Number of training views.
@@ -52,7 +57,8 @@ def plan(
         memory_gb: Memory of each machine in 2^30 bytes.
         blocks: Numbers of blocks to plan for. None given: the fewest that fit, and 2, 4 and 8 times
             as many.
-        machines: Numbers of machines to plan for.
+        machines: Numbers of machines to plan for. None given: 1, 2, 4, 8, 16, 32 and 64.
+        every: Print every plan, not the recommended one alone.
         simulate: Also draw unequal block times at random and hand the blocks out, longest first.
         spread: With --simulate: standard deviation of the logarithm of block times. None: as measured.
         seed: With --simulate: seed of the draw. None: 0.
@@ -69,24 +75,33 @@ def plan(
     )  # fmt: skip
     fewest = city_plan.fewest_blocks(city)
     chosen = blocks or tuple(fewest * factor for factor in (1, 2, 4, 8))
+    numbers = machines or MACHINES
+    if every or blocks or machines:
+        plans = [city_plan.plan(city, count, number) for count in chosen for number in numbers]
+    else:
+        plans = [city_plan.recommended(city, chosen, numbers)]
     if not output.wants_json():
         output.print_text(HEADING + ("   simulated (from - to)  busy" if simulate else ""))
-    for count in chosen:
-        for number in machines:
-            found = city_plan.plan(city, count, number)
-            record = asdict(found) | {"seconds": found.seconds}
-            text = _line(found)
-            if simulate and found.workers:
-                width_of = city_plan.SPREAD if spread is None else spread
-                drawn = city_plan.simulate(found, width_of, seed or 0)
-                record |= {f"simulated_{key}": value for key, value in asdict(drawn).items()}
-                low, high, mean = (
-                    (value + found.serial_seconds) / 3600
-                    for value in (drawn.fastest, drawn.slowest, drawn.mean)
-                )
-                text += f"{mean:10.1f} ({low:.1f} - {high:.1f}) {drawn.busy:5.0%}"
-            output.emit(record, text)
-    _notes(city, fewest, chosen)
+    for found in plans:
+        record = asdict(found) | {"seconds": found.seconds}
+        text = _line(found)
+        if simulate and found.workers:
+            width_of = city_plan.SPREAD if spread is None else spread
+            drawn = city_plan.simulate(found, width_of, seed or 0)
+            record |= {f"simulated_{key}": value for key, value in asdict(drawn).items()}
+            low, high, mean = (
+                (value + found.serial_seconds) / 3600
+                for value in (drawn.fastest, drawn.slowest, drawn.mean)
+            )
+            text += f"{mean:10.1f} ({low:.1f} - {high:.1f}) {drawn.busy:5.0%}"
+        output.emit(record, text)
+    told = tuple(dict.fromkeys(found.blocks for found in plans))
+    if len(plans) == 1 and not (blocks or machines):
+        output.log(
+            f"recommended: of {len(chosen) * len(numbers)} plans the fastest whose machines still help; "
+            "--all prints every one"
+        )
+    _notes(city, fewest, told)
     return 0
 
 

@@ -83,7 +83,9 @@ def held_out(protocol: "Protocol") -> str:
     rest = f"all but {protocol.train_views} training views" if protocol.train_views else "nothing"
     unit = "moment" if protocol.hold_unit == "time" else "view"
     start = f" from number {protocol.hold_first}" if protocol.hold_first else ""
-    return f"every {protocol.hold}th {unit}{start}" if protocol.hold else rest
+    share = f", or the next that training photos show {100 * protocol.least_seen:g} % of"
+    near = share if protocol.least_seen else ""
+    return f"every {protocol.hold}th {unit}{start}{near}" if protocol.hold else rest
 
 
 def size(protocol: "Protocol") -> str:

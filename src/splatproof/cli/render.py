@@ -8,7 +8,7 @@ import tyro
 
 from splatproof.api.paths import model_path
 from splatproof.cli import output
-from splatproof.cli.models import protocol_of, scene_of
+from splatproof.cli.models import placed, protocol_of, scene_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from splatproof.methods.contracts.reconstruction import Reconstruction
     from splatproof.reference.types.protocol import Protocol
     from splatproof.reference.types.scene import View
+
+    Draw = Callable[[Reconstruction], Callable[[View], Tensor]]
 
 
 def render(
@@ -33,12 +35,13 @@ def render(
     A model that `bench fit` or `bench run` saved knows its scene and protocol: without options its
     held-out views are rendered as they were scored, at the protocol's size and over its background,
     and the images are those in the case's renders/ byte for byte. A packed file knows them too. A
-    model from elsewhere needs --scene and --protocol. PNGs have 8 bits a channel, or 16 where the protocol scores
+    .ply, .spz or .glb needs --scene and --protocol, or --cameras. PNGs have 8 bits a channel, or 16 where the protocol scores
     renders that are not rounded. With --json one line tells out, images (how many),
     source (the scene or the file of cameras) and protocol.
 
     Args:
-        model: The folder that `bench fit` calls OUT, the model folder in it, or a packed file.
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .glb or
+            packed file.
         out: Folder for the images.
         scene: Name of a registered scene, or a scene folder, whose views are rendered. None: the
             scene that the model was trained on.
@@ -75,33 +78,34 @@ def render(
     names = [picture_name(view.name) for view in chosen]
     if len(set(names)) < len(names):
         raise DataError(f"{source}: two views have the same name but for the suffix")
-    loaded = load_reconstruction(path, backend=backend)
+    show = draw(load_reconstruction(path, backend=backend))
     out.mkdir(parents=True, exist_ok=True)
     with output.progress() as bar:
         task = bar.add_task("render", total=len(chosen), values="")
         for name, view in zip(names, chosen, strict=True):
-            write_png(out / name, kept(draw(view, loaded), rules.rounding)[1])
+            write_png(out / name, kept(show(view), rules.rounding)[1])
             bar.advance(task)
     record = {"out": str(out), "images": len(names), "source": source, "protocol": rules.name}
     output.emit(record, f"{out}: {len(names)} images of {source} under protocol {rules.name}")
     return 0
 
 
-def _of_scene(
-    scene: str, rules: "Protocol", views: str
-) -> "tuple[Sequence[View], Callable[[View, Reconstruction], Tensor]]":
+def _of_scene(scene: str, rules: "Protocol", views: str) -> "tuple[Sequence[View], Draw]":
     """A scene's views, and how a model shows one as it is scored."""
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.suites.held_out import drawn
 
     opened = open_scene(scene, rules)
     chosen = {"test": opened.test_views, "train": opened.train_views, "all": opened.views}[views]
-    return chosen, lambda view, model: drawn(view, opened.train_views, model, rules)
+
+    def draw(model: "Reconstruction") -> "Callable[[View], Tensor]":
+        model = placed(model, opened)
+        return lambda view: drawn(view, opened.train_views, model, rules)
+
+    return chosen, draw
 
 
-def _of_file(
-    cameras: Path, rules: "Protocol"
-) -> "tuple[Sequence[View], Callable[[View, Reconstruction], Tensor]]":
+def _of_file(cameras: Path, rules: "Protocol") -> "tuple[Sequence[View], Draw]":
     """Views that nobody took, from the cameras of a file, and how a model shows one."""
     import torch
 
@@ -109,4 +113,4 @@ def _of_file(
 
     background = torch.tensor(rules.background)
     chosen = tuple(read_cameras(cameras).values())
-    return chosen, lambda view, model: model.render(view, background).colour
+    return chosen, lambda model: lambda view: model.render(view, background).colour

@@ -121,7 +121,7 @@ def get(name: Name) -> None:
 
 def make(
     world: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WORLD")],
-    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[OUT]")] = None,
     *,
     preset: Annotated[str, tyro.conf.arg(metavar="small|medium|large")] = "small",
     seed: int = 0,
@@ -133,7 +133,7 @@ def make(
 
     Args:
         world: Name of the world; an unknown name lists those that there are.
-        out: Folder to make; must not exist yet.
+        out: Folder to make; must not exist yet. None: WORLD-PRESET-SEED in the current folder.
         preset: Size of the world: how many views there are, and how large.
         seed: Number that everything random in the world depends on.
     """
@@ -145,7 +145,10 @@ def make(
         def report(done: int, total: int) -> None:
             progress.update(task, completed=done, total=total)
 
-        path = worlds.make(world, preset, seed, out, report)
+        chosen = Path(f"{world}-{preset}-{seed}") if out is None else out
+        path = worlds.make(world, preset, seed, chosen, report)
+    if out is None:
+        output.log(f"made in the current folder; train on it: bench fit 3dgs {path} --out MODEL")
     record = {"world": world, "preset": preset, "seed": seed, "path": str(path)}
     output.emit(record, str(path))
 

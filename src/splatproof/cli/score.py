@@ -1,13 +1,15 @@
-"""`bench score RENDERS TRUTH`: anybody's images against the truth, without a model."""
+"""`bench score RENDERS TRUTH`: anybody's images, or a model's, against the truth."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from splatproof.cli import output
+from splatproof.cli.score_model import is_model, render_cameras, score_held_out
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -30,13 +32,14 @@ class Trio:
 
 def score(
     renders: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RENDERS")],
-    truth: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRUTH")],
+    truth: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[TRUTH]")] = None,
     *,
     protocol: str | None = None,
     masks: Path | None = None,
     scene: str | None = None,
     method: str | None = None,
     seed: int | None = None,
+    cameras: Path | None = None,
 ) -> int:
     """Score a folder of images against a folder of true ones, file by file.
 
@@ -49,27 +52,57 @@ def score(
     there are, and their sizes, is what the folders hold. Scores of parts (moving_psnr, seen_psnr) need
     the scene and are not given.
 
+    RENDERS may be a trained model instead: a folder that `bench fit` wrote, or a .ply, .spz, .glb or
+    packed file. Its pictures of a scene's held-out views are scored then, with their parts, where
+    --scene and --protocol say which (a model of ours knows them); or, with --cameras and TRUTH, its
+    pictures of the file's cameras against images of the same names.
+
     With --json each image is a line: scene, method, seed, protocol, image, truth_sha256,
     valid_share and every metric by its name; then a line with image null: the mean of each over the
     images, and psnr_of_mean_mse. Values that are not finite are null.
 
     Args:
-        renders: Folder of the images to score.
-        truth: Folder of the true images, of the same sizes.
+        renders: Folder of the images to score, or a model.
+        truth: Folder of the true images, of the same sizes; left out where a scene's held-out views
+            are the truth of a model.
         protocol: Names of protocols or paths of .toml files, with commas between them; every one
             gives a table of its own. None: that of the case that TRUTH belongs to, else default.
         masks: Folder of masks, white where a pixel counts, one for each truth: of the same path
             without the suffix, or the truth's whole name with another suffix behind it. None: the
             masks of the case where its protocol is used, else all pixels count.
-        scene: Name of the scene, for the output alone.
+        scene: Name of the scene, for the output alone. Of a model: name or folder of the scene whose
+            held-out views are scored; None: its own.
         method: Name of what made the renders, for the output alone.
         seed: Seed of what made the renders, for the output alone.
+        cameras: With a model and TRUTH: the .json file of cameras, as `bench render` reads it.
     """
     from splatproof.base.errors import UsageError
     from splatproof.metrics.protocol_files import load_protocol
     from splatproof.metrics.registry import load_weights
     from splatproof.metrics.scoring import scene_metrics
 
+    label = {"scene": scene, "method": method, "seed": seed}
+    if truth is None:
+        if not is_model(renders):
+            raise UsageError(
+                f"{renders}: is no model; say TRUTH, the folder of the true images, behind it"
+            )
+        if cameras is not None or masks is not None:
+            raise UsageError(
+                "--cameras and --masks belong to TRUTH, a folder of true images; name it"
+            )
+        named, rule, held = score_held_out(renders, scene, protocol)
+        _print_scores(label | {"scene": named}, rule, held, scene_metrics(held))
+        return 0
+    if (cameras is not None) != is_model(renders):
+        raise UsageError(
+            f"{renders}: a model is scored against TRUTH from the cameras of a file, and only a model "
+            "is: give --cameras with a model alone"
+        )
+    if cameras is not None:
+        with TemporaryDirectory() as folder:
+            render_cameras(renders, cameras, protocol, Path(folder))
+            return score(Path(folder), truth, protocol=protocol, masks=masks, **label)
     own = _of_case(truth) if protocol is None else None
     if own is not None:
         rules = [own]
@@ -82,18 +115,24 @@ def score(
         raise UsageError(f"--protocol {protocol}: one name stands twice")
     load_weights(metric for rule in rules for metric in rule.metrics)
     scores = _score_all(_trios(renders, truth, masks), rules)
-    label = {"scene": scene, "method": method, "seed": seed}
     for rule in rules:
         images = scores[rule.name]
-        means = scene_metrics(images)
-        if output.wants_json():
-            for line in _lines(images, means):
-                output.print_record(label | {"protocol": rule.name} | line)
-        else:
-            named = [f"{key} {value}" for key, value in label.items() if value is not None]
-            title = ", ".join([*named, f"protocol {rule.name}", f"{len(images)} images"])
-            _print_table(title, images, means)
+        _print_scores(label, rule, images, scene_metrics(images))
     return 0
+
+
+def _print_scores(
+    label: Mapping[str, object], rule: "Protocol", images: "Sequence[ImageScore]",
+    means: Mapping[str, float],
+) -> None:  # fmt: skip
+    """Everything that was scored under a protocol, as lines of JSON or as a table."""
+    if output.wants_json():
+        for line in _lines(images, means):
+            output.print_record({**label, "protocol": rule.name, **line})
+        return
+    named = [f"{key} {value}" for key, value in label.items() if value is not None]
+    title = ", ".join([*named, f"protocol {rule.name}", f"{len(images)} images"])
+    _print_table(title, images, means)
 
 
 def _of_case(truth: Path) -> "Protocol | None":

@@ -5,9 +5,10 @@ from typing import Annotated, Literal
 
 import tyro
 
+from splatproof.api.paths import model_path
 from splatproof.base.errors import UsageError
 from splatproof.cli import output
-from splatproof.cli.models import model_path, protocol_of, scene_of
+from splatproof.cli.models import protocol_of, scene_of
 
 MOST_FRAMES = 36_000
 """Twenty minutes at 30 frames a second."""

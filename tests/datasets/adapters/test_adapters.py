@@ -100,6 +100,20 @@ def test_nerfstudio_faults(tmp_path, change, said):
         open_scene(tmp_path, protocol())
 
 
+def test_a_capture_that_lacks_photos_opens_with_those_that_are_there(tmp_path):
+    nerfstudio(tmp_path, views=5)
+    for name in ("1.png", "3.png"):
+        (tmp_path / "images" / name).unlink()
+    scene = open_scene(tmp_path, protocol(hold=2))
+    assert [view.name for view in scene.views] == [f"images/{i}.png" for i in (0, 2, 4)]
+    assert [name for name, _ in scene.left_out] == ["images/1.png", "images/3.png"]
+    assert {reason.partition(": ")[0] for _, reason in scene.left_out} == {"its photo is missing"}
+    refused(tmp_path, r"1\.png: photo is missing", strict=True)
+    for view in scene.views:
+        (tmp_path / view.name).unlink()
+    refused(tmp_path, "not one photo of its 5 frames is there, expected .*0.png")
+
+
 def fisheye(rays):
     """COLMAP's and OpenCV's fisheye: theta (1 + k1 theta^2 + ...) along the ray's direction."""
     r = np.linalg.norm(rays, axis=1, keepdims=True)

@@ -94,7 +94,7 @@ FIXTURES = {
         _driven, optional=r"lidar/|depth/|sky/|views\.json", adapter="colmap"
     ),
     "photo-tourism": Fixture(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
-    "nerfstudio": Fixture(_rich_nerfstudio),
+    "nerfstudio": Fixture(_rich_nerfstudio, optional="images/"),  # what is there is opened
     "matrixcity": Fixture(
         fixtures("matrix_city").city, optional=r"/transforms\.json", unread="pose/"
     ),

@@ -222,5 +222,5 @@ def test_a_key_of_another_plan_is_refused(tmp_path):
     assert again.step == 5
     values: list[Tensor] = [t.model.parameters.rows["means"] for t in (first, again)]
     assert torch.equal(values[0].detach(), values[1].detach())
-    with pytest.raises(SplatproofError, match="belongs to a run"):
+    with pytest.raises(SplatproofError, match="belongs to a run that differs: "):
         at("other").resume()

@@ -111,5 +111,5 @@ def test_scenes_with_points_and_settings_without_random_ones_stay_as_they_are():
     assert initialise.with_random_points(scene, 500, seed=0) is scene
     empty = replace(scene, points=sparse_points(torch.zeros(0, 3)))
     assert initialise.with_random_points(empty, 0, seed=0) is empty
-    with pytest.raises(DataError, match="set random_points to start from points drawn at random"):
+    with pytest.raises(DataError, match=r"bench fit --points triangulated.*set random_points"):
         initialise.from_points(empty, degree=0, opacity=0.1)

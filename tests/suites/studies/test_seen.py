@@ -1,10 +1,13 @@
 """The study of what training photos show: rows of a plane whose answer is known, and the picture."""
 
+from dataclasses import replace
+
 import cv2
 import pytest
 
 from helpers.flat_ground import FOCAL, GROUND, WIDTH, flat_scene
 from splatproof.base.errors import MissingError
+from splatproof.datasets.seen_split import seen_split
 from splatproof.suites.studies import seen
 
 
@@ -19,6 +22,22 @@ def test_flat_ground_is_seen_alike_by_points_and_in_truth():
 def test_without_true_depth_the_points_alone_speak():
     row = seen.scene_row(seen.without_depth(flat_scene(0.0, 3.0)))
     assert row.keys() == {"views", "seen_by_points"}
+
+
+def test_the_rule_holds_out_what_is_seen(monkeypatch):
+    def opened(_, rules):
+        scene = flat_scene(-9.0, -3.0, 0.0, 3.0, 6.0, 7.0, 8.0, 9.0)
+        train, test = (scene.train, scene.test)
+        if rules.least_seen:
+            train, test = seen_split(scene.views, scene.points, rules)
+        return replace(scene, train=train, test=test)
+
+    monkeypatch.setattr(seen, "open_scene", opened)
+    row = seen.rule_row("flat", "quick")
+    assert row["least_seen"] < 0.7
+    assert row["views_by_rule"] == 1
+    assert seen.LEAST <= row["least_by_rule"] == row["seen_by_rule"]
+    assert seen.rule_row("flat", "street") == {}
 
 
 def test_a_scene_that_is_not_here_is_noted(monkeypatch, tmp_path):

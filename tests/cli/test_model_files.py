@@ -1,0 +1,152 @@
+"""Files of Gaussians stand wherever a model folder does: written, rendered and scored from a camera source."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from helpers.tiny_scene import camera, random_gaussians, tiny_scene
+from splatproof.cli import main
+from splatproof.datasets.catalogue import opening
+from splatproof.methods.contracts.reconstruction import Origin, save_model
+from splatproof.methods.loading import load_origin, load_reconstruction
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.reference.types.scene import camera_view
+
+KINDS = {"ply": ".ply", "spz": ".spz", "gltf": ".glb", "packed": ".spgs"}
+# what a PNG can differ by, of 255, and the mean over it: .ply and .glb hold float32; .spz 8 bits of
+# colour and opacity, 5 and 4 of the harmonics; a packed file half precision and 8 bits of harmonics
+WORST = {"ply": (0, 0.0), "gltf": (1, 0.01), "spz": (24, 2.5), "packed": (10, 0.6)}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A model folder of the tiny scene's own Gaussians, and each kind of file of it."""
+    folder = tmp_path_factory.mktemp("files")
+    model = ExplicitModel(model=random_gaussians(40), backend="reference")
+    save_model(model, folder / "model", Origin())
+    options = [
+        part for kind, suffix in KINDS.items() for part in (f"--{kind}", str(folder / f"m{suffix}"))
+    ]
+    assert main(["export", str(folder / "model"), *options, "--gate", "0", "--quiet"]) == 0
+    where = camera(0)
+    entry = {"name": "0.png", "width": where.width, "height": where.height,
+             "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()}  # fmt: skip
+    (folder / "cameras.json").write_text(json.dumps([entry]))
+    return folder
+
+
+def picture(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path))
+    assert image is not None
+    return image.astype(int)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_rendered_from_a_file_of_cameras(written, kind, tmp_path):
+    cameras = ["--cameras", str(written / "cameras.json"), "--backend", "reference"]
+    for model, out in (("model", "want"), (f"m{KINDS[kind]}", "got")):
+        assert main(["render", str(written / model), str(tmp_path / out), *cameras]) == 0
+    off = np.abs(picture(tmp_path / "got" / "0.png") - picture(tmp_path / "want" / "0.png"))
+    worst, mean = WORST[kind]
+    assert off.max() <= worst
+    assert off.mean() <= mean
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_exported_again_and_keeps_the_mode(kind, tmp_path, capsys):
+    model = ExplicitModel(model=random_gaussians(40), mode="antialiased")
+    save_model(model, tmp_path / "model", Origin())
+    first, again = tmp_path / f"m{KINDS[kind]}", tmp_path / "again.ply"
+    assert main(["export", str(tmp_path / "model"), f"--{kind}", str(first)]) == 0
+    said = capsys.readouterr().err
+    assert main(["export", str(first), "--ply", str(again), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == 40
+    # .spz has no place for it
+    mode = "classic" if kind == "spz" else "antialiased"
+    assert ("antialiased" in said) == (kind != "packed")
+    loaded = load_reconstruction(again)
+    assert isinstance(loaded, ExplicitModel)
+    assert loaded.mode == mode
+
+
+@pytest.fixture
+def on_the_tiny_scene(monkeypatch):
+    scene = tiny_scene()
+    monkeypatch.setattr(opening, "open_scene", lambda spec, protocol: scene)
+    return scene
+
+
+def scored(capsys, *arguments: str) -> dict:
+    assert main(["score", *arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out.splitlines()[0])
+
+
+def test_a_file_is_scored_on_the_held_out_views_of_a_scene(written, on_the_tiny_scene, capsys):
+    ply = str(written / "m.ply")
+    assert main(["score", ply]) == 2
+    assert "name it with --scene" in capsys.readouterr().err
+    line = scored(capsys, ply, "--scene", "tiny", "--protocol", "3dgs")
+    assert (line["scene"], line["image"]) == ("tiny", "0.png")
+    # the truth of the tiny scene is drawn from the same Gaussians
+    assert line["psnr"] > 40
+    other = scored(capsys, str(written / "m.spz"), "--scene", "tiny", "--protocol", "3dgs")
+    assert other["psnr"] != line["psnr"]
+
+
+def test_a_file_in_the_original_frame_is_moved_into_the_scenes(on_the_tiny_scene, tmp_path, capsys):
+    shift = torch.tensor([5e5, 4e6, 100.0], dtype=torch.float64)
+    for name, moved in (("here", torch.zeros(3, dtype=torch.float64)), ("there", shift)):
+        model = ExplicitModel(model=random_gaussians(40), shift=moved)
+        save_model(model, tmp_path / name, Origin())
+        assert main(["export", str(tmp_path / name), "--ply", str(tmp_path / f"{name}.ply")]) == 0
+    more = ("--scene", "tiny", "--protocol", "3dgs")
+    capsys.readouterr()
+    here = scored(capsys, str(tmp_path / "here.ply"), *more)["psnr"]
+    # the scene says no shift: Gaussians half a million units away are out of sight
+    assert scored(capsys, str(tmp_path / "there.ply"), *more)["psnr"] < here - 5
+    object.__setattr__(on_the_tiny_scene, "shift", shift + torch.tensor([0.25, 0.0, 0.0]))
+    nudged = scored(capsys, str(tmp_path / "there.ply"), *more)["psnr"]
+    object.__setattr__(on_the_tiny_scene, "shift", shift)
+    assert nudged < scored(capsys, str(tmp_path / "there.ply"), *more)["psnr"] == here
+
+
+def test_a_file_is_scored_against_images_of_a_file_of_cameras(written, tmp_path, capsys):
+    view = camera_view(camera(0))
+    truth = load_reconstruction(written / "model", backend="reference").render(view).colour
+    (tmp_path / "truth").mkdir()
+    image = np.floor(truth.clamp(0, 1).numpy() * 255 + 0.5)[..., ::-1]
+    cv2.imwrite(str(tmp_path / "truth" / "0.png"), image)
+    cameras = ("--cameras", str(written / "cameras.json"))
+    line = scored(capsys, str(written / "m.ply"), str(tmp_path / "truth"), *cameras)
+    assert line["psnr"] is None or line["psnr"] > 50  # null: not one byte differs
+    for wrong in ((str(tmp_path / "truth"), str(tmp_path / "truth"), *cameras),
+                  (str(written / "m.ply"), str(tmp_path / "truth"))):  # fmt: skip
+        assert main(["score", *wrong]) == 2
+        assert "give --cameras with a model alone" in capsys.readouterr().err
+
+
+def test_files_that_cannot_be_used_are_named(written, tmp_path, capsys):
+    for name, said in (
+        ("gone.ply", "no such file"),
+        ("gone.glb", "no such file"),
+        ("gone.spz", "gone.spz"),
+    ):
+        assert main(["export", str(tmp_path / name), "--ply", str(tmp_path / "x.ply")]) == 2
+        assert said in capsys.readouterr().err
+    for option, name in (("--gltf", "m.gltf"), ("--spz", "m.splat"), ("--ply", "m")):
+        assert main(["export", str(written / "model"), option, str(tmp_path / name)]) == 2
+        assert "expected a name that ends in" in capsys.readouterr().err
+    bad = tmp_path / "bad.ply"
+    whole = (written / "m.ply").read_bytes()
+    bad.write_bytes(whole.replace(b"element", b"comment splatproof mode antialiasee\nelement", 1))
+    assert main(["export", str(bad), "--gltf", str(tmp_path / "x.glb")]) == 2
+    assert "'antialiasee'" in capsys.readouterr().err
+
+
+def test_a_foreign_file_says_nothing_of_where_it_comes_from(written):
+    assert load_origin(written / "m.glb") == Origin()
+    assert load_reconstruction(str(written / "m.glb")).primitives == 40
