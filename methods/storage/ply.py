@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import get_args
+from typing import cast, get_args
 
 import numpy as np
 import torch
@@ -157,7 +157,7 @@ def read_mode(path: str | Path) -> Mode:
             raise DataError(
                 f"{path}: comment {MODE!r} says {mode!r}, expected one of {get_args(Mode)}"
             )
-        return mode
+        return cast(Mode, mode)
     return "classic"
 
 

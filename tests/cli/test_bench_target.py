@@ -43,6 +43,6 @@ def test_its_leaderboard_ranks_four_rows_on_a_scene_that_anybody_has(commands):
 def test_the_next_commands_take_the_options_they_are_printed_with(commands, tmp_path, capsys):
     for line in commands[2:]:
         own = {name: str(tmp_path / f"none_{name}") for name in ("PHOTOS", "my_scene", "my_model")}
-        at = [own.get(word, word) for word in line]
+        at = [own.get(str(word), str(word)) for word in line]
         assert main(at) == 2
         assert "none" in capsys.readouterr().err
