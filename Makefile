@@ -18,10 +18,10 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
 	@echo "site: build/site/index.html"
 
-# a worker a core, each of one thread: waiting threads of two workers would spin on each other's cores;
-# a file's tests share what its fixtures made, so they stay on one worker
+# a worker a core; a file's tests share what its fixtures made, so they stay on one worker; the longest files come
+# first (tests/conftest.py), not those with most tests
 test: setup-dev
-	OMP_NUM_THREADS=1 $(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile
+	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 
 # budgets of time and memory are measured alone; planted faults share nothing
 test-slow: setup-dev

@@ -165,8 +165,8 @@ def test_a_camera_of_a_file(moving, cameras, tmp_path, asked, capsys):
     ],
 )
 def test_what_cannot_be_is_told_in_one_line(moving, tmp_path, capsys, kind, options, said):
-    before = sorted(tmp_path.rglob("*"))
-    assert main(["export", moving, kind, str(tmp_path / "m"), *options]) == 2
+    before, ending = sorted(tmp_path.rglob("*")), {"--ply": ".ply"}.get(kind, "")
+    assert main(["export", moving, kind, str(tmp_path / f"m{ending}"), *options]) == 2
     text = capsys.readouterr().err
     assert said in " ".join(text.replace("│", "").split())
     assert sorted(tmp_path.rglob("*")) == before

@@ -16,6 +16,7 @@ from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.loading import load_origin
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result_json import result_from_json, result_to_json
 from splatproof.reference.types.scene import Scene
 from splatproof.reports.leaderboard import build_tables
@@ -73,7 +74,7 @@ def test_without_one_a_case_has_the_key_that_it_always_had(suite):
     case = suite.cases[0]
     assert case_key(case, "cpu") == key_of(
         scene="town", method="fake", settings=asdict(case.settings), seed=0,
-        protocol=asdict(case.protocol), pose_noise="none", backend="cpu",
+        protocol=key_rules(asdict(case.protocol)), pose_noise="none", backend="cpu",
     )  # fmt: skip
 
 

@@ -220,7 +220,7 @@ def test_blocks_that_all_lose_everything_are_refused(tmp_path):
 
 def test_a_folder_of_another_run_is_refused(tmp_path):
     fit("blockgaussian", run(tmp_path))
-    with pytest.raises(UsageError, match="another scene, settings, seed"):
+    with pytest.raises(UsageError, match="differs: seed 0 before, 1 now"):
         fit("blockgaussian", run(tmp_path, seed=1))
 
 

@@ -112,7 +112,7 @@ def test_the_terms_are_told_by_name(scene):
 def test_other_settings_do_not_continue(scene, tmp_path):
     run = replace(RUN, folder=tmp_path)
     fit(scene, replace(SHORT, iterations=2), run)
-    with pytest.raises(UsageError, match="another scene, settings"):
+    with pytest.raises(UsageError, match="differs: settings.motion.period 0.2 before, 0.3 now"):
         fit(scene, replace(SHORT, iterations=2, motion=Motion(period=0.3)), run)
 
 

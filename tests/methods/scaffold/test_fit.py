@@ -93,7 +93,7 @@ def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
 def test_other_settings_do_not_continue(tmp_path):
     run = replace(RUN, folder=tmp_path)
     fit(tiny_scene(), replace(SHORT, iterations=2), run)
-    with pytest.raises(UsageError, match="another scene, settings"):
+    with pytest.raises(UsageError, match="differs: settings.volume 0.01 before, 0.1 now"):
         fit(tiny_scene(), replace(SHORT, iterations=2, volume=0.1), run)
 
 
