@@ -7,7 +7,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import FloatRect, sync_playwright
 
 from splatproof.base.errors import MissingError
 
@@ -50,14 +50,8 @@ def make(page: Path, picture: Path) -> None:
         assert first is not None
         assert last is not None
         top, end = first["y"] - BELOW, last["y"] + last["height"] + BELOW
-        clip = {"x": 0, "y": top, "width": WIDTH, "height": end - top}
-        tab.screenshot(
-            path=picture,
-            type="jpeg",
-            quality=85,
-            clip=clip,
-            full_page=True,  # type: ignore[arg-type]
-        )
+        clip: FloatRect = {"x": 0, "y": top, "width": WIDTH, "height": end - top}
+        tab.screenshot(path=picture, type="jpeg", quality=85, clip=clip, full_page=True)
         opened.close()
 
 
