@@ -38,7 +38,7 @@ class Drifting:
         return self.still.render(replace(view, camera=moved), background)
 
     def store(self, folder):
-        raise NotImplementedError
+        raise AssertionError("a page stores nothing")
 
 
 @dataclass(frozen=True, kw_only=True)
