@@ -15,7 +15,7 @@ from splatproof.datasets.pose_noise import LEVELS
 from splatproof.methods.contracts.reconstruction import Origin
 from splatproof.methods.priors.kinds import resolved
 from splatproof.methods.registry import methods
-from splatproof.metrics.protocol_files import load_protocol
+from splatproof.metrics.protocol_files import load_protocol, resized
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES, prior_name, row_name
 
@@ -45,6 +45,9 @@ class CaseTable:
     """Depth priors of training views: "none", or kinds of `splatproof.methods.priors.kinds`, of
     which some take the path of their weights, relative to the suite file ("network:net.safetensors").
     Each has table rows of its own."""
+    width: int | None = None
+    """Width of the images in pixels, in training and in scoring, as `bench run --width` has it; the
+    protocols' names then say so. None: the protocols' own."""
     settings: dict[str, dict[str, object]] = field(default_factory=dict)
     """Settings that differ from the defaults, by method and by "method@variant"; a variant has those
     of its method too, and where both name a setting the variant's own holds."""
@@ -202,6 +205,8 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
             raise UsageError(f"{where}.{name}: empty; expected at least one")
     if min(table.seeds) < 0:
         raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(table.seeds)}")
+    if table.width is not None and table.width < 1:
+        raise UsageError(f"{where}.width: expected pixels, 1 or more, found {table.width}")
     for level in table.pose_noise:
         if level not in LEVELS:
             raise unknown(f"{where}.pose_noise", level, LEVELS)
@@ -217,7 +222,9 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         )
         for row, (method, _) in parts.items()
     }
-    protocols = [load_protocol(_beside(name, path)) for name in table.protocols]
+    protocols = [
+        resized(load_protocol(_beside(name, path)), table.width) for name in table.protocols
+    ]
     scenes = [_scene(name, path, f"{where}.scenes") for name in table.scenes]
     product = itertools.product(
         scenes, table.methods, protocols, table.pose_noise, priors, table.seeds

@@ -49,6 +49,12 @@ def test_cases_are_the_product_with_all_settings(tmp_path):
     assert isinstance(suite.cases[0].settings.inner.rate, float)
 
 
+def test_a_table_may_have_a_width_of_its_own(tmp_path):
+    suite = load_suite(written(tmp_path, GOOD.replace("seeds", "width = 120\nseeds")))
+    protocols = {case.protocol.name: case.protocol.width for case in suite.cases}
+    assert protocols == {"default-120px": 120, "quick-120px": 120}
+
+
 def test_a_folder_that_is_written_like_a_name_is_told_how_to_write_it(tmp_path, monkeypatch):
     (tmp_path / "mine" / "scene").mkdir(parents=True)
     (tmp_path / "here").mkdir()
@@ -146,6 +152,7 @@ BAD = {
     "no scene": (changed('["town", "village"]', "[]"), "scenes: empty"),
     "no seed": (changed("[0, 3]", "[]"), "seeds: empty"),
     "negative seed": (changed("[0, 3]", "[-1]"), "seeds: .*-1"),
+    "no width": (changed("seeds = [0, 3]", "width = 0"), r"cases\[0\].width: .*1 or more, found 0"),
     "a seed twice": (
         changed("[0, 3]", "[3, 3]"),
         "the case town/fake/default/seed3 is there twice",
