@@ -94,11 +94,13 @@ def fit(
         running: How it is run.
         blocks: How blocks of a city are trained.
     """
+    from splatproof.cli.expected_time import expected_time
     from splatproof.cli.report import sync_cases
     from splatproof.methods.priors.kinds import resolved
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.chosen_folder import check_chosen
     from splatproof.suites.one_case import job_of_one
+    from splatproof.suites.records import RECORD_NAME
     from splatproof.suites.runner import run_alone
     from splatproof.suites.scenes import check_opens, check_scene
 
@@ -113,7 +115,10 @@ def fit(
     check_scene(where)
     check_chosen(job)
     prepare(suite)
-    _tell_left_out(check_opens(job.case))
+    opened = check_opens(job.case)
+    _tell_left_out(opened)
+    if not (out / RECORD_NAME).exists():
+        output.log(expected_time(job.case, opened, running.backend))
     if short := short_run(settings):
         output.log(short)
     with _watched(job) if view else nullcontext(job) as job, output.progress() as bar:
