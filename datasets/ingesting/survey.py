@@ -92,10 +92,11 @@ def _read(path: Path, name: str) -> Photo:
         words += [details.get(ExifTags.Base.FocalLength)]
         text = " ".join(str(word).strip("\0 ") for word in words if word is not None)
         turned = orientation(image)
+        width, height = image.size if turned not in QUARTERS else (image.height, image.width)
         return Photo(
             path=path,
             name=name,
-            lens=(*(image.size[::-1] if turned in QUARTERS else image.size), text),
+            lens=(width, height, text),
             gps=gps_position(exif.get_ifd(ExifTags.IFD.GPSInfo)),
             turned=turned != AS_STORED,
         )

@@ -70,8 +70,8 @@ Place = tuple[np.ndarray, np.ndarray]
 
 def _camera(place: Place, device: Device, *, upright: bool = False) -> Camera:
     """What `device` sees; upright: width and height are exchanged, the focal length stays."""
-    size = device.size[::-1] if upright else device.size
-    return looking(*place, size, device.wide * device.size[0])
+    width, height = device.size
+    return looking(*place, (height, width) if upright else (width, height), device.wide * width)
 
 
 def town() -> tuple[Stage, list[Photo]]:

@@ -1,6 +1,6 @@
 """What is said before a fit: how long it will probably take, and how a first look is had where that is long."""
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from splatproof.viewing.poses import resized
@@ -42,8 +42,7 @@ def _quicker(case: "Case", scene: "Scene", backend: str, seconds: float) -> str:
     from splatproof.suites.estimate import estimate
 
     settings = case.settings
-    known = {one.name for one in fields(settings)} if is_dataclass(settings) else set()
-    if seconds < LONG or "iterations" not in known:
+    if seconds < LONG or not hasattr(settings, "iterations"):
         return ""
     few = replace(settings, iterations=min(FIRST_STEPS, settings.iterations))
     views = tuple(

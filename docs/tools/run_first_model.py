@@ -1,0 +1,212 @@
+"""The trial of docs/first_model.md: photos of made worlds, an empty home, five commands, a browser.
+
+python docs/tools/run_first_model.py PHOTOS
+
+PHOTOS is where trial_photos.py keeps the photos; those that are missing are made first (minutes to an hour).
+What is cloned is this checkout's last commit.
+"""
+
+import json
+import os
+import platform
+import queue
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import trial_photos
+from first_model_page import Record, Step, Trial, page
+from make_front_picture import chromium
+
+from splatproof.base.files import write_text
+from splatproof.base.typed_toml import build
+
+DOCS = Path(__file__).parents[1]
+PICTURES = DOCS / "images" / "first_model"
+RECORD, PAGE, WORDS = DOCS / "first_model.json", DOCS / "first_model.md", "first_model.txt"
+SIZE = {"width": 1100, "height": 700}
+"""Pixels of the browser's window."""
+PATIENCE = 1800
+"""Seconds after which a command is given up."""
+
+
+class Shell:
+    """Bash in an empty home, with nothing of this checkout on its paths."""
+
+    def __init__(self, folder: Path) -> None:
+        """Make the home.
+
+        Args:
+            folder: Where everything happens.
+        """
+        self.folder = folder
+        (folder / "home").mkdir()
+        kept = {"PATH", "LANG", "SSL_CERT_FILE", "OMP_NUM_THREADS"}
+        own = {key: value for key, value in os.environ.items()
+               if key in kept or key.startswith("PIP_")}  # fmt: skip
+        beside = Path(sys.executable).parent
+        paths = [one for one in own["PATH"].split(":") if Path(one) != beside]
+        self._environment = own | {"HOME": str(folder / "home"), "PATH": ":".join(paths)}
+
+    def start(self, command: str, inside: str = "") -> subprocess.Popen[str]:
+        """Start a command in a process group of its own.
+
+        Args:
+            command: As it is typed; `bench` is found as after `source .venv/bin/activate`.
+            inside: Folder below the trial's.
+        """
+        active = Path(self.folder, inside, ".venv/bin/activate")
+        before = f"source {active} && " if active.exists() else ""
+        return subprocess.Popen(
+            ["bash", "-c", before + command], cwd=self.folder / inside, env=self._environment, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )  # fmt: skip
+
+    def run(self, command: str, inside: str = "") -> Step:
+        """Run a command to its end.
+
+        Args:
+            command: As it is typed.
+            inside: Folder below the trial's.
+        Raises: RuntimeError with what it printed if it fails.
+        """
+        started = time.perf_counter()
+        running = self.start(command, inside)
+        printed, _ = running.communicate(timeout=PATIENCE)
+        if running.returncode:
+            raise RuntimeError(f"{command} ended with {running.returncode}:\n{printed}")
+        return self.step(command, time.perf_counter() - started, printed.splitlines())
+
+    def step(self, command: str, seconds: float, lines: list[str]) -> Step:
+        """What is kept of a command: no name of a folder that only this machine has.
+
+        Args:
+            command: As it was typed.
+            seconds: Wall time.
+            lines: What it printed.
+        """
+        plain = [line.replace(str(self.folder.resolve()), "").rstrip() for line in lines]
+        return Step(
+            command=command, seconds=round(seconds, 1), lines=tuple(one for one in plain if one)
+        )
+
+
+def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step, tuple[str, ...]]:
+    """Serve a model, look at it in a browser, end it with ctrl-C.
+
+    Args:
+        shell: Where.
+        command: `bench view` of one model.
+        inside: Folder below the trial's.
+        name: Of the trial.
+    Returns: The command, timed until the first sharp picture, and the screenshots' names.
+    """
+    from playwright.sync_api import sync_playwright
+
+    started = time.perf_counter()
+    running = shell.start(command, inside)
+    said: queue.Queue[str] = queue.Queue()
+    assert running.stdout is not None
+    reader = threading.Thread(target=lambda out: [said.put(line) for line in out],
+                              args=(running.stdout,), daemon=True)  # fmt: skip
+    reader.start()
+    lines = [said.get(timeout=PATIENCE)]
+    while "http://" not in lines[-1]:
+        lines.append(said.get(timeout=PATIENCE))
+    address = next(word for word in lines[-1].split() if word.startswith("http://"))
+    pictures = (f"{name}_model.jpg", f"{name}_photo_beside_render.jpg")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        tab = browser.new_page(viewport=SIZE)  # pyright: ignore[reportArgumentType]
+        tab.set_default_timeout(120_000)
+        tab.goto(address)
+        tab.wait_for_function("window.splatproof?.frames?.rests()")
+        seconds = time.perf_counter() - started
+        tab.screenshot(path=PICTURES / pictures[0], type="jpeg", quality=80)
+        tab.keyboard.press("n")
+        tab.keyboard.press("g")
+        tab.wait_for_timeout(1000)
+        tab.wait_for_function("splatproof.frames.rests()")
+        tab.wait_for_timeout(3000)
+        tab.screenshot(path=PICTURES / pictures[1], type="jpeg", quality=80)
+        browser.close()
+    os.killpg(running.pid, signal.SIGINT)
+    running.wait(60)
+    reader.join(10)
+    while not said.empty():
+        lines.append(said.get())
+    return shell.step(command, seconds, lines), pictures
+
+
+def trial(shell: Shell, name: str, photos: Path) -> Trial:
+    """From a folder of photos to a model in the browser.
+
+    Args:
+        shell: With the project cloned and set up.
+        name: Of the set.
+        photos: Its folder.
+    """
+    home = "splatproof"
+    (shell.folder / name).symlink_to(photos.resolve())
+    steps = [shell.run(f"bench ingest ../{name} {name}_scene", home)]
+    fit = f"bench fit 3dgs {name}_scene --out {name}_model --width 320 --iterations 2000"
+    steps.append(shell.run(fit, home))
+    last, pictures = looked_at(shell, f"bench view {name}_model --port 0", home, name)
+    about = f"{len(list(photos.iterdir()))} photos: {trial_photos.SETS[name].__doc__}"
+    return Trial(name=name, photos=about.rstrip("."), steps=(*steps, last), pictures=pictures)
+
+
+def machine() -> str:
+    """What the times were measured on."""
+    with Path("/proc/cpuinfo").open() as file:
+        model = next((line.partition(":")[2].strip() for line in file if "model name" in line), "")
+    load = os.getloadavg()[0]
+    return (
+        f"{os.cpu_count()} cores, {model or platform.machine()}, shared with other work (load {load:.1f} "
+        "when the trial began)"
+    )
+
+
+def render(record: Record) -> None:
+    """Write the page of a record."""
+    write_text(PAGE, page(record, (DOCS / "words" / WORDS).read_text("utf-8")))
+
+
+def read_record() -> Record:
+    """The record that is committed."""
+    return build(Record, json.loads(RECORD.read_text("utf-8")), str(RECORD))
+
+
+def main() -> None:
+    """Run all trials, write record, pictures and page."""
+    photos = Path(sys.argv[1])
+    for name in trial_photos.SETS:
+        trial_photos.make(name, photos / name)
+    about = machine()
+    with tempfile.TemporaryDirectory() as folder:
+        shell = Shell(Path(folder))
+        clone = shell.run(f"git clone -q {DOCS.parent.resolve()} splatproof")
+        setup = shell.run("make setup", "splatproof")
+        record = Record(
+            machine=about,
+            setup=(
+                Step(command="git clone REPOSITORY splatproof && cd splatproof",
+                     seconds=clone.seconds, lines=clone.lines),
+                Step(command=f"{setup.command} && source .venv/bin/activate",
+                     seconds=setup.seconds, lines=setup.lines),
+            ),
+            trials=tuple(trial(shell, name, photos / name) for name in trial_photos.SETS),
+        )  # fmt: skip
+    write_text(RECORD, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
+    render(record)
+
+
+if __name__ == "__main__":
+    main()
