@@ -127,7 +127,7 @@ def fit(
     if sync_cases(out, uri):
         output.warn(f"the record is on disk; the next `bench report --out {out}` logs it")
     if not outcome.result.error:
-        output.log(f"model: {out / 'model'}; page with pictures: bench report --out {out}")
+        output.log(f"look at it: bench view {out}; page with pictures: bench report --out {out}")
     return exit_code([outcome])
 
 
