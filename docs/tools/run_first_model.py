@@ -18,10 +18,12 @@ import threading
 import time
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import trial_photos
 from first_model_page import Record, Step, Trial, page
 from make_front_picture import chromium
+from playwright.sync_api import ViewportSize, sync_playwright
 
 from splatproof.base.files import write_text
 from splatproof.base.typed_toml import build
@@ -29,7 +31,7 @@ from splatproof.base.typed_toml import build
 DOCS = Path(__file__).parents[1]
 PICTURES = DOCS / "images" / "first_model"
 RECORD, PAGE, WORDS = DOCS / "first_model.json", DOCS / "first_model.md", "first_model.txt"
-SIZE = {"width": 1100, "height": 700}
+SIZE: ViewportSize = {"width": 1100, "height": 700}
 """Pixels of the browser's window."""
 PATIENCE = 1800
 """Seconds after which a command is given up."""
@@ -97,6 +99,15 @@ class Shell:
         )
 
 
+def _sharp(tab: Any) -> None:
+    """Wait for the sharp picture; the page's policy lets no other way of waiting evaluate code."""
+    end = time.monotonic() + PATIENCE
+    while not tab.evaluate("typeof splatproof !== 'undefined' && !!splatproof.frames?.rests()"):
+        if time.monotonic() > end:
+            raise RuntimeError("no picture came")
+        tab.wait_for_timeout(50)
+
+
 def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step, tuple[str, ...]]:
     """Serve a model, look at it in a browser, end it with ctrl-C.
 
@@ -107,8 +118,6 @@ def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step,
         name: Of the trial.
     Returns: The command, timed until the first sharp picture, and the screenshots' names.
     """
-    from playwright.sync_api import sync_playwright
-
     started = time.perf_counter()
     running = shell.start(command, inside)
     said: queue.Queue[str] = queue.Queue()
@@ -117,32 +126,39 @@ def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step,
                               args=(running.stdout,), daemon=True)  # fmt: skip
     reader.start()
     lines = [said.get(timeout=PATIENCE)]
-    while "http://" not in lines[-1]:
-        lines.append(said.get(timeout=PATIENCE))
-    address = next(word for word in lines[-1].split() if word.startswith("http://"))
     pictures = (f"{name}_model.jpg", f"{name}_photo_beside_render.jpg")
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
-        tab = browser.new_page(viewport=SIZE)  # pyright: ignore[reportArgumentType]
-        tab.set_default_timeout(120_000)
-        tab.goto(address)
-        tab.wait_for_function("window.splatproof?.frames?.rests()")
-        seconds = time.perf_counter() - started
-        tab.screenshot(path=PICTURES / pictures[0], type="jpeg", quality=80)
-        tab.keyboard.press("n")
-        tab.keyboard.press("g")
-        tab.wait_for_timeout(1000)
-        tab.wait_for_function("splatproof.frames.rests()")
-        tab.wait_for_timeout(3000)
-        tab.screenshot(path=PICTURES / pictures[1], type="jpeg", quality=80)
-        browser.close()
-    os.killpg(running.pid, signal.SIGINT)
-    running.wait(60)
+    try:
+        while "http://" not in lines[-1]:
+            lines.append(said.get(timeout=PATIENCE))
+        address = next(word for word in lines[-1].split() if word.startswith("http://"))
+        seconds = _photographed(address, pictures) - started
+    finally:
+        os.killpg(running.pid, signal.SIGINT)
+        running.wait(60)
     reader.join(10)
     while not said.empty():
         lines.append(said.get())
     return shell.step(command, seconds, lines), pictures
+
+
+def _photographed(address: str, pictures: tuple[str, str]) -> float:
+    """Take two screenshots: the model, and a photo beside its render; when the first was sharp."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
+        tab = browser.new_page(viewport=SIZE)
+        tab.goto(address)
+        _sharp(tab)
+        seen = time.perf_counter()
+        tab.screenshot(path=PICTURES / pictures[0], type="jpeg", quality=80)
+        tab.keyboard.press("n")
+        tab.keyboard.press("g")
+        tab.wait_for_timeout(1000)
+        _sharp(tab)
+        tab.wait_for_load_state("networkidle")
+        tab.screenshot(path=PICTURES / pictures[1], type="jpeg", quality=80)
+        browser.close()
+    return seen
 
 
 def trial(shell: Shell, name: str, photos: Path) -> Trial:
