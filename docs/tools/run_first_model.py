@@ -1,9 +1,10 @@
 """The trial of docs/first_model.md: photos of made worlds, an empty home, five commands, a browser.
 
-python docs/tools/run_first_model.py PHOTOS
+python docs/tools/run_first_model.py PHOTOS FOLDER
 
 PHOTOS is where trial_photos.py keeps the photos; those that are missing are made first (minutes to an hour).
-What is cloned is this checkout's last commit.
+FOLDER is where the trial happens; commands that were run there are not run again, so a killed trial goes on.
+What is cloned is this checkout's last commit. After each set of photos, record and page are written.
 """
 
 import json
@@ -13,10 +14,9 @@ import queue
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,8 @@ class Shell:
             folder: Where everything happens.
         """
         self.folder = folder
-        (folder / "home").mkdir()
+        (folder / "home").mkdir(parents=True, exist_ok=True)
+        self._done = folder / "steps.json"
         kept = {"PATH", "LANG", "SSL_CERT_FILE", "OMP_NUM_THREADS"}
         own = {key: value for key, value in os.environ.items()
                if key in kept or key.startswith("PIP_")}  # fmt: skip
@@ -78,6 +79,8 @@ class Shell:
             inside: Folder below the trial's.
         Raises: RuntimeError with what it printed if it fails.
         """
+        if (before := self.known(command)) is not None:
+            return before
         started = time.perf_counter()
         running = self.start(command, inside)
         printed, _ = running.communicate(timeout=PATIENCE)
@@ -85,8 +88,17 @@ class Shell:
             raise RuntimeError(f"{command} ended with {running.returncode}:\n{printed}")
         return self.step(command, time.perf_counter() - started, printed.splitlines())
 
+    def known(self, command: str) -> Step | None:
+        """What is kept of a command, if it was run here.
+
+        Args:
+            command: As it is typed.
+        """
+        kept = json.loads(self._done.read_text("utf-8")) if self._done.exists() else {}
+        return build(Step, kept[command], str(self._done)) if command in kept else None
+
     def step(self, command: str, seconds: float, lines: list[str]) -> Step:
-        """What is kept of a command: no name of a folder that only this machine has.
+        """Keep what a command did; no name of a folder that only this machine has.
 
         Args:
             command: As it was typed.
@@ -94,9 +106,12 @@ class Shell:
             lines: What it printed.
         """
         plain = [line.replace(str(self.folder.resolve()), "").rstrip() for line in lines]
-        return Step(
+        step = Step(
             command=command, seconds=round(seconds, 1), lines=tuple(one for one in plain if one)
         )
+        kept = json.loads(self._done.read_text("utf-8")) if self._done.exists() else {}
+        write_text(self._done, json.dumps(kept | {command: asdict(step)}, indent=1))
+        return step
 
 
 def _sharp(tab: Any) -> None:
@@ -118,6 +133,9 @@ def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step,
         name: Of the trial.
     Returns: The command, timed until the first sharp picture, and the screenshots' names.
     """
+    pictures = (f"{name}_model.jpg", f"{name}_photo_beside_render.jpg")
+    if (before := shell.known(command)) is not None:
+        return before, pictures
     started = time.perf_counter()
     running = shell.start(command, inside)
     said: queue.Queue[str] = queue.Queue()
@@ -126,7 +144,6 @@ def looked_at(shell: Shell, command: str, inside: str, name: str) -> tuple[Step,
                               args=(running.stdout,), daemon=True)  # fmt: skip
     reader.start()
     lines = [said.get(timeout=PATIENCE)]
-    pictures = (f"{name}_model.jpg", f"{name}_photo_beside_render.jpg")
     try:
         while "http://" not in lines[-1]:
             lines.append(said.get(timeout=PATIENCE))
@@ -170,7 +187,9 @@ def trial(shell: Shell, name: str, photos: Path) -> Trial:
         photos: Its folder.
     """
     home = "splatproof"
-    (shell.folder / name).symlink_to(photos.resolve())
+    link = shell.folder / name
+    if not link.exists():
+        link.symlink_to(photos.resolve())
     steps = [shell.run(f"bench ingest ../{name} {name}_scene", home)]
     fit = f"bench fit 3dgs {name}_scene --out {name}_model --width 320 --iterations 2000"
     steps.append(shell.run(fit, home))
@@ -202,26 +221,22 @@ def read_record() -> Record:
 
 def main() -> None:
     """Run all trials, write record, pictures and page."""
-    photos = Path(sys.argv[1])
+    photos, shell = Path(sys.argv[1]), Shell(Path(sys.argv[2]))
     for name in trial_photos.SETS:
         trial_photos.make(name, photos / name)
     about = machine()
-    with tempfile.TemporaryDirectory() as folder:
-        shell = Shell(Path(folder))
-        clone = shell.run(f"git clone -q {DOCS.parent.resolve()} splatproof")
-        setup = shell.run("make setup", "splatproof")
-        record = Record(
-            machine=about,
-            setup=(
-                Step(command="git clone REPOSITORY splatproof && cd splatproof",
-                     seconds=clone.seconds, lines=clone.lines),
-                Step(command=f"{setup.command} && source .venv/bin/activate",
-                     seconds=setup.seconds, lines=setup.lines),
-            ),
-            trials=tuple(trial(shell, name, photos / name) for name in trial_photos.SETS),
-        )  # fmt: skip
-    write_text(RECORD, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
-    render(record)
+    clone = shell.run(f"git clone -q {DOCS.parent.resolve()} splatproof")
+    make = shell.run("make setup", "splatproof")
+    setup = (
+        replace(clone, command="git clone REPOSITORY splatproof && cd splatproof"),
+        replace(make, command=f"{make.command} && source .venv/bin/activate"),
+    )
+    trials: list[Trial] = []
+    for name in trial_photos.SETS:
+        trials.append(trial(shell, name, photos / name))
+        record = Record(machine=about, setup=setup, trials=tuple(trials))
+        write_text(RECORD, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
+        render(record)
 
 
 if __name__ == "__main__":

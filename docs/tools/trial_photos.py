@@ -125,9 +125,9 @@ def street() -> tuple[Stage, list[Photo]]:
 
 
 SETS: dict[str, Callable[[], tuple[Stage, list[Photo]]]] = {
-    "town": town,
     "yard": yard,
     "street": street,
+    "town": town,
 }
 
 
