@@ -23,6 +23,7 @@ from splatproof.datasets.procedural.plan import Stage, object_seeds
 from splatproof.datasets.procedural.ray_images import shade, strata
 from splatproof.datasets.procedural.surface import to_srgb
 from splatproof.datasets.procedural.tracing import Caster
+from splatproof.datasets.procedural.world import World
 from splatproof.reference.types.camera import Camera
 
 SENSOR_NOISE = 1.2
@@ -74,10 +75,12 @@ def _camera(place: Place, device: Device, *, upright: bool = False) -> Camera:
     return looking(*place, (height, width) if upright else (width, height), device.wide * width)
 
 
-def town() -> tuple[Stage, list[Photo]]:
+def town() -> tuple[Callable[[], Stage], list[Photo]]:
     """Blocks of houses from the air: two lines straight down and a ring of oblique views."""
     rng = np.random.Generator(np.random.PCG64(21))
-    stage = _lit(aerial.SCENES["town"](3), Sky(azimuth=0.7, elevation=0.85), 75.0, 40.0, 3.0)
+    stage = _lit(
+        lambda: aerial.SCENES["town"](3), Sky(azimuth=0.7, elevation=0.85), 75.0, 40.0, 3.0
+    )
     places = strips((-28.0, 28.0, 4), (-14.0, 14.0, 2), 75.0, 0.06, 0.8, rng)
     places += ring(14, 62.0, 55.0, np.array([0.0, 0.0, 4.0]), 0.2, 0.8, rng)
     return stage, [
@@ -86,10 +89,10 @@ def town() -> tuple[Stage, list[Photo]]:
     ]
 
 
-def yard() -> tuple[Stage, list[Photo]]:
+def yard() -> tuple[Callable[[], Stage], list[Photo]]:
     """A walk through a farmyard with a phone, every third photo upright."""
     rng = np.random.Generator(np.random.PCG64(22))
-    stage = _lit(courtyard.build(5), Sky(azimuth=-0.4, elevation=0.7), 32.0, 13.0, 1.25)
+    stage = _lit(lambda: courtyard.build(5), Sky(azimuth=-0.4, elevation=0.7), 32.0, 13.0, 1.25)
     arcs = [(10.0, angle) for angle in np.linspace(-115, -60, 14)]
     arcs += [(7.0, angle) for angle in np.linspace(-75, -125, 10)]
     photos = []
@@ -105,11 +108,15 @@ def yard() -> tuple[Stage, list[Photo]]:
     return stage, photos
 
 
-def street() -> tuple[Stage, list[Photo]]:
+def street() -> tuple[Callable[[], Stage], list[Photo]]:
     """Houses across a street, from its pavement, by two people with cameras of two sizes."""
     rng = np.random.Generator(np.random.PCG64(23))
     stage = _lit(
-        street_still.build(4, 80.0).build(), Sky(azimuth=1.2, elevation=0.8), 60.0, 20.0, 1.5
+        lambda: street_still.build(4, 80.0).build(),
+        Sky(azimuth=1.2, elevation=0.8),
+        60.0,
+        20.0,
+        1.5,
     )
     photos = []
     for device, count, first, last, y, turn in (
@@ -124,17 +131,25 @@ def street() -> tuple[Stage, list[Photo]]:
     return stage, photos
 
 
-SETS: dict[str, Callable[[], tuple[Stage, list[Photo]]]] = {
+SETS: dict[str, Callable[[], tuple[Callable[[], Stage], list[Photo]]]] = {
     "yard": yard,
     "street": street,
     "town": town,
 }
 
 
-def _lit(world, sky: Sky, reach: float, top: float, cell: float) -> Stage:
-    caster = Caster(world)
-    light = Daylight(caster, sky, (-reach, -reach, -3.0), (reach, reach, top), cell)
-    return Stage(caster=caster, lighting=light, object_seeds=object_seeds(len(world.kinds), 0))
+def _lit(
+    build: Callable[[], World], sky: Sky, reach: float, top: float, cell: float
+) -> Callable[[], Stage]:
+    """A world by day, built when it is asked for; light reaches `reach` metres out and `top` up."""
+
+    def stage() -> Stage:
+        world = build()
+        caster = Caster(world)
+        light = Daylight(caster, sky, (-reach, -reach, -3.0), (reach, reach, top), cell)
+        return Stage(caster=caster, lighting=light, object_seeds=object_seeds(len(world.kinds), 0))
+
+    return stage
 
 
 def take(stage: Stage, photo: Photo, seed: int) -> Image.Image:
@@ -198,15 +213,16 @@ def make(name: str, folder: Path) -> None:
         name: Of SETS.
         folder: Where they go.
     """
-    stage, photos = SETS[name]()
+    build, photos = SETS[name]()
+    missing = [index for index, photo in enumerate(photos) if not (folder / photo.name).exists()]
+    if not missing:
+        return
     folder.mkdir(parents=True, exist_ok=True)
-    for index, photo in enumerate(photos):
-        path = folder / photo.name
-        if not path.exists():
-            with whole_file(path) as part:
-                take(stage, photo, index).save(
-                    part, format="JPEG", quality=QUALITY, exif=exif(photo)
-                )
+    stage = build()
+    for index in missing:
+        with whole_file(folder / photos[index].name) as part:
+            picture = take(stage, photos[index], index)
+            picture.save(part, format="JPEG", quality=QUALITY, exif=exif(photos[index]))
 
 
 if __name__ == "__main__":
