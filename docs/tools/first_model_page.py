@@ -55,7 +55,8 @@ def shortened(lines: Sequence[str]) -> list[str]:
             row.append(line)
             continue
         if len(row) > 1:
-            kept.append(f"[{len(row) - 1} lines of progress]")
+            many = len(row) - 1
+            kept.append(f"[{many} line{'s' if many > 1 else ''} of progress]")
         kept += row[-1:]
         row = []
         kept.append(line)

@@ -202,10 +202,10 @@ def machine() -> str:
     """What the times were measured on."""
     with Path("/proc/cpuinfo").open() as file:
         model = next((line.partition(":")[2].strip() for line in file if "model name" in line), "")
-    load = os.getloadavg()[0]
+    loads = " ".join(f"{load:.1f}" for load in os.getloadavg())
     return (
-        f"{os.cpu_count()} cores, {model or platform.machine()}, shared with other work (load {load:.1f} "
-        "when the trial began)"
+        f"{os.cpu_count()} cores, {model or platform.machine()}; load averages of the last 1, 5 and 15 minutes "
+        f"at the end: {loads}; priority nice {os.nice(0)}"
     )
 
 
@@ -224,7 +224,6 @@ def main() -> None:
     photos, shell = Path(sys.argv[1]), Shell(Path(sys.argv[2]))
     for name in trial_photos.SETS:
         trial_photos.make(name, photos / name)
-    about = machine()
     clone = shell.run(f"git clone -q {DOCS.parent.resolve()} splatproof")
     make = shell.run("make setup", "splatproof")
     setup = (
@@ -234,7 +233,7 @@ def main() -> None:
     trials: list[Trial] = []
     for name in trial_photos.SETS:
         trials.append(trial(shell, name, photos / name))
-        record = Record(machine=about, setup=setup, trials=tuple(trials))
+        record = Record(machine=machine(), setup=setup, trials=tuple(trials))
         write_text(RECORD, json.dumps(asdict(record), indent=1, ensure_ascii=False) + "\n")
         render(record)
 
