@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 PROGRESS = re.compile(r"\d+/\d+ .*left$|\d+/\d+$")
 """A line of progress, of which only the last of a row is shown."""
-MOST_SECONDS = 600.0
-"""What all commands of a trial together may take."""
 
 
 @dataclass(frozen=True, kw_only=True)
