@@ -54,11 +54,13 @@ setup-dev: $(VENV)/.installed-dev
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt $(wildcard methods/kernels/csrc/* methods/kernels/CMakeLists.txt)
 
 $(VENV)/bin/pip:
-	$(PYTHON) -m venv $(VENV)
+	@$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: $(SOURCES) | $(VENV)/bin/pip
-	$(BIN)/pip install -q -c constraints.txt -e .
-	touch $@
+	@echo 'installing into $(VENV): torch and others are downloaded (2 GB on disk), native code is compiled; this takes minutes'
+	@$(BIN)/pip install -q -c constraints.txt -e .
+	@touch $@
+	@echo 'ready: source $(VENV)/bin/activate; then bench --help'
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/pip install -q -c constraints.txt -e '.[dev,distributed,docs]'

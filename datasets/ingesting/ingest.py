@@ -16,6 +16,7 @@ from splatproof.datasets.ingesting import structure
 from splatproof.datasets.ingesting.alignment import Alignment, align, local_metres
 from splatproof.datasets.ingesting.structure import Report, Structure
 from splatproof.datasets.ingesting.survey import Photo, Survey, survey_photos
+from splatproof.datasets.ingesting.upright import copy_upright
 from splatproof.datasets.scene_file import SceneFile, write_scene_file
 
 _FEW_MATCHES = 30
@@ -111,7 +112,7 @@ def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:
         copy = work / "scene/photos" / photo.name
         copy.parent.mkdir(parents=True, exist_ok=True)
         # a link would let an edit of the scene reach the user's photos
-        shutil.copy2(photo.path, copy)
+        copy_upright(photo.path, copy)
     write_text(known, job)
     return False
 
@@ -124,6 +125,10 @@ def _stamp(path: Path) -> tuple[int, int]:
 def _tell(survey: Survey, say: Callable[[str], None]) -> None:
     for name, reason in survey.unreadable.items():
         say(f"{name}: left out: {reason}")
+    if turned := sum(photo.turned for photo in survey.photos):
+        say(
+            f"{turned} of {len(survey.photos)} photos turned as their EXIF says, in the scene's copies"
+        )
     if len(survey.lenses) > 1:
         kinds = "; ".join(
             f"{sum(photo.lens == lens for photo in survey.photos)} of {lens[0]} x {lens[1]} "
@@ -150,6 +155,7 @@ def _work(work: Path, survey: Survey, how: Structure, report: Report) -> tuple[i
         "pairs": f"{len(pairs)} ({rule})",
         "registered": f"{len(placed)} of {len(survey.photos) + len(survey.unreadable)}",
         "cameras": str(len(survey.lenses)),
+        "turned": str(sum(photo.turned for photo in survey.photos)),
         "max_image_size": str(how.max_image_size),
         "seed": str(how.seed),
         "reprojection_error_px": f"{model.compute_mean_reprojection_error():.4f}",

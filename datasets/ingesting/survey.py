@@ -9,6 +9,7 @@ from pathlib import Path
 from PIL import ExifTags, Image
 
 from splatproof.base.errors import DataError
+from splatproof.datasets.ingesting.upright import AS_STORED, QUARTERS, orientation
 from splatproof.datasets.photos import check_photo, list_photos
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -23,9 +24,12 @@ class Photo:
     """Name in the scene: relative to the folder, blanks replaced (COLMAP's pair lists split
     at blanks)."""
     lens: tuple[int, int, str]
-    """(width, height, make + model + focal length from EXIF): equal means one shared camera."""
+    """(width, height, make + model + focal length from EXIF): equal means one shared camera. Width
+    and height are those of the scene's copy, which stands as it is looked at."""
     gps: tuple[float, float, float] | None
     """(latitude, longitude in degrees, altitude in metres or nan) from EXIF; None: unknown."""
+    turned: bool
+    """Whether EXIF says that it is looked at another way than it is stored."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,11 +91,14 @@ def _read(path: Path, name: str) -> Photo:
         words = [exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)]
         words += [details.get(ExifTags.Base.FocalLength)]
         text = " ".join(str(word).strip("\0 ") for word in words if word is not None)
+        turned = orientation(image)
+        width, height = image.size if turned not in QUARTERS else (image.height, image.width)
         return Photo(
             path=path,
             name=name,
-            lens=(*image.size, text),
+            lens=(width, height, text),
             gps=gps_position(exif.get_ifd(ExifTags.IFD.GPSInfo)),
+            turned=turned != AS_STORED,
         )
 
 

@@ -20,6 +20,14 @@ BELOW = 12
 """Pixels that are left below the slider."""
 
 
+def chromium() -> str:
+    """Path of the browser. Raises: MissingError where there is no Chromium."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        raise MissingError("no Chromium on the PATH; on Debian: apt-get install chromium")
+    return browser
+
+
 def make(page: Path, picture: Path) -> None:
     """Photograph SCENE on a page, from its heading to the slider.
 
@@ -28,11 +36,8 @@ def make(page: Path, picture: Path) -> None:
         picture: JPEG that is written.
     Raises: MissingError where there is no Chromium.
     """
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        raise MissingError("no Chromium on the PATH; on Debian: apt-get install chromium")
     with sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=browser, args=["--no-sandbox"])
+        opened = driver.chromium.launch(executable_path=chromium(), args=["--no-sandbox"])
         tab = opened.new_page(viewport={"width": WIDTH, "height": 2000}, device_scale_factor=1.5)
         tab.goto(page.resolve().as_uri())
         tab.wait_for_load_state("networkidle")

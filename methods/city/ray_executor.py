@@ -1,10 +1,12 @@
 """Train the blocks of a city on a Ray cluster whose machines see the run's folder."""
 
 import os
+import pickle
 from collections.abc import Sequence
 from typing import Any
 
 from splatproof.base.errors import MissingError, SplatproofError
+from splatproof.base.plugin_files import Brought
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.executor import BlocksReport, alone
 from splatproof.methods.city.train_block import BlockJob, train_block
@@ -48,7 +50,8 @@ def run_on_ray(
         while waiting or running:
             while waiting and len(running) < workers:
                 index = waiting.pop()
-                running[train.remote(jobs[index], index, each, reports)] = index
+                packed = ray.cloudpickle.dumps((Brought(), jobs[index]))
+                running[train.remote(packed, index, each, reports)] = index
             ready, _ = ray.wait(list(running), timeout=POLL_SECONDS)
             for at in ray.get(reports.drain.remote()):
                 report(*at)
@@ -88,15 +91,16 @@ class Reports:
         return out
 
 
-def train_remotely(job: BlockJob, index: int, threads: int, reports: Any) -> BlockFacts:
+def train_remotely(packed: bytes, index: int, threads: int, reports: Any) -> BlockFacts:
     """Train one block where Ray has put the task.
 
     Args:
-        job: What to train.
+        packed: Plug-in files, and the job, which may be made of their classes, in this order.
         index: Number by which its reports are told apart.
         threads: Torch's threads for it.
         reports: Handle of the actor that keeps the reports (Reports).
     """
+    _, job = pickle.loads(packed)
     with torch_threads(threads), alone(job):
         return train_block(job, lambda *at: reports.put.remote(index, *at))
 

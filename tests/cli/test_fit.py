@@ -12,6 +12,7 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report, short_runs
+from splatproof.cli.expected_time import expected_time
 from splatproof.cli.fit import fit as fit_command
 from splatproof.cli.running import BlockRunning
 from splatproof.cli.short_runs import short_run
@@ -30,6 +31,7 @@ from splatproof.suites import runner
 from splatproof.suites.records import read_record
 from splatproof.suites.suite_files import load_suite
 from splatproof.suites.workers import in_process
+from splatproof.viewing.poses import resized
 
 SUITE = """
 description = "For tests"
@@ -298,6 +300,31 @@ def test_a_result_from_before_a_rule_was_there_is_kept(town, capsys):
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["status"] == "kept"
     assert fit("--iterations", 6, "--strict") == 2
     assert "(protocol.strict false before, true now)" in capsys.readouterr().err
+
+
+def test_a_long_fit_says_how_long_and_how_a_first_look_is_had():
+    case = load_suite("quick").cases[0]
+    small = fake_scene("town", case.protocol)
+    views = tuple(replace(view, camera=resized(view.camera, 2000)) for view in small.views)
+    large = replace(small, views=views)
+    long = replace(case, method="3dgs", settings=Settings(iterations=30_000))
+    told = expected_time(long, large, "cpu")
+    assert told.startswith("30000 steps over 4 photos of 2000 x ")
+    assert "a first look in " in told
+    assert "--width 320 --iterations 2000" in told
+    assert "first look" not in expected_time(
+        replace(case, settings=Settings(iterations=9)), small, "cpu"
+    )
+
+
+@pytest.mark.usefixtures("no_store")
+def test_a_fit_says_how_long_it_takes_but_not_where_it_is_done(town, capsys):
+    options = ["--out", "out", "--backend", "reference", "--iterations", "6"]
+    for said in (True, False):
+        assert main(["fit", "fake", "town", *options]) == 0
+        told = capsys.readouterr().err
+        assert ("6 steps over 4 photos" in told) is said
+        assert "look at it: bench view out;" in told
 
 
 def test_a_short_run_of_the_releases_schedule_is_told_what_it_does():

@@ -244,3 +244,25 @@ def test_multiplying_by_the_mask_would_inflate():
     right = ssim_3dgs(image, target, mask)
     multiplied = ssim_3dgs(image * mask[..., None], target * mask[..., None])
     assert multiplied > right + 0.1
+
+
+def above(width: int, height: int, seed: int) -> tuple[float, float]:
+    """By how much zero padding lifts SSIM of two noisy images, and the bound of docs/words/metrics.toml."""
+    generator = torch.Generator().manual_seed(seed)
+    truth = torch.rand(height, width, 3, generator=generator)
+    image = (truth + 0.2 * torch.randn(height, width, 3, generator=generator)).clamp(0, 1)
+    inner = float(ssim_valid(image, truth))
+    share = 1 - (1 - 10 / width) * (1 - 10 / height)
+    return float(ssim_3dgs(image, truth)) - inner, share * (1 - inner)
+
+
+@given(width=st.integers(12, 90), height=st.integers(12, 90), seed=st.integers(0, 2**16))
+@settings(max_examples=30, deadline=None)
+def test_padding_lifts_ssim_by_no_more_than_the_windows_that_it_adds(width, height, seed):
+    lifted, bound = above(width, height, seed)
+    assert lifted <= bound + 1e-5  # float32 sums over at most 90 x 90 windows
+
+
+def test_a_thumbnail_shows_more_than_a_hundredth_of_it_and_a_photo_less():
+    assert above(64, 48, 0)[0] > 0.01
+    assert above(800, 600, 0)[0] < 0.01

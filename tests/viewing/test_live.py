@@ -59,4 +59,6 @@ def _shown(port: int) -> dict:
 
 def test_methods_in_blocks_are_not_watched(capsys):
     assert main(["fit", "stitchgs", "courtyard", "--out", "x", "--view"]) == 2
-    assert "--view" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "stitchgs trains blocks in processes of their own" in told
+    assert "run `bench view x` when they are done" in told

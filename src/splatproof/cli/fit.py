@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from splatproof.base.errors import UsageError
 from splatproof.cli import output
 from splatproof.cli.binding import bound
 from splatproof.cli.running import (
@@ -90,15 +91,18 @@ def fit(
             of a made world), oracle+noise, lidar (sweeps, completed), sweep (matched photos),
             network:FILE (our own network's weights), depth-anything:FOLDER, or none.
         view: Show the model in the browser while it trains; the address is told on stderr. The model is
-            the same to the bit.
+            the same to the bit. Not for methods that train in blocks.
         running: How it is run.
         blocks: How blocks of a city are trained.
     """
+    from splatproof.cli.expected_time import expected_time
     from splatproof.cli.report import sync_cases
     from splatproof.methods.priors.kinds import resolved
+    from splatproof.methods.registry import get_method
     from splatproof.reports.mlflow_client import default_uri
     from splatproof.suites.chosen_folder import check_chosen
     from splatproof.suites.one_case import job_of_one
+    from splatproof.suites.records import RECORD_NAME
     from splatproof.suites.runner import run_alone
     from splatproof.suites.scenes import check_opens, check_scene
 
@@ -109,11 +113,19 @@ def fit(
         seed=seed, pose_noise=pose_noise,
         depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"), **options(running, blocks),
     )  # fmt: skip
+    if view and get_method(method).blocks:
+        raise UsageError(
+            f"--view: {method} trains blocks in processes of their own, which no page follows; leave it "
+            f"out and run `bench view {out}` when they are done"
+        )
     check_options(suite, running, blocks)
     check_scene(where)
     check_chosen(job)
     prepare(suite)
-    _tell_left_out(check_opens(job.case))
+    opened = check_opens(job.case)
+    _tell_left_out(opened)
+    if not (out / RECORD_NAME).exists():
+        output.log(expected_time(job.case, opened, running.backend))
     if short := short_run(settings):
         output.log(short)
     with _watched(job) if view else nullcontext(job) as job, output.progress() as bar:
@@ -122,7 +134,7 @@ def fit(
     if sync_cases(out, uri):
         output.warn(f"the record is on disk; the next `bench report --out {out}` logs it")
     if not outcome.result.error:
-        output.log(f"model: {out / 'model'}; page with pictures: bench report --out {out}")
+        output.log(f"look at it: bench view {out}; page with pictures: bench report --out {out}")
     return exit_code([outcome])
 
 
@@ -182,8 +194,7 @@ def _command(name: str) -> Callable[..., int]:
     return bound(
         fit,
         {"method": name},
-        # blocks train in processes of their own, which nobody watches
-        without={"view"} if method.blocks else {"blocks"},
+        without=set() if method.blocks else {"blocks"},
         kinds={"settings": Annotated[method.settings, tyro.conf.arg(name="")]},
         title=f"{method.description}.",
     )

@@ -64,4 +64,5 @@ def ingest(
         "facts": scene.facts,
     }
     output.emit(record, "\n".join(lines))
+    output.log(f"next: bench fit 3dgs {made.folder} --out MODEL")
     return 0

@@ -23,7 +23,6 @@ def short_run(settings: Any) -> str:
         return ""
     first, last = (round(step * shrink(steps)) for step in (usual.start, usual.stop))
     return (
-        f"{steps} steps: the release's density control, made for 30,000, is squeezed into steps {first} to "
-        f"{last}. From few photos it then adds many more Gaussians than held-out views are better for; "
-        f"the settings of `bench run {SUITE}` (suites/definitions/{SUITE}.toml) were chosen for 2,000 steps"
+        f"{steps} steps: density control, made for 30,000, is squeezed into steps {first} to {last}; settings "
+        f"chosen for 2,000 steps over few photos are those of `bench run {SUITE}` (suites/definitions/{SUITE}.toml)"
     )

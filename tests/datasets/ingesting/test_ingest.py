@@ -248,7 +248,8 @@ def test_brighton_beach(tmp_path, capfd):
     start = time.process_time()
     assert ingest(photos, tmp_path / "scene", threads=2) == 0
     seconds = time.process_time() - start
-    out, _ = capfd.readouterr()
+    out, err = capfd.readouterr()
+    assert err.splitlines()[-1] == f"next: bench fit 3dgs {tmp_path / 'scene'} --out MODEL"
     assert out.splitlines() == [
         f"{tmp_path / 'scene'}: 18 of 18 photos registered, units: metres",
         "GPS: positions and altitudes of 18 photos",

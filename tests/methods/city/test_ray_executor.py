@@ -12,6 +12,7 @@ import torch
 from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.plugin_files import load_plugin_file
 from splatproof.methods.city import ray_executor
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
@@ -95,6 +96,30 @@ def test_a_block_whose_worker_is_killed_goes_on_elsewhere_from_its_checkpoint(tm
         assert [step for i, step in heard if i == index].count(10) <= 1
     for one, other in zip(straight, killed, strict=True):
         assert torch.equal(means(one), means(other))
+
+
+PLUGIN = """
+from dataclasses import dataclass
+from typing import Any
+
+@dataclass(frozen=True)
+class Photo:
+    load: Any
+
+    def __call__(self):
+        return self.load()
+"""
+
+
+@pytest.mark.usefixtures("cluster")
+def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
+    (tmp_path / "photo_source.py").write_text(PLUGIN)
+    photo = load_plugin_file(tmp_path / "photo_source.py").module.Photo
+    job = jobs(tmp_path / "run", replace(SETTINGS, iterations=5))[0]
+    views = tuple(replace(view, load=photo(view.load)) for view in job.scene.views)
+    job = replace(job, scene=replace(job.scene, views=views))
+    (facts,) = run_blocks([job], engine="ray", threads=1, report=nothing)
+    assert facts.block == 0
 
 
 def test_a_blocks_own_error_names_it(tmp_path, cluster):
