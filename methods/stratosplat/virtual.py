@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.methods.kernels import field
 from splatproof.methods.stratosplat.settings import Planes
 from splatproof.reference.layered_memory import coordinate_field, multi_plane
 from splatproof.reference.layered_memory.coordinate_field import CoordinateField
@@ -149,11 +150,12 @@ def drawn_field(settings: Planes, generator: torch.Generator) -> dict[str, Tenso
         side = 2 * settings.finest
         return {"table": torch.zeros(settings.count, side, side, OUTPUTS)}
     sizes = tuple(settings.finest // 2**level for level in reversed(range(GRIDS)))
-    field = coordinate_field.create(
+    drawn = coordinate_field.create(
         torch.zeros(3), torch.ones(3), OUTPUTS, generator, resolutions=sizes
     )
-    named = {f"grid_{i}": grid for i, grid in enumerate(field.grids)}
-    return named | {name: getattr(field, name) for name in NETWORK}
+    # the features of a sample side by side, as the kernels read them
+    named = {f"grid_{i}": grid[0].permute(1, 2, 3, 0) for i, grid in enumerate(drawn.grids)}
+    return named | {name: getattr(drawn, name) for name in NETWORK}
 
 
 NETWORK = ("hidden", "hidden_bias", "out", "out_bias")
@@ -169,16 +171,28 @@ def asked(tensors: Mapping[str, Tensor], view: ViewSites) -> Float[Tensor, "n 9"
     """
     table = tensors.get("table")
     if table is None:
-        grids = tuple(tensors[f"grid_{i}"] for i in range(GRIDS))
-        field = CoordinateField(
-            low=view.places.new_zeros(3), high=view.places.new_ones(3), grids=grids,
-            **{name: tensors[name] for name in NETWORK},
-        )  # fmt: skip
-        return coordinate_field.evaluate(field, view.places)
+        grids = [tensors[f"grid_{i}"] for i in range(GRIDS)]
+        places = view.places.to(grids[0].device)
+        if places.device.type == "cpu":
+            return field.evaluate(places, grids, [tensors[name] for name in NETWORK])
+        return coordinate_field.evaluate(unit_field(tensors), places)
     side = table.shape[1]
     column, row = (view.places[:, :2] * side).long().clamp(0, side - 1).unbind(dim=1)
     index = (view.planes * side + row) * side + column
     return table.reshape(-1, OUTPUTS).index_select(0, index)
+
+
+def unit_field(tensors: Mapping[str, Tensor]) -> CoordinateField:
+    """The neural field as the reference takes it, over the unit box.
+
+    Args:
+        tensors: As `drawn_field` names them.
+    """
+    grids = tuple(tensors[f"grid_{i}"].permute(3, 0, 1, 2)[None] for i in range(GRIDS))
+    return CoordinateField(
+        low=grids[0].new_zeros(3), high=grids[0].new_ones(3), grids=grids,
+        **{name: tensors[name] for name in NETWORK},
+    )  # fmt: skip
 
 
 def hits_of(settings: Planes, camera: Camera) -> int:
