@@ -113,7 +113,7 @@ def test_a_damaged_completion_is_made_again(scene, trained, tmp_path):
 def test_other_settings_do_not_continue(scene, tmp_path):
     run = replace(RUN, folder=tmp_path)
     fit(scene, replace(SHORT, iterations=2), run)
-    with pytest.raises(UsageError, match="differs: settings.planes.bias True before, False now"):
+    with pytest.raises(UsageError, match="differs: settings.planes.bias true before, false now"):
         fit(scene, replace(SHORT, iterations=2, planes=replace(SMALL, bias=False)), run)
 
 
@@ -185,19 +185,16 @@ def test_one_view_with_points_is_completed_alone(scene):
 
 
 def test_two_identical_views_add_no_second_layer(scene):
-    """What the second one shows is where the first one's depths are already."""
+    """What the second one shows is where the first one's depths are already, within a twentieth."""
     twice = replace(
         scene, views=(*scene.views, replace(scene.views[1], name="again.png")), train=(1, 4)
     )
-    counts = []
-    report = lambda name, value: counts.append(int(value))
+    counts: list[int] = []
+    run = replace(RUN, on_fact=lambda n, v: counts.append(int(v)) if "points" in n else None)
+    short = replace(SHORT, iterations=1, completion=Completion(merge=0.05))
     for one in (replace(scene, train=(1,)), twice):
-        fit(
-            one,
-            replace(SHORT, iterations=1),
-            replace(RUN, on_fact=lambda n, v: report(n, v) if "points" in n else None),
-        )
-    assert counts[1] < 1.5 * counts[0]
+        fit(one, short, run)
+    assert counts[1] < 1.3 * counts[0]
 
 
 @pytest.mark.parametrize(
