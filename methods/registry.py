@@ -12,6 +12,7 @@ from splatproof.methods.dlg_gs.method import DLG_GS
 from splatproof.methods.hdgs.method import HDGS
 from splatproof.methods.pvg.method import PVG
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
+from splatproof.methods.stratosplat.method import STRATOSPLAT
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
 from splatproof.methods.threedgs.mip_splatting import MIP_SPLATTING
@@ -37,6 +38,7 @@ METHODS: dict[str, Method] = {
         HDGS,
         PVG,
         DLG_GS,
+        STRATOSPLAT,
         _city(
             "citygaussian",
             city.CityGaussian,

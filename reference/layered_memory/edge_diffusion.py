@@ -9,26 +9,37 @@ class EdgeDiffusion:
     """Pixel-space denoiser: the latent is a depth logit; each step smooths it between edges.
 
     It knows no depth by itself: what it adds to the guidance is that depth changes where the
-    image changes. The floor that learned denoisers must beat. No state but its constants.
+    image changes. With a prior depth of the photo the latent is what is to be added to that one's
+    logit, and guidance mends it smoothly. The floor that learned denoisers must beat.
 
     Source: ours; weights after Perona and Malik 1990, "Scale-space and edge detection", Eq. 9.
     """
 
-    def __init__(self, steps: int = 3, sweeps: int = 60, contrast: float = 0.1) -> None:
-        """Choose how far values travel.
+    def __init__(
+        self,
+        steps: int = 3,
+        sweeps: int = 60,
+        contrast: float = 0.1,
+        prior: Float[Tensor, "h w"] | None = None,
+    ) -> None:
+        """Choose how far values travel, and from where.
 
         Args:
             steps: Number of denoising steps.
             sweeps: Number of smoothing sweeps a step; values travel about sqrt(sweeps) pixels.
             contrast: Colour difference (of 1) at which the exchange falls to 1/e.
+            prior: Depth in (0, 1) of the one photo that is to be adapted; None: 0.5 everywhere.
 
-        Raises: ValueError if one of them is not positive.
+        Raises: ValueError if one of them is not positive, or the prior not between 0 and 1.
         """
+        if prior is not None and not bool(((prior > 0) & (prior < 1)).all()):
+            raise ValueError("need a prior depth between 0 and 1 at every pixel")
         if steps < 1 or sweeps < 1 or not contrast > 0:
             raise ValueError(
                 f"need positive steps, sweeps, contrast: {steps}, {sweeps}, {contrast}"
             )
         self.steps, self.sweeps, self.contrast = steps, sweeps, contrast
+        self.prior = None if prior is None else torch.logit(prior)
 
     def start(
         self, image: Float[Tensor, "h w 3"], generator: torch.Generator
@@ -74,7 +85,7 @@ class EdgeDiffusion:
     def decode(
         self, latent: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"]
     ) -> Float[Tensor, "h w"]:
-        """Depth in (0, 1): the sigmoid of the latent, spread between the image's edges.
+        """Depth in (0, 1): sigmoid of the prior's logit plus the latent, spread between the image's edges.
 
         The spreading takes guidance at single pixels to their surroundings, as the receptive field
         of a learned decoder does.
@@ -83,7 +94,8 @@ class EdgeDiffusion:
             latent: Clean depth logits.
             image: The view's photo, sRGB in [0, 1]; values stop where it changes.
         """
-        return torch.sigmoid(self._smooth(latent, image))
+        added = self._smooth(latent, image)
+        return torch.sigmoid(added if self.prior is None else added + self.prior.to(added))
 
     def _smooth(
         self, values: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"]

@@ -41,6 +41,18 @@ class Hits:
     valid: Bool[Tensor, "r k"]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sites:
+    """The virtual Gaussians of one view as far as the field has no say in them."""
+
+    positions: Float[Tensor, "n 3"]
+    """Where rays meet planes, in the world, scene units: they never move."""
+    bias: Float[Tensor, " n"]
+    """Logit b(t) that is added to the field's opacity."""
+    spacing: Float[Tensor, " n"]
+    """Gap between neighbouring rays at that distance, scene units."""
+
+
 def plane_normal(points: Float[Tensor, "n 3"], up: Float[Tensor, "3"]) -> Float[Tensor, "3"]:
     """Direction of least variance of the cloud: last right singular vector of P - mean(P).
 
@@ -140,30 +152,59 @@ def opacity_bias(hits: Hits) -> Float[Tensor, "r k"]:
     return torch.where(hits.valid, BIAS_NEAR + (BIAS_FAR - BIAS_NEAR) * share, 0)
 
 
-def virtual_gaussians(
-    outputs: Float[Tensor, "n 9"], hits: Hits, camera: Camera, stride: int
-) -> Splats:
-    """Turn the field's nine numbers a hit into Gaussians: colour 3, opacity 1, scale 1, rotation 4.
+def sites_of(hits: Hits, camera: Camera, stride: int, *, biased: bool = True) -> Sites:
+    """What the virtual Gaussians of a view have before the field is asked: its valid hits.
+
+    Args:
+        hits: Where the rays of `pixel_rays` meet the planes.
+        camera: The view's camera; its focal length gives the gap between rays.
+        stride: Side of a ray's cell in pixels, as `pixel_rays` was given.
+        biased: Whether far planes start more opaque than near ones; False: an ablation of the paper.
+    """
+    distances = hits.distances[hits.valid]
+    bias = opacity_bias(hits)[hits.valid] if biased else torch.zeros_like(distances)
+    return Sites(
+        positions=hits.positions[hits.valid],
+        bias=bias,
+        spacing=distances * stride / float(camera.K[0, 0]),
+    )
+
+
+def decoded(outputs: Float[Tensor, "n 9"], sites: Sites) -> Splats:
+    """Turn the field's nine numbers a site into Gaussians: colour 3, opacity 1, scale 1, rotation 4.
 
     Opacity is sigmoid(logit + b(t)). A zero scale output is as wide as the gap between rays at
     that distance (ours: the paper leaves the activation open), so the start covers the image.
 
     Args:
-        outputs: Field values at the n valid hits, in row-major order of (ray, plane).
-        hits: Where the rays of `pixel_rays` meet the planes.
-        camera: The view's camera; its focal length gives the gap between rays.
-        stride: Side of a ray's cell in pixels, as `pixel_rays` was given.
+        outputs: Field values at the sites.
+        sites: Places, biases and gaps of the view's virtual Gaussians.
+
+    Source: StratoSplat, Sec. 3.3.
     """
-    spacing = hits.distances[hits.valid] * stride / float(camera.K[0, 0])
-    scale = outputs[:, 4].exp() * spacing
+    scale = outputs[:, 4].exp() * sites.spacing
     return Splats(
-        means=hits.positions[hits.valid],
+        means=sites.positions,
         quaternions=outputs[:, 5:],
         scales=scale[:, None].expand(-1, 3),
-        opacities=torch.sigmoid(outputs[:, 3] + opacity_bias(hits)[hits.valid]),
+        opacities=torch.sigmoid(outputs[:, 3] + sites.bias),
         colours=torch.sigmoid(outputs[:, :3]),
-        rows=torch.full((len(outputs),), -1),
+        rows=torch.full((len(outputs),), -1, device=outputs.device),
     )
+
+
+def virtual_gaussians(
+    outputs: Float[Tensor, "n 9"], hits: Hits, camera: Camera, stride: int
+) -> Splats:
+    """The virtual Gaussians of a view: `decoded` at its `sites_of`.
+
+    Args:
+        outputs: Field values at the n valid hits, in row-major order of (ray, plane).
+        hits: Where the rays of `pixel_rays` meet the planes.
+        camera: The view's camera.
+        stride: Side of a ray's cell in pixels, as `pixel_rays` was given.
+    """
+    return decoded(outputs, sites_of(hits, camera, stride))
 
 
 def render_joint(

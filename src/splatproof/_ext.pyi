@@ -274,3 +274,31 @@ def adapt_colours_backward(
     by_third_bias: Tensor,
 ) -> None:
     """Gradients by everything from the gradient by the adapted colours."""
+
+class Field:
+    """Places, and the grids and network that give them values."""
+
+    def __init__(
+        self,
+        places: Tensor,
+        grids: list[Tensor],
+        hidden: Tensor,
+        hidden_bias: Tensor,
+        out: Tensor,
+        out_bias: Tensor,
+    ) -> None: ...
+
+def evaluate_field(field: Field, features: Tensor, values: Tensor) -> None:
+    """Features and values of all places into the given arrays."""
+
+def evaluate_field_backward(
+    field: Field,
+    features: Tensor,
+    of: Tensor,
+    by_grids: list[Tensor],
+    by_hidden: Tensor,
+    by_hidden_bias: Tensor,
+    by_out: Tensor,
+    by_out_bias: Tensor,
+) -> None:
+    """Gradients by grids and network from the gradient by the values."""

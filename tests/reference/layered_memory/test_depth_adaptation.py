@@ -160,7 +160,7 @@ def test_a_few_points_and_the_edges_give_the_whole_depth():
         EdgeDiffusion(), image, sparse, nothing, nothing.bool(),
         adaptation.AdaptationSettings(guidance_steps=40), torch.Generator().manual_seed(0),
     )  # fmt: skip
-    assert float((got - truth).abs().mean()) < 0.1
+    assert float((got - truth).abs().mean()) < 0.03  # 0.012 was seen; constant steps swing: 0.045
     # The control: alignment alone, without guidance, cannot find the block.
     start = EdgeDiffusion().start(image, torch.Generator().manual_seed(0)).sigmoid()
     a, b = adaptation.align(start, sparse)
@@ -181,6 +181,45 @@ def test_the_memory_guides_where_there_are_no_points():
         errors.append(float((got - truth)[6:12, 9:15].abs().mean()))
     assert errors[0] < 0.15
     assert errors[0] < 0.3 * errors[1]
+
+
+def test_a_view_without_points_takes_its_first_scale_from_the_memory():
+    """Depths of 40 and 60: without guidance the scale 1 and shift 0 of nobody's knowledge are left."""
+    image, truth = two_surfaces()
+    none = adaptation.SparseDepths(
+        rows=torch.zeros(0).long(), columns=torch.zeros(0).long(), depths=torch.zeros(0, dtype=D)
+    )
+    visible = torch.ones(18, 24, dtype=torch.bool)
+    visible[:, 20:] = False
+    got = adaptation.adapt_view(
+        EdgeDiffusion(), image, none, 20 * truth, visible,
+        adaptation.AdaptationSettings(guidance_steps=0), torch.Generator().manual_seed(0),
+    )  # fmt: skip
+    assert (
+        35 < float(got.min()) < float(got.max()) < 65
+    )  # a line fitted to noise leaves 40 to 60 a little
+
+
+def test_a_prior_is_kept_where_nothing_contradicts_it():
+    """Relief that neither points nor the photo's edges show comes from the prior alone."""
+    image = torch.full((18, 24, 3), 0.5, dtype=D)
+    prior = torch.rand(18, 24, generator=torch.Generator().manual_seed(1), dtype=D) * 0.8 + 0.1
+    truth = 5 + 3 * prior
+    sparse, nothing = at(truth, (2, 3), (15, 20), (2, 20), (9, 9)), torch.zeros(18, 24, dtype=D)
+    errors = []
+    for known in (prior, None):
+        got = adaptation.adapt_view(
+            EdgeDiffusion(prior=known), image, sparse, nothing, nothing.bool(),
+            adaptation.AdaptationSettings(), torch.Generator().manual_seed(0),
+        )  # fmt: skip
+        errors.append(float((got - truth).abs().mean()))
+    assert errors[0] < 0.15 * errors[1]  # 0.07 was seen; 0.30 where steps stay as large
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, float("nan")])
+def test_a_prior_that_is_no_depth_is_refused(value):
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        EdgeDiffusion(prior=torch.full((4, 4), value))
 
 
 class ScheduledDiffusion:

@@ -248,6 +248,16 @@ def test_virtual_gaussians_by_loop():
     assert i == len(outputs)
 
 
+def test_without_bias_all_planes_start_alike():
+    camera, hits, _ = joint_scene(5)
+    plain = multi_plane.sites_of(hits, camera, 2, biased=False)
+    biased = multi_plane.sites_of(hits, camera, 2)
+    outputs = torch.zeros(len(plain.bias), 9, dtype=D)
+    assert_close(multi_plane.decoded(outputs, plain).opacities, torch.full_like(plain.bias, 0.5))
+    assert float(multi_plane.decoded(outputs, biased).opacities.std()) > 0.1
+    assert_close(plain.spacing, biased.spacing)
+
+
 def test_loss_reaches_the_field_through_the_joint_render():
     camera, hits, explicit = joint_scene(4)
     f = field(2)

@@ -1,0 +1,1 @@
+"""Method stratosplat: few aerial photos, completed by layered memory and neural planes."""

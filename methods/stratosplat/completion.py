@@ -1,0 +1,189 @@
+"""The dense cloud that explicit Gaussians start from: depths of few photos, completed one after another."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from splatproof.base.errors import DataError
+from splatproof.datasets.resize import resample, scale_intrinsics
+from splatproof.methods.stratosplat.prior_depth import relative_depth
+from splatproof.methods.stratosplat.settings import Completion
+from splatproof.reference.layered_memory import depth_adaptation, guide_depth, layered_depth
+from splatproof.reference.layered_memory.depth_adaptation import (
+    AdaptationSettings,
+    SparseDepths,
+    adapt_view,
+    sparse_depths,
+)
+from splatproof.reference.layered_memory.edge_diffusion import EdgeDiffusion
+from splatproof.reference.layered_memory.layered_depth import LayeredDepth
+from splatproof.reference.layered_memory.nadir_reference import nadir_reference
+from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.supervision.side_views import unproject
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.scene import Scene, View
+
+MARGIN = 1.25
+"""The memory's reference camera holds frusta from the nearest sparse point's depth over this to the
+farthest one's times this: completed depths go beyond the points."""
+ALL_KEPT = 1e-12
+"""eps_d of a memory that merges nothing but equal samples, as a share of its largest depth."""
+MOST_KEPT = 1_000_000
+"""Layers a pixel of such a memory."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DenseCloud:
+    """What completion leaves: P_dense, and what it cost the memory."""
+
+    positions: Float[Tensor, "n 3"]
+    """Float64, scene units."""
+    colours: Float[Tensor, "n 3"]
+    """sRGB in [0, 1]."""
+    unseen: int
+    """Samples that the memory's reference camera did not see and that are lost."""
+    forced: int
+    """Merges that were only made to keep the cap on the layers of a pixel."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Photo:
+    """A training view at the size at which it is completed."""
+
+    name: str
+    camera: Camera
+    image: Float[Tensor, "h w 3"]
+    sparse: SparseDepths
+    prior: Float[Tensor, "h w"] | None
+    """Depth in (0, 1) of the view's prior; None: it has none."""
+
+
+def completed(
+    scene: Scene,
+    settings: Completion,
+    *,
+    guided: bool,
+    generator: torch.Generator,
+    report: Callable[[str], None],
+) -> DenseCloud:
+    """Complete the depth of every training view and merge them all.
+
+    Args:
+        scene: With sparse points and training views, which may have depth priors.
+        settings: Memory, order, size and guidance.
+        guided: Whether the memory of earlier views guides the next (layered), or none does
+            (independent).
+        generator: Source of the denoiser's noise and of a random order.
+        report: Told one line about what is odd.
+
+    Raises: DataError for views that nothing can bring to the scene's scale.
+
+    Source: StratoSplat, Sec. 3.2.
+    """
+    photos = [_photo(view, points, settings.side) for view, points in _seen(scene)]
+    memory = _start(scene, photos, settings)
+    ranks = _order(photos, memory, settings, generator)
+    asked = AdaptationSettings(
+        visible_weight=settings.visible_weight, guidance_steps=settings.guidance_steps
+    )
+    for index in ranks:
+        photo = photos[index]
+        nothing = torch.zeros(photo.image.shape[:2], dtype=torch.float64)
+        guide, visible = nothing, nothing.bool()
+        if guided:
+            guide, visible = guide_depth.render(memory, photo.camera)
+        if not len(photo.sparse.depths) and not bool(visible.any()):
+            raise DataError(
+                f"scene {scene.name!r}: view {photo.name} shows no sparse point and overlaps no "
+                "completed view, so nothing says how far away it is; leave the view out, give it "
+                "points with --points triangulated, or take init = 'sfm'"
+            )
+        depth = adapt_view(
+            EdgeDiffusion(prior=photo.prior), photo.image, photo.sparse, guide, visible, asked,
+            generator,
+        )  # fmt: skip
+        front = depth.reshape(-1) > photo.camera.near
+        memory = layered_depth.insert(
+            memory, unproject(photo.camera, depth)[front], photo.image.reshape(-1, 3)[front]
+        )
+    if memory.unseen:
+        report(f"layered memory: {memory.unseen} samples lie outside its camera and are left out")
+    if memory.forced:
+        report(f"layered memory: {memory.forced} merges were forced by the cap on layers")
+    return DenseCloud(
+        positions=memory.positions, colours=memory.colours, unseen=memory.unseen,
+        forced=memory.forced,
+    )  # fmt: skip
+
+
+def _seen(scene: Scene) -> list[tuple[View, Float[Tensor, "m 3"]]]:
+    """Each training view with the points in its track; with all points where there are no tracks."""
+    seen: csr_array = observations(scene.points, len(scene.views))
+    every = scene.points.positions
+    return [(scene.views[i], every[points_of(seen, i)] if seen.nnz else every) for i in scene.train]
+
+
+def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
+    """A view made so small that its longer side has at most `side` pixels."""
+    camera = view.camera
+    share = min(1.0, side / max(camera.width, camera.height))
+    size = (max(1, round(share * camera.width)), max(1, round(share * camera.height)))
+    small = replace(
+        camera, K=scale_intrinsics(camera.K, (camera.width, camera.height), size), width=size[0],
+        height=size[1],
+    )  # fmt: skip
+    sparse = sparse_depths(small, points)
+    prior = None
+    if view.load_prior is not None:
+        prior = relative_depth(view.load_prior(), sparse, (size[1], size[0]))
+    # float32: the smoothing of EdgeDiffusion is what takes the time
+    return Photo(
+        name=view.name, camera=small, image=resample(view.load(), size, "area"), sparse=sparse,
+        prior=prior,
+    )  # fmt: skip
+
+
+def _start(scene: Scene, photos: list[Photo], settings: Completion) -> LayeredDepth:
+    """The memory that holds the sparse points, seen from above all frusta."""
+    ranges = [
+        (float(p.sparse.depths.min()) / MARGIN, float(p.sparse.depths.max()) * MARGIN)
+        for p in photos
+        if len(p.sparse.depths)
+    ]
+    if not ranges:
+        raise DataError(
+            f"scene {scene.name!r}: no training view shows a sparse point, so nothing says how far "
+            "away anything is; make points with --points triangulated, or take init = 'sfm'"
+        )
+    whole = (min(low for low, _ in ranges), max(high for _, high in ranges))
+    pairs = [
+        (float(p.sparse.depths.min()) / MARGIN, float(p.sparse.depths.max()) * MARGIN)
+        if len(p.sparse.depths)
+        else whole
+        for p in photos
+    ]
+    camera = nadir_reference([p.camera for p in photos], pairs, scene.up)
+    farthest = float((scene.points.positions - camera.centre).norm(dim=1).max())
+    keeps = settings.memory == "accumulate"
+    memory = layered_depth.empty(
+        camera, (ALL_KEPT if keeps else settings.merge) * farthest,
+        MOST_KEPT if keeps else 8,
+    )  # fmt: skip
+    return layered_depth.insert(memory, scene.points.positions, scene.points.colours.double() / 255)
+
+
+def _order(
+    photos: list[Photo], memory: LayeredDepth, settings: Completion, generator: torch.Generator
+) -> list[int]:
+    """Indices of the views, first to last."""
+    if settings.order == "random":
+        return depth_adaptation.order_at_random(len(photos), generator)
+    if settings.order == "distance":
+        centres = torch.stack([p.camera.centre for p in photos])
+        return depth_adaptation.order_by_distance(centres, memory.camera.centre)
+    counts = torch.tensor([len(p.sparse.depths) for p in photos])
+    return torch.sort(counts, descending=True, stable=True).indices.tolist()

@@ -1,0 +1,145 @@
+"""Training of method stratosplat."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.datasets.pose_noise import disturbed
+from splatproof.methods.contracts.model import Model
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.decoded import DecodedModel
+from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.exposure import explicit, exposed
+from splatproof.methods.stratosplat.completion import completed
+from splatproof.methods.stratosplat.model import HybridModel
+from splatproof.methods.stratosplat.settings import StratoSplat
+from splatproof.methods.stratosplat.virtual import drawn_field, stack_of
+from splatproof.methods.threedgs.fit import prepare as prepare_explicit
+from splatproof.methods.training import initialise
+from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.session import run_key, train
+from splatproof.reference.types.result import TRUE_POSES
+from splatproof.reference.types.scene import Scene, SparsePoints
+
+KIND = "stratosplat"
+"""What its models with virtual Gaussians are loaded as; without, they are explicit ones."""
+
+
+def fit(scene: Scene, settings: StratoSplat, run: Run) -> DecodedModel | ExplicitModel:
+    """Complete depths, train on scene.train_views and return the model.
+
+    Args:
+        scene: With sparse points and training views, which may have depth priors.
+        settings: What is chosen about the method.
+        run: Where checkpoints go; one that is there already is continued, and so are completed depths.
+
+    Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
+        another run or noise is asked for twice; SplatproofError if the loss stops being finite.
+
+    Source: StratoSplat, Sec. 3.
+    """
+    if settings.noise != TRUE_POSES and "pose_noise" in scene.facts:
+        raise UsageError(
+            f"setting noise is {settings.noise!r}, but the scene's poses have noise "
+            f"{scene.facts['pose_noise']!r} already; give one of them"
+        )
+
+    def prepared() -> tuple[Model, Plan]:
+        model, plan = prepare(scene, settings, run)
+        return exposed(model, settings.exposure, plan.views), plan
+
+    trained = train(run, prepared)
+    if settings.planes.field == "none":
+        return explicit(trained, scene, run.backend)
+    return DecodedModel.of(KIND, trained, scene, run.backend)
+
+
+def prepare(scene: Scene, settings: StratoSplat, run: Run) -> tuple[Model, Plan]:
+    """The model at its start, and the plan of its training.
+
+    Args:
+        scene: With sparse points.
+        settings: What is chosen about the method.
+        run: The run; its seed draws the field and the denoiser's noise.
+    """
+    shown = disturbed(scene, settings.noise_of("train"), run.seed)
+    start = replace(shown, points=started(scene, settings, run))
+    explicits, plan = prepare_explicit(start, settings, run)
+    plan = replace(plan, key=run_key(scene, settings, run, *_priors(scene, settings)))
+    if settings.planes.field == "none":
+        return explicits, plan
+    planes = settings.planes
+    return HybridModel(
+        explicits.gaussians(), settings.rates, extent=initialise.extent(start),
+        stack=stack_of(start.points.positions.double(), scene.up, planes.count), planes=planes,
+        field=drawn_field(planes, torch.Generator().manual_seed(run.seed)), mode=settings.mode,
+        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+    ), replace(plan, native=False)  # fmt: skip
+
+
+def started(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
+    """The points that explicit Gaussians start from: P_dense, or the sparse ones.
+
+    A completion that ended is kept beside the checkpoint, so that a killed run does not repeat it.
+
+    Args:
+        scene: The scene as it was given, without the noise of a stage.
+        settings: init, completion and noise matter.
+        run: Seed, and the folder of the checkpoint.
+
+    Raises: DataError if there is nothing to start from.
+    """
+    seen = disturbed(scene, settings.noise_of("completion"), run.seed)
+    if not settings.completes:
+        pointed = initialise.with_points(
+            seen, run, random_points=settings.random_points,
+            dense_cell=settings.dense_cell if settings.init == "dense" else 0.0,
+            dense=settings.dense,
+        )  # fmt: skip
+        return pointed.points
+    initialise.require_points(scene)
+    key = run_key(scene, settings, run, *_priors(scene, settings))
+    path = None if run.folder is None else run.folder / "checkpoint" / "completion.safetensors"
+    points = _kept(path, key)
+    if points is None:
+        points = _completed(seen, settings, run)
+        if path is not None:
+            write_tensors(path, vars(points), {"key": key})
+    return points
+
+
+def _completed(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
+    cloud = completed(
+        scene, settings.completion, guided=settings.init == "layered",
+        generator=torch.Generator().manual_seed(run.seed), report=run.say,
+    )  # fmt: skip
+    count = len(cloud.positions)
+    run.on_fact("points after completion", str(count))
+    return SparsePoints(
+        positions=cloud.positions, colours=(cloud.colours * 255).round().clamp(0, 255).byte(),
+        track_starts=torch.zeros(count + 1, dtype=torch.int64),
+        track_views=torch.zeros(0, dtype=torch.int64),
+    )  # fmt: skip
+
+
+def _kept(path: Path | None, key: str) -> SparsePoints | None:
+    """The completed depths of this very run, where they are there; others are made again."""
+    if path is None or not path.is_file():
+        return None
+    try:
+        tensors, facts = read_tensors(path)
+    except DataError:  # cut short by a full disk: it is only a copy of what can be made again
+        return None
+    return SparsePoints(**tensors) if facts == {"key": key} else None
+
+
+def _priors(scene: Scene, settings: StratoSplat) -> tuple[str, ...]:
+    """Name and hash of the depth priors that completion reads."""
+    if not settings.completes:
+        return ()
+    names = ("depth_prior", "depth_prior_sha256")
+    return tuple(scene.facts[name] for name in names if name in scene.facts)

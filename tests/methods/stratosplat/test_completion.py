@@ -1,0 +1,179 @@
+"""Completed depths: what priors and memory add, what the settings do, and what nothing can complete."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.aerial_scene import (
+    FLOOR,
+    ROOF,
+    SIDE,
+    aerial_scene,
+    camera,
+    depth_of,
+    prior_of,
+    without_points,
+)
+from splatproof.base.errors import DataError
+from splatproof.methods.stratosplat import completion
+from splatproof.methods.stratosplat.completion import completed
+from splatproof.methods.stratosplat.prior_depth import relative_depth
+from splatproof.methods.stratosplat.settings import Completion
+from splatproof.reference.layered_memory.depth_adaptation import SparseDepths
+from splatproof.reference.types.scene import DepthPrior, Scene
+
+
+def cloud(scene: Scene, *, guided: bool = True, told: list[str] | None = None, **more):
+    return completed(
+        scene, Completion(**more), guided=guided, generator=torch.Generator().manual_seed(0),
+        report=(told if told is not None else []).append,
+    )  # fmt: skip
+
+
+def error(found) -> float:
+    """Mean distance to the floor or the roof, whichever lies under a point."""
+    x, y, z = found.positions.unbind(dim=1)
+    roof = (x.abs() <= SIDE) & (y.abs() <= SIDE)
+    return float((z - torch.where(roof, ROOF, FLOOR)).abs().mean())
+
+
+def sparse(count: int, seed: int) -> SparseDepths:
+    draw = torch.Generator().manual_seed(seed)
+    truth = depth_of(camera(1))
+    at = torch.randperm(truth.numel(), generator=draw)[:count]
+    rows, columns = at // truth.shape[1], at % truth.shape[1]
+    return SparseDepths(rows=rows, columns=columns, depths=truth[rows, columns])
+
+
+@settings(max_examples=25, deadline=None)
+@given(scale=st.floats(0.1, 10), zero=st.floats(-2, 2), seed=st.integers(0, 2**16))
+def test_scale_and_zero_of_a_prior_do_not_matter(scale, zero, seed):
+    """They are found from the points, here 60 of 432 pixels, which see both depths."""
+    plain = prior_of(camera(1))
+    other = replace(plain, disparity=scale * plain.disparity + zero)
+    known = sparse(60, seed)
+    want, got = (relative_depth(p, known, (18, 24)) for p in (plain, other))
+    assert want is not None
+    assert got is not None
+    assert torch.allclose(want, got, atol=1e-3)
+    near, far = want[depth_of(camera(1)) == ROOF], want[depth_of(camera(1)) == FLOOR]
+    assert float(near.max()) < float(far.min())
+
+
+def test_a_prior_without_points_is_taken_by_its_order():
+    none = SparseDepths(
+        rows=torch.zeros(0).long(), columns=torch.zeros(0).long(), depths=torch.zeros(0)
+    )
+    found = relative_depth(prior_of(camera(1)), none, (18, 24))
+    assert found is not None
+    truth = depth_of(camera(1))
+    assert float(found[truth == ROOF].max()) < float(found[truth == FLOOR].min())
+
+
+def test_pixels_of_which_a_prior_says_nothing_get_what_lies_around():
+    plain = prior_of(camera(1))
+    valid = plain.valid.clone()
+    valid[:4] = False
+    wild = plain.disparity.clone()
+    wild[:4] = torch.nan
+    found = relative_depth(DepthPrior(disparity=wild, valid=valid), sparse(60, 1), (18, 24))
+    want = relative_depth(plain, sparse(60, 1), (18, 24))
+    assert found is not None
+    assert want is not None
+    assert torch.allclose(found[5:], want[5:], atol=1e-6)
+    assert bool(((found > 0) & (found < 1)).all())
+    silent = DepthPrior(disparity=wild, valid=torch.zeros_like(valid))
+    assert relative_depth(silent, sparse(60, 1), (18, 24)) is None
+
+
+def test_a_larger_prior_is_made_smaller():
+    large = prior_of(camera(1, width=48, height=36))
+    found = relative_depth(large, sparse(60, 1), (18, 24))
+    assert found is not None
+    assert found.shape == (18, 24)
+
+
+def test_a_true_prior_completes_what_few_points_do_not_show():
+    """Six points, none of them needed on the roof: without a prior its edges alone speak for it."""
+    with_prior, without = (error(cloud(aerial_scene(points=6, prior=p))) for p in (True, False))
+    assert with_prior < 0.05
+    assert with_prior < 0.6 * without  # 0.037 and 0.072 were seen
+
+
+def test_the_memory_merges_what_views_share():
+    layered = cloud(aerial_scene(prior=True), merge=0.02)
+    kept = cloud(aerial_scene(prior=True), memory="accumulate")
+    # a sparse point may be where a pixel's sample is
+    assert 3 * 24 * 18 <= len(kept.positions) <= 3 * 24 * 18 + 30
+    assert len(layered.positions) < 0.7 * len(kept.positions)
+
+
+@pytest.mark.parametrize("order", ["random", "distance", "coverage"])
+def test_views_come_in_the_order_asked_for(order, monkeypatch):
+    scene = without_points(aerial_scene(), view=1)  # so that 1 has the fewest
+    seen = []
+    real = completion.adapt_view
+
+    def watched(denoiser, image, *rest):
+        seen.append(float(image.double().sum()))
+        return real(denoiser, image, *rest)
+
+    monkeypatch.setattr(completion, "adapt_view", watched)
+    cloud(scene, order=order, guidance_steps=1)
+    sums = [float(scene.views[i].load().double().sum()) for i in (1, 2, 3)]
+    assert sorted(seen) == sorted(sums)
+    if order == "coverage":
+        assert seen[-1] == sums[0]
+    if order == "distance":
+        assert seen[0] == sums[1]  # the middle of the row
+
+
+def test_independent_views_do_not_see_the_memory(monkeypatch):
+    monkeypatch.setattr(
+        completion.guide_depth, "render", lambda *_: pytest.fail("the memory was asked")
+    )
+    cloud(aerial_scene(), guided=False, guidance_steps=1)
+
+
+def test_a_view_without_points_is_guided_by_the_others():
+    found = cloud(without_points(aerial_scene(prior=True), view=2))
+    assert error(found) < 0.1
+
+
+def test_a_view_without_points_or_memory_is_refused_by_name():
+    with pytest.raises(DataError, match=r"view 2.png shows no sparse point .* leave the view out"):
+        cloud(without_points(aerial_scene(), view=2), guided=False, guidance_steps=1)
+
+
+def test_no_view_with_points_is_refused():
+    scene = aerial_scene()
+    far = replace(scene, points=replace(scene.points, positions=scene.points.positions + 1e3))
+    with pytest.raises(DataError, match="no training view shows a sparse point"):
+        cloud(far)
+
+
+def test_samples_beyond_the_memory_are_told():
+    """Points on the roof alone: the floor lies beyond the frusta that they end."""
+    told: list[str] = []
+    scene = aerial_scene(prior=True, points=300)
+    high = scene.points.positions[:, 2] < 3.5
+    assert 5 < int(high.sum()) < 100
+    shown = replace(
+        scene,
+        points=replace(
+            scene.points, positions=scene.points.positions[high], colours=scene.points.colours[high],
+            track_starts=torch.zeros(int(high.sum()) + 1, dtype=torch.int64),
+            track_views=torch.zeros(0, dtype=torch.int64),
+        ),
+    )  # fmt: skip
+    found = cloud(shown, told=told, guidance_steps=2)
+    assert bool(told) == bool(found.unseen or found.forced)
+
+
+def test_large_photos_are_completed_small():
+    full, small = (cloud(aerial_scene(), side=s, memory="accumulate") for s in (24, 12))
+    assert 3 * 24 * 18 <= len(full.positions) <= 3 * 24 * 18 + 30
+    assert 3 * 12 * 9 <= len(small.positions) <= 3 * 12 * 9 + 30
