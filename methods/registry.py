@@ -12,6 +12,9 @@ from splatproof.methods.dlg_gs.method import DLG_GS
 from splatproof.methods.hdgs.method import HDGS
 from splatproof.methods.pvg.method import PVG
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
+from splatproof.methods.sparse_views.cor_gs import COR_GS
+from splatproof.methods.sparse_views.dropgaussian import DROPGAUSSIAN
+from splatproof.methods.sparse_views.fsgs import FSGS
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
 from splatproof.methods.threedgs.mip_splatting import MIP_SPLATTING
@@ -33,6 +36,9 @@ METHODS: dict[str, Method] = {
         THREEDGS,
         ABSGS,
         MIP_SPLATTING,
+        FSGS,
+        DROPGAUSSIAN,
+        COR_GS,
         SCAFFOLD_GS,
         HDGS,
         PVG,
