@@ -81,7 +81,7 @@ class CoControl(SparseControl):
         """Start without statistics.
 
         Args:
-            settings: Of the method; its steps are shrunk to this run's.
+            settings: All of the method; its steps are shrunk to this run's.
             extent: Size of the scene in scene units.
         """
         steps = settings.iterations

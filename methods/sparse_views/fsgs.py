@@ -139,7 +139,7 @@ def depth_term(weight: float) -> Term:
     """Correlation of rendered depth, not divided by alpha, with the view's depth prior.
 
     Args:
-        weight: Of the term; it is 0.02 of itself in the last twentieth of the run.
+        weight: Factor on the term; it is 0.02 of itself in the last twentieth of the run.
 
     Source: Zhu et al. 2024, "FSGS", Eq. 6, and its release; without the release's pseudo views, whose
         depth a network says of each render.

@@ -135,7 +135,7 @@ def agreement_term(
     Args:
         cameras: Training cameras.
         draw: Renders splats over the run's background.
-        weight: Of the term.
+        weight: Factor on the term.
         steps: Steps that have the term.
         dssim: Weight of 1 - SSIM, as in the loss of photos.
 

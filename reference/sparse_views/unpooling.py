@@ -52,8 +52,8 @@ def unpooled(
 
     Args:
         means: World positions in scene units.
-        distances: Of `nearest_others`.
-        neighbours: Of `nearest_others`.
+        distances: From `nearest_others`.
+        neighbours: From `nearest_others`.
         threshold: t in scene units, >= 0.
         most: Most Gaussians that are added, those about the loneliest first; None: no bound.
 
