@@ -9,6 +9,7 @@ from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.dlg_gs.method import DLG_GS
+from splatproof.methods.dpgs.fit import DPGS
 from splatproof.methods.hdgs.method import HDGS
 from splatproof.methods.pvg.method import PVG
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
@@ -39,6 +40,7 @@ METHODS: dict[str, Method] = {
         FSGS,
         DROPGAUSSIAN,
         COR_GS,
+        DPGS,
         SCAFFOLD_GS,
         HDGS,
         PVG,
