@@ -1,5 +1,6 @@
 """Where side views of a scene are taken from: a spiral around each part of its ground."""
 
+import itertools
 from dataclasses import replace
 
 import torch
@@ -68,7 +69,7 @@ def _cut(
 ) -> list[tuple[Float[Tensor, "3"], Float[Tensor, "3"]]]:
     walls = torch.linspace(float(low[axis]), float(high[axis]), number + 1).to(low)
     found = []
-    for begin, end in zip(walls[:-1], walls[1:], strict=True):
+    for begin, end in itertools.pairwise(walls):
         one, other = low.clone(), high.clone()
         one[axis], other[axis] = begin, end
         found.append((one, other))
