@@ -54,7 +54,7 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
         scene: The scene as training starts from it.
         model: What is trained, and draws its own side views.
         plan: Training on photos alone.
-        settings: Of which `side` counts.
+        settings: All of the method; `side` counts.
         run: Where rounds are kept, and who is told.
     """
     side = settings.side

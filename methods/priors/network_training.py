@@ -18,7 +18,7 @@ RATE = 1e-3
 WITHOUT_POINTS = 0.2
 """Share of samples whose sparse points are hidden: scenes may have none."""
 FEWEST_POINTS = 0.02
-"""Of the other samples a share of the points is kept, log-uniform from this to 1: few photos have few."""
+"""Least share of the points that other samples keep, log-uniform up to 1: few photos have few."""
 FLAT = 1e-3
 """Least deviation of a true map as a share of its mean: a plane seen straight on teaches nothing."""
 
