@@ -9,9 +9,13 @@ from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.dlg_gs.method import DLG_GS
+from splatproof.methods.dpgs.fit import DPGS
 from splatproof.methods.hdgs.method import HDGS
 from splatproof.methods.pvg.method import PVG
 from splatproof.methods.scaffold.method import SCAFFOLD_GS
+from splatproof.methods.sparse_views.cor_gs import COR_GS
+from splatproof.methods.sparse_views.dropgaussian import DROPGAUSSIAN
+from splatproof.methods.sparse_views.fsgs import FSGS
 from splatproof.methods.stratosplat.method import STRATOSPLAT
 from splatproof.methods.threedgs.absgs import ABSGS
 from splatproof.methods.threedgs.method import THREEDGS
@@ -34,6 +38,10 @@ METHODS: dict[str, Method] = {
         THREEDGS,
         ABSGS,
         MIP_SPLATTING,
+        FSGS,
+        DROPGAUSSIAN,
+        COR_GS,
+        DPGS,
         SCAFFOLD_GS,
         HDGS,
         PVG,

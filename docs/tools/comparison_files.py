@@ -36,6 +36,10 @@ class Comparison:
     printed: tuple[Printed, ...]
     protocol: str
     """Protocol whose pictures are shown."""
+    scene: str
+    """Scene whose pictures are shown."""
+    units: str = "moments"
+    """What its held-out views are, in captions."""
 
 
 def main(comparison: Comparison) -> None:
@@ -96,10 +100,11 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
         (case, folder, result) for case, folder, result in found
-        if case.protocol.name == comparison.protocol and not result.error
+        if (case.scene_name, case.protocol.name) == (comparison.scene, comparison.protocol)
+        and not result.error
         and case.seed == 0 and not is_half(case.row)
     ]  # fmt: skip
-    pictures = [*_curves(shown, name, docs), *_strips(shown, name, docs)]
+    pictures = [*_curves(shown, name, docs), *_strips(shown, comparison, docs)]
     listing = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
     (docs / f"{name}_pictures.json").write_text(listing, encoding="utf-8")
 
@@ -116,7 +121,7 @@ def _with_images_of(row: Measured, judged: set[str]) -> Measured:
 Shown = Sequence[tuple[Case, Path, Result]]
 
 
-def _strips(shown: Shown, name: str, docs: Path) -> list[Picture]:
+def _strips(shown: Shown, comparison: Comparison, docs: Path) -> list[Picture]:
     """A strip a row; all of one scene show the same parts of the same views."""
     made = []
     for scene in dict.fromkeys(case.scene_name for case, _, _ in shown):
@@ -124,9 +129,9 @@ def _strips(shown: Shown, name: str, docs: Path) -> list[Picture]:
         case = own[0][0]
         views = scored_views(open_scene(case.scene, case.protocol), case.protocol)
         folders = {case.row: folder for case, folder in own}
-        images = docs / "images" / name
+        images = docs / "images" / comparison.suite
         for row, path in save_strips(folders, crops(views), images).items():
-            caption = (f"{row}, {scene}: held-out moments it never saw; photo, render, FLIP error "
+            caption = (f"{row}, {scene}: held-out {comparison.units} it never saw; photo, render, FLIP error "
                        "(black: none). Seed 0.")  # fmt: skip
             made.append(Picture(path=path.relative_to(docs).as_posix(), caption=caption))
     return made

@@ -13,6 +13,7 @@ from splatproof.reports.claims.claim import Claim
 from splatproof.reports.measured import Measured
 from splatproof.reports.statistics import summarise
 from splatproof.reports.verdicts import HALF, SETTLED, Judged, Verdict, judge
+from splatproof.suites.suite_files import suite_names
 
 Cell = tuple[str, str, int]
 """Key of a value, heading, digits after the point."""
@@ -82,8 +83,14 @@ def _head(page: Page) -> str:
     machines = "; ".join(sorted({row.machine for row in done if row.machine})) or "nothing yet"
     return HEAD.format(
         title=page.title, suite=page.suite, machines=machines, intro=page.intro.rstrip(),
-        missing=_missing(page), settled=SETTLED,
+        missing=_missing(page), settled=SETTLED, larger=_larger(page.suite),
     )  # fmt: skip
+
+
+def _larger(suite: str) -> str:
+    """Half a sentence on the suite's form on a larger scene, where there is one."""
+    name = f"{suite}-medium"
+    return f"; `bench run {name}` is the larger scene" if name in suite_names() else ""
 
 
 def _missing(page: Page) -> str:
@@ -222,7 +229,7 @@ HEAD = """# {title}
 
 Made by `python docs/tools/make_{suite}_page.py RUNS` from the records of `bench run {suite} --out RUNS` (here in
 [{suite}.json]({suite}.json)); a test compares. `bench run {suite} --quick` runs every method in miniature and
-judges nothing; `bench run {suite}-medium` is the larger scene. Measured on {machines}; times beside other work.
+judges nothing{larger}. Measured on {machines}; times beside other work.
 
 {intro}
 

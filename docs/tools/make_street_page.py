@@ -13,6 +13,7 @@ STREET = Comparison(
     suite="street",
     title="The street suite: HDGS, PVG and static controls",
     protocol="street",
+    scene="street",
     intro="""\
 The scene is `street`: a made drive of 12 moments with three cameras, four moving cars and seven people, and a
 LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what truly moves and over the rest.

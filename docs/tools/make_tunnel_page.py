@@ -12,6 +12,7 @@ TUNNEL = Comparison(
     suite="tunnel",
     title="The tunnel suite: DLG-GS, Scaffold-GS and exposure baselines",
     protocol="tunnel",
+    scene="tunnel",
     intro="""\
 The scene is `tunnel`: a rock tunnel that a rig of six cameras drives through, lit by the rig's own lamps alone. One
 stop of eight is held out with all its cameras. Protocols `tunnel`, `tunnel_half` and `tunnel_oracle` are one training,

@@ -66,6 +66,8 @@ def with_priors(
     for index, file in files.items():
         views[index] = replace(views[index], load_prior=partial(read_prior, file))
     facts = {"depth_prior": prior_name(prior)} | weights | dict(read_json(folder / SUMMARY))
+    if kind.domain is not None and path is not None:
+        facts["depth_prior_domain"] = kind.domain(scene, path)
     return replace(scene, views=tuple(views), facts=scene.facts | facts)
 
 

@@ -30,6 +30,10 @@ class Kind:
     """Whether it needs a path to weights."""
     draws: bool = False
     """Whether it depends on the seed."""
+    shipped: Path | None = None
+    """Weights that come with this package, where it needs no path."""
+    domain: Callable[[Scene, Path], str] | None = None
+    """domain(scene, weights): whether it was trained on such scenes, as the record says it."""
 
 
 KINDS = {
@@ -40,9 +44,13 @@ KINDS = {
     ),
     "lidar": Kind(description="the view's LiDAR sweep, completed", prepare=lidar.prepare),
     "sweep": Kind(description="matching with neighbouring photos", prepare=sweep.prepare),
+    "own": Kind(
+        description="our own small network, from photo and sparse points, weights shipped",
+        prepare=network.prepare, shipped=network.SHIPPED, domain=network.domain,
+    ),
     "network": Kind(
-        description="our own small network, from photo and sparse points",
-        prepare=network.prepare, weights=True,
+        description="our own small network with weights of another training",
+        prepare=network.prepare, weights=True, domain=network.domain,
     ),
     "depth-anything": Kind(
         description="a monocular network of transformers, from a local folder",
@@ -76,9 +84,9 @@ def resolved(prior: str, folder: Path, where: str) -> str:
 
 
 def parts(prior: str) -> tuple[str, Path | None]:
-    """Kind and path of the weights of a prior that `resolved` made; it is not "none"."""
+    """Kind and weights of a prior that `resolved` made; it is not "none"."""
     name, colon, path = prior.partition(":")
-    return name, Path(path) if colon else None
+    return name, Path(path) if colon else KINDS[name].shipped
 
 
 def weights_facts(prior: str) -> dict[str, str]:
@@ -88,7 +96,7 @@ def weights_facts(prior: str) -> dict[str, str]:
         prior: "none", or what `resolved` made.
     Raises: MissingError where the path does not exist.
     """
-    _, path = parts(prior)
+    path = None if prior == NO_PRIOR else parts(prior)[1]
     if path is None:
         return {}
     if path.is_dir():

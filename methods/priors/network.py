@@ -1,7 +1,8 @@
-"""Prior `network:PATH`: our own small network, from a photo and the sparse points that it shows."""
+"""Priors `own` and `network:PATH`: our own small network, from a photo and the points it shows."""
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -22,6 +23,8 @@ INPUTS = 5
 """Channels of the input: R, G, B, sparse disparity over its median, and where there is any."""
 LONGER = 128
 """Pixels of the longer side that the network sees; its answer is enlarged again."""
+SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
+"""Weights that come with this package; depth.json beside them says how they were made."""
 STRIDE = 2 ** (len(WIDTHS) - 1)
 """Both sides that the network sees are multiples of this."""
 
@@ -82,6 +85,21 @@ def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], De
     return make
 
 
+def domain(scene: Scene, weights: Path) -> str:
+    """Whether the network was trained on the kind of world that a scene is, for the record.
+
+    Args:
+        scene: What it is asked about; made worlds say their kind in the fact "world".
+        weights: File that `save_network` wrote, with the fact "worlds".
+    Returns: "in domain" or "out of domain", with both kinds.
+    """
+    facts = load_facts(weights)
+    kinds = [str(kind) for kind in facts.get("worlds", ())]
+    here = scene.facts.get("world", "photos")
+    known = "in domain" if here in kinds else "out of domain"
+    return f"{known}: trained on {', '.join(kinds) or 'nothing known'}, used on {here}"
+
+
 def network_size(camera: Camera) -> tuple[int, int]:
     """Height and width at which the network sees a view: multiples of STRIDE, LONGER at most."""
     scale = LONGER / max(camera.height, camera.width)
@@ -122,6 +140,15 @@ def save_network(path: Path, network: DepthNetwork, facts: dict[str, object]) ->
     write_tensors(path, network.state_dict(), {"format": FORMAT} | facts)
 
 
+def load_facts(path: Path) -> dict[str, Any]:
+    """How a network was trained, as `save_network` was told.
+
+    Raises: DataError where the file is missing or damaged.
+    """
+    _, facts = read_tensors(path)
+    return facts if isinstance(facts, dict) else {}
+
+
 def load_network(path: Path) -> DepthNetwork:
     """Read what `save_network` wrote.
 
@@ -134,7 +161,7 @@ def load_network(path: Path) -> DepthNetwork:
     if not same or not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise DataError(
             f"{path}: not the weights of a depth network of splatproof ({FORMAT!r}); "
-            "docs/tools/train_depth_network.py writes them"
+            "`bench train-prior depth` writes them"
         )
     network.load_state_dict(tensors)
     return network.eval()

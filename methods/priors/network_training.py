@@ -17,6 +17,10 @@ RATE = 1e-3
 """Adam's rate at the start; it falls to 0 along half a cosine."""
 WITHOUT_POINTS = 0.2
 """Share of samples whose sparse points are hidden: scenes may have none."""
+FEWEST_POINTS = 0.02
+"""Least share of the points that other samples keep, log-uniform up to 1: few photos have few."""
+FLAT = 1e-3
+"""Least deviation of a true map as a share of its mean: a plane seen straight on teaches nothing."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,23 +56,27 @@ def samples_of(scene: Scene) -> list[Sample]:
 def affine_loss(
     said: Float[Tensor, "n h w"], truth: Float[Tensor, "n h w"], known: Bool[Tensor, "n h w"]
 ) -> Float[Tensor, ""]:
-    """Mean |a d + b - t| over the median of t, after the least-squares scale a and zero b a view.
+    """Mean |d' - t'| of both maps, each less its mean and over its mean absolute deviation, by view.
+
+    Scale and zero do not count, the sign does: fitted freely it could be learnt the wrong way round.
 
     Args:
         said: Disparity d that the network says.
         truth: True disparity t.
         known: Pixels that count; each view has some.
-    Source: Ranftl et al. 2020 (MiDaS), Eq. 1 to 4; least squares as there, L1 and its unit: ours.
+    Source: Ranftl et al. 2020 (MiDaS), Eqs. 5 to 7; means instead of medians: ours.
     """
     weight = known.to(said).flatten(1)
-    d, t = said.flatten(1), truth.flatten(1)
     count = weight.sum(dim=1, keepdim=True)
-    d_mean, t_mean = ((weight * x).sum(dim=1, keepdim=True) / count for x in (d, t))
-    spread = (weight * (d - d_mean) ** 2).sum(dim=1, keepdim=True).clamp(min=1e-6)
-    scale = (weight * (d - d_mean) * (t - t_mean)).sum(dim=1, keepdim=True) / spread
-    off = (scale * (d - d_mean) + t_mean - t).abs() * weight
-    unit = torch.stack([row[mask].median() for row, mask in zip(t, known.flatten(1), strict=True)])
-    return (off.sum(dim=1) / count[:, 0] / unit.clamp(min=1e-6)).mean()
+
+    def normalised(values: Float[Tensor, "n p"], least: float) -> Float[Tensor, "n p"]:
+        mean = (weight * values).sum(dim=1, keepdim=True) / count
+        off = values - mean
+        deviation = (weight * off.abs()).sum(dim=1, keepdim=True) / count
+        return off / torch.maximum(deviation, least * mean.abs()).clamp(min=1e-9)
+
+    off = normalised(said.flatten(1), 0.0) - normalised(truth.flatten(1), FLAT)
+    return ((off.abs() * weight).sum(dim=1) / count[:, 0]).mean()
 
 
 def train(
@@ -106,6 +114,8 @@ def train(
         known = torch.stack([alike[row].known for row in rows])
         hidden = torch.rand(batch, generator=draw) < WITHOUT_POINTS
         given[hidden, 3:] = 0
+        kept = FEWEST_POINTS ** torch.rand(batch, 1, 1, 1, generator=draw)
+        given[:, 3:] *= torch.rand(batch, 1, *given.shape[2:], generator=draw) < kept
         if torch.rand((), generator=draw) < 0.5:
             given, truth, known = (maps.flip(-1) for maps in (given, truth, known))
         loss = affine_loss(network(given), truth, known)

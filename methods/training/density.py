@@ -153,6 +153,11 @@ def _largest(values: Float[Tensor, " n"], count: int) -> Bool[Tensor, " n"]:
     return mask
 
 
-def reset_opacity(logits: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
-    """Logits of min(opacity, 0.01)."""
-    return logits.clamp(max=math.log(RESET_OPACITY / (1 - RESET_OPACITY)))
+def reset_opacity(logits: Float[Tensor, " n"], most: float = RESET_OPACITY) -> Float[Tensor, " n"]:
+    """Logits of min(opacity, most).
+
+    Args:
+        logits: Opacity logits.
+        most: Opacity in (0, 1) that none is left above.
+    """
+    return logits.clamp(max=math.log(most / (1 - most)))

@@ -60,6 +60,12 @@ COMPONENTS = (
                           caption="The descent from the training views to the facades"),),
     ),
     Component(
+        title="Few views",
+        modules=("reference/sparse_views/unpooling", "reference/sparse_views/depth_correlation",
+                 "reference/sparse_views/co_pruning", "reference/sparse_views/pseudo_views"),
+        source="FSGS, Eqs. 4 and 6; CoR-GS, Eqs. 4 to 6",
+    ),
+    Component(
         title="Layered memory and sequential depth adaptation",
         modules=("reference/layered_memory/layered_depth", "reference/layered_memory/depth_adaptation",
                  "reference/layered_memory/edge_diffusion", "reference/layered_memory/guide_depth",

@@ -6,7 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.methods.storage.packed.writer import PARTS
-from splatproof.suites.studies import memory, partition, priors, seen, size, size_plot, stability
+from splatproof.suites.studies import (
+    matching,
+    memory,
+    partition,
+    priors,
+    seen,
+    size,
+    size_plot,
+    stability,
+)  # fmt: skip
 from splatproof.suites.studies.instructions import measure as instructions
 from splatproof.suites.studies.speed import measure as speed
 from splatproof.suites.studies.speed import page as speed_page
@@ -73,6 +82,11 @@ STUDIES = {
         description="depth priors against true depth on street and tunnel, scale and zero put right",
         columns=("scene", "prior", "views", "abs_rel", "delta1", "rank", "valid", "note"),
         rows=priors.rows, pictures=priors.draw, logged=True,
+    ),
+    "matching": Study(
+        description="points of matched photos against true depth, a threshold moved at a time",
+        columns=("scene", "threshold", "value", "points", "median_error", "wrong", "seconds"),
+        rows=matching.rows,
     ),
     "seen": Study(
         description="what training photos show of held-out views: by sparse points and in truth",

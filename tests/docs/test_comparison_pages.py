@@ -1,4 +1,4 @@
-"""The pages of the street and the tunnel: made of the committed rows, and every part of them by hand."""
+"""The pages of the street, the tunnel and few views: made of the committed rows, and every part of them by hand."""
 
 import json
 import math
@@ -11,6 +11,7 @@ import pytest
 import torch
 from comparison_files import page, planned
 from comparison_page import Page, Picture, render_page
+from make_sparse_page import SPARSE
 from make_street_page import STREET
 from make_tunnel_page import TUNNEL
 from printed_tables import Line, Printed, ours, printed_tables, printed_value
@@ -25,7 +26,7 @@ from splatproof.suites.published.rows import numbers
 from splatproof.suites.suite_files import load_suite, suite_names
 
 DOCS = Path(__file__).parents[2] / "docs"
-BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL], ids=lambda one: one.suite)
+BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE], ids=lambda one: one.suite)
 
 
 @BOTH
@@ -61,12 +62,14 @@ def test_printed_tables_are_printed(made):
             assert not any(map(math.isnan, values)), (table.title, line)
 
 
-@pytest.mark.parametrize("suite", ["street", "tunnel"])
-def test_other_forms_have_the_rows_of_the_suite(suite: str):
-    """The reduced form runs a row of every method; the medium one is the suite on a larger scene."""
-    whole = load_suite(suite).cases
-    assert {case.method for case in load_suite(f"{suite}-quick").cases} == {c.method for c in whole}
-    assert f"{suite}-medium" in suite_names()
+@BOTH
+def test_other_forms_have_the_rows_of_the_suite(made):
+    """The reduced form runs a row of every method; the page names the medium one where there is one."""
+    whole = load_suite(made.suite).cases
+    quick = load_suite(f"{made.suite}-quick").cases
+    assert {case.method for case in quick} == {case.method for case in whole}
+    named = f"`bench run {made.suite}-medium` is the larger scene" in page(made, DOCS)
+    assert named == (f"{made.suite}-medium" in suite_names())
 
 
 def row(name: str, seed: int = 0, **changed) -> Measured:

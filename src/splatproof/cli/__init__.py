@@ -108,6 +108,11 @@ COMMANDS = {
         functions={},
         help="Measure what no trained case answers: stability, speed, partitions, file sizes, memory.",
     ),
+    "train-prior": Command(
+        module="train_prior",
+        functions={"depth": "depth"},
+        help="Train the networks that make priors, on worlds that no suite tests.",
+    ),
     "plan": Command(
         module="plan",
         functions={"": "plan"},

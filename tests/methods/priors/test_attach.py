@@ -37,12 +37,9 @@ def made(monkeypatch) -> list[int]:
 
         return make
 
-    for name, extra in (
-        ("counted", {}),
-        ("drawn", {"draws": True}),
-        ("weighed", {"weights": True}),
-    ):
-        monkeypatch.setitem(KINDS, name, Kind(description="", prepare=prepare, **extra))
+    monkeypatch.setitem(KINDS, "counted", Kind(description="", prepare=prepare))
+    monkeypatch.setitem(KINDS, "drawn", Kind(description="", prepare=prepare, draws=True))
+    monkeypatch.setitem(KINDS, "weighed", Kind(description="", prepare=prepare, weights=True))
     return calls
 
 

@@ -1,0 +1,54 @@
+"""What can be chosen about method dpgs."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.schedules import require
+from splatproof.reference.supervision.spiral_path import SpiralSettings
+
+RefinerName = Literal["none", "warp"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SideSettings:
+    """Side views: where they look from, who refines them, and how often they are trained on. The
+    paper gives no numbers but the half of the run that they begin at: these are ours."""
+
+    every: int = 10
+    """Steps from one side view to the next, from the middle of the run on; it takes the place of a
+    photo. 0: none, an ablation of the paper."""
+    refiner: RefinerName = "warp"
+    """What makes a side view's target of its render. warp: the nearest photo's texture where that
+    photo sees the surface, holes inpainted; none: the render as it was, a control that says what
+    training on one's own renders does."""
+    refresh: int = 5000
+    """Steps, of a 30,000 step run, after which targets are made anew by the model as it is then."""
+    spirals: int = 1
+    """Number of parts that the ground is cut into, each with a spiral of its own: one around all of
+    a city shows outer facades only."""
+    spiral: SpiralSettings = field(default_factory=SpiralSettings)
+    """Shape of a spiral."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no run can follow."""
+        require(self.every >= 0, "side.every", self.every, ">= 0")
+        for name in ("refresh", "spirals"):
+            require(getattr(self, name) >= 1, f"side.{name}", getattr(self, name), ">= 1")
+        shape = self.spiral
+        for name in ("layers", "views"):
+            require(getattr(shape, name) >= 1, f"side.spiral.{name}", getattr(shape, name), ">= 1")
+        require(shape.radius > 0, "side.spiral.radius", shape.radius, "> 0")
+        require(0 <= shape.look_up < 1, "side.spiral.look_up", shape.look_up, "[0, 1)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dpgs(Settings):
+    """Method dpgs: 3dgs with matched points at its start and side views in its second half. Steps
+    are those of a 30,000 step run; a shorter run shrinks them in proportion."""
+
+    dense_cell: float = 4.0
+    """About how many pixels added points lie apart: before training, photos are matched by optical
+    flow, and points added where there are none. 0: none, an ablation of the paper."""
+    side: SideSettings = field(default_factory=SideSettings)
+    """Side views of places that the photos do not show."""

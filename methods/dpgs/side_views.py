@@ -1,0 +1,206 @@
+"""Side views as views to train on: rendered, z-tested, refined and kept in rounds."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.methods.dpgs.settings import RefinerName
+from splatproof.reference.supervision.side_views import (
+    EVIDENCE,
+    SOLID,
+    SeenView,
+    is_side_view_step,
+    nearest_photo,
+    sees,
+    warp_and_fill,
+)  # fmt: skip
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import View, camera_view
+
+Draw = Callable[[View], RenderOutput]
+"""draw(view): the model as it is now, without gradient."""
+SIDE = "side view"
+"""What the names of side views begin with."""
+
+
+class SideViews:
+    """The side views of a run, made in rounds by the model as it is when a round is first asked for.
+
+    A round is made whole and kept in one file, so that a run that was killed finds what it had: by
+    its checkpoint it has either not begun the round, and makes the same again, or it finds it.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[Camera],
+        photos: Sequence[View],
+        draw: Draw,
+        refiner: RefinerName,
+        folder: Path | None,
+        told: Callable[[int, float], None],
+    ) -> None:
+        """Nothing is rendered yet.
+
+        Args:
+            cameras: Where side views are taken from, at least one.
+            photos: Training views.
+            draw: Renders a view.
+            refiner: What makes a target of a render.
+            folder: Where rounds are kept; it belongs to this run alone. None: in memory.
+            told: Called with the number of a round and the share of its pixels without evidence.
+        """
+        self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
+        self.refiner, self.folder, self.told = refiner, folder, told
+        self._held: tuple[int, dict[str, Tensor]] | None = None
+
+    def views(self, rounds: int) -> tuple[View, ...]:
+        """All side views of the first round, then those of the next, ...
+
+        Args:
+            rounds: How many rounds a run may ask for.
+        """
+        return tuple(
+            View(
+                name=f"{SIDE} {index} of round {number}", camera=camera,
+                load=partial(self._target, number, index),
+                load_mask=partial(self._unproven, number, index),
+            )
+            for number in range(rounds)
+            for index, camera in enumerate(self.cameras)
+        )  # fmt: skip
+
+    def _target(self, number: int, index: int) -> Float[Tensor, "h w 3"]:
+        return self.round(number)["targets"][index].float() / 255
+
+    def _unproven(self, number: int, index: int) -> Bool[Tensor, "h w"]:
+        return self.round(number)["unproven"][index]
+
+    def round(self, number: int) -> dict[str, Tensor]:
+        """The targets (8 bits) and the pixels without evidence of a round, made if it is not there.
+
+        Args:
+            number: From 0.
+
+        Raises: DataError naming a file that is damaged.
+        """
+        if self._held is None or self._held[0] != number:
+            file = None if self.folder is None else self.folder / f"{number}.safetensors"
+            if file is not None and file.is_file():
+                made, _ = read_tensors(file)
+            else:
+                made = self._made(number)
+                if file is not None:
+                    write_tensors(file, made)
+            self._held = (number, made)
+        return self._held[1]
+
+    @torch.no_grad()
+    def _made(self, number: int) -> dict[str, Tensor]:
+        training = [self._seen(photo) for photo in self.photos]
+        forward = torch.stack([photo.camera.rotation[2] for photo in self.photos]).double()
+        targets, unproven = [], []
+        for camera in self.cameras:
+            output = self.draw(camera_view(camera, SIDE))
+            side = SeenView(
+                camera=camera, image=output.colour.clamp(0, 1).cpu(), alpha=output.alpha.cpu(),
+                depth=output.depth.cpu(),
+            )  # fmt: skip
+            target, proven = self._refined(side, training, forward)
+            targets.append((target.clamp(0, 1) * 255).round().byte())
+            unproven.append(~proven)
+        made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
+        self.told(number, float(made["unproven"].float().mean()))
+        return made
+
+    def _refined(
+        self, side: SeenView, training: Sequence[SeenView], forward: Float[Tensor, "v 3"]
+    ) -> tuple[Float[Tensor, "h w 3"], Bool[Tensor, "h w"]]:
+        seen = torch.stack([sees(view, side) for view in training])
+        proven = (side.alpha >= SOLID) & (seen.sum(dim=0) >= EVIDENCE)
+        if self.refiner == "none":
+            return side.image, proven
+        shared = seen.flatten(1).sum(dim=1).double()
+        best = nearest_photo(shared, forward, side.camera.rotation[2].double())
+        photo = training[best]
+        texture = SeenView(
+            camera=photo.camera, image=self.photos[best].load(), alpha=photo.alpha,
+            depth=photo.depth,
+        )  # fmt: skip
+        return warp_and_fill(side, texture), proven
+
+    def _seen(self, photo: View) -> SeenView:
+        """What the model has at a photo's camera, in half precision; the photo is read when needed."""
+        output = self.draw(photo.without_truth())
+        return SeenView(
+            camera=photo.camera, image=torch.zeros(1).expand(*photo.size, 3),
+            alpha=output.alpha.half().cpu(), depth=output.depth.half().cpu(),
+        )  # fmt: skip
+
+
+class SideOrder:
+    """Random epochs of photos; every n-th step of the second half begins with a side view."""
+
+    def __init__(
+        self, photos: int, sides: int, *, steps: int, every: int, refresh: int, views_per_step: int
+    ) -> None:
+        """Start before the first step.
+
+        Args:
+            photos: Number of photos, which come first among the views.
+            sides: Number of side views of a round; rounds follow one another.
+            steps: Steps of the run.
+            every: Steps from one side view to the next; 0: none.
+            refresh: Steps of a round.
+            views_per_step: Views that a step draws.
+        """
+        self.photos, self.sides, self.steps, self.every = photos, sides, steps, every
+        self.refresh, self.views_per_step = refresh, views_per_step
+        self.drawn = 0
+        self.left: list[list[int]] = [[], []]
+
+    def next(self, generator: torch.Generator) -> int:
+        """Index of the next view.
+
+        Args:
+            generator: Source of every draw.
+        """
+        step, place = divmod(self.drawn, self.views_per_step)
+        self.drawn += 1
+        asked = bool(self.every) and is_side_view_step(step, self.steps, self.every)
+        if not (asked and place == 0 and self.sides):
+            return self._epoch(0, self.photos, generator)
+        number = (step - self.steps // 2) // self.refresh
+        return self.photos + number * self.sides + self._epoch(1, self.sides, generator)
+
+    @property
+    def rounds(self) -> int:
+        """Rounds that the whole run asks for."""
+        half = self.steps - self.steps // 2
+        return -(-half // self.refresh) if self.every and self.sides else 0
+
+    def _epoch(self, kind: int, count: int, generator: torch.Generator) -> int:
+        if not self.left[kind]:
+            self.left[kind] = torch.randperm(count, generator=generator).tolist()
+        return self.left[kind].pop()
+
+    def state(self) -> list[int]:
+        """What is left of both epochs, and how many photos' there are of it."""
+        photos, sides = self.left
+        return [len(photos), *photos, *sides]
+
+    def restore(self, state: list[int], drawn: int) -> None:
+        """Go on where a run stopped.
+
+        Args:
+            state: What `state` returned then.
+            drawn: Number of views that were drawn before.
+        """
+        count, *left = state
+        self.left = [left[:count], left[count:]]
+        self.drawn = drawn

@@ -1,0 +1,1 @@
+"""Baselines of few views: fsgs, dropgaussian, cor-gs."""

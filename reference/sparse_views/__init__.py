@@ -1,0 +1,1 @@
+"""What baselines of few views add to Gaussian Splatting, one short module each."""

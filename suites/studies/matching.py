@@ -1,0 +1,104 @@
+"""`bench study matching`: what each threshold of the dense initialisation gives on a world of known depth.
+
+One threshold is moved at a time, the others stay at their defaults. An added point's error is how far
+its depth lies from the true one, in each training view of its track, over the true one.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.training.dense_points import with_dense_points
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.reference.supervision.dense_initialisation import (
+    DenseSettings,
+    observations,
+    points_of,
+)
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene
+
+SCENE = "courtyard"
+CELL = 4.0
+"""Pixels that points lie apart: method dpgs's default."""
+IMAGE_BYTES = 2**29
+QUICK_VIEWS = 6
+"""Training views of the reduced form: the first ones, which are neighbours."""
+WRONG = 0.05
+"""Share of the true depth beyond which a point is called wrong."""
+SWEEP: dict[str, tuple[float, ...]] = {
+    "certainty": (0.1, 0.3, 0.5, 0.7),
+    "sigma": (0.5, 1.0, 2.0, 4.0),
+    "score": (0.1, 0.3, 0.5, 0.7),
+    "partners": (1, 2, 4, 8),
+}
+"""Values of each threshold; the defaults are among them."""
+Row = dict[str, Any]
+
+
+def rows(*, quick: bool) -> Iterator[Row]:
+    """The defaults, then each other value of each threshold.
+
+    Args:
+        quick: Few views, and the two ends of each sweep.
+    """
+    scene = open_scene(SCENE, load_protocol("default"))
+    if quick:
+        scene = replace(scene, train=scene.train[:QUICK_VIEWS])
+    yield {"scene": SCENE, "threshold": "defaults"} | quality(scene, DenseSettings())
+    for name, values in SWEEP.items():
+        for value in (values[0], values[-1]) if quick else values:
+            if value != getattr(DenseSettings(), name):
+                settings = replace(DenseSettings(), **{name: value})
+                row = {"scene": SCENE, "threshold": name, "value": value}
+                yield row | quality(scene, settings)
+
+
+def quality(scene: Scene, settings: DenseSettings) -> Row:
+    """Number of added points, and how far they are from the surfaces.
+
+    Args:
+        scene: A made world with its truth.
+        settings: Thresholds.
+    Returns: points, median_error and wrong (both over the true depth, in per cent), seconds; the
+        errors are missing where there is no point.
+    """
+    started = time.perf_counter()
+    dense = with_dense_points(scene, CELL, IMAGE_BYTES, settings)
+    seconds = time.perf_counter() - started
+    found = errors(dense, first=len(scene.points))
+    row: Row = {"points": len(dense.points) - len(scene.points), "seconds": seconds}
+    if len(found):
+        row["median_error"] = 100 * float(found.median())
+        row["wrong"] = 100 * float((found > WRONG).double().mean())
+    return row
+
+
+def errors(scene: Scene, *, first: int = 0) -> Float[Tensor, " n"]:
+    """|z - true z| / true z of every point in every training view of its track.
+
+    What projects beside the image, or where nothing was hit, does not count.
+
+    Args:
+        scene: A made world with its truth.
+        first: Row of the first point that counts.
+    """
+    seen, found = observations(scene.points, len(scene.views)), []
+    for index in scene.train:
+        view = scene.views[index]
+        assert view.load_depth is not None
+        rows_ = points_of(seen, index)
+        at, z = project_points(view.camera, scene.points.positions[rows_[rows_ >= first]].double())
+        column, row = at.floor().long().unbind(dim=1)
+        inside = (z > 0) & (column >= 0) & (column < view.camera.width)
+        inside &= (row >= 0) & (row < view.camera.height)
+        truth = view.load_depth()[row[inside], column[inside]].double()
+        known = truth.isfinite() & (truth > 0)
+        found.append(((z[inside] - truth).abs() / truth)[known])
+    return torch.cat(found) if found else torch.zeros(0, dtype=torch.float64)

@@ -1,0 +1,78 @@
+"""`bench train-prior`: what it makes, that it learns, and what it refuses."""
+
+import json
+
+import pytest
+import torch
+
+from helpers.prior_scenes import plane_scene
+from splatproof.base.files import sha256
+from splatproof.cli import main, train_prior
+from splatproof.methods.priors import network
+from splatproof.methods.priors.network import load_facts, load_network
+
+
+@pytest.fixture
+def _tiny(monkeypatch, tmp_path) -> None:
+    """Worlds are the plane, and the network sees little of it."""
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(network, "LONGER", 32)
+    monkeypatch.setattr(train_prior, "CURVE_EVERY", 4)
+    monkeypatch.setattr(train_prior, "_scenes", lambda world, preset, seed: [plane_scene()])
+
+
+@pytest.mark.usefixtures("_tiny")
+def test_it_trains_and_says_how(tmp_path, capsys):
+    out = tmp_path / "net.safetensors"
+    told = ["train-prior", "depth", str(out), "--worlds", "street", "--seeds", "2", "--steps", "12"]
+    assert main(told) == 0
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert record["command"] == (
+        "bench train-prior depth net.safetensors --worlds street --preset small --seeds 2 --steps 12"
+    )
+    assert record["sha256"] == sha256(out)
+    assert (record["seeds"], record["views"], len(record["loss"])) == ([1000, 1001], 8, 3)
+    assert record["loss"][-1] < record["loss"][0]
+    assert load_facts(out)["worlds"] == ["street"]
+    before = load_network(out).state_dict()
+    assert main(told) == 0
+    after = load_network(out).state_dict()
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["net.bin"], "net.bin: expected a file name that ends in .safetensors"),
+        (["n.safetensors", "--steps", "0"], "--steps is 0, expected 1 or more"),
+        (["n.safetensors", "--seeds", "0"], "--seeds is 0, expected 1 or more"),
+        (["n.safetensors", "--worlds", "moon"], "moon: no such world; there are courtyard"),
+        (["n.safetensors", "--preset", "huge"], "huge: courtyard has no such preset"),
+    ],
+)
+def test_what_cannot_be_trained_is_said_in_one_line(given, said, capsys):
+    assert main(["train-prior", "depth", *given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_worlds_are_made_once_in_the_cache_and_opened_scene_by_scene(monkeypatch, tmp_path):
+    made, opened = [], []
+
+    def make(world, preset, seed, folder, report):
+        made.append((world, seed))
+        for part in ("a", "b"):
+            (folder / part / "sparse").mkdir(parents=True)
+
+    monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path))
+    monkeypatch.setattr("splatproof.datasets.procedural.worlds.make", make)
+    monkeypatch.setattr(
+        "splatproof.datasets.catalogue.opening.open_scene",
+        lambda folder, protocol: opened.append(folder[-2:]),
+    )
+    for _ in range(2):
+        list(train_prior._scenes("aerial-sparse", "small", 1000))
+    assert made == [("aerial-sparse", 1000)]
+    assert opened == ["/a", "/b"] * 2

@@ -1,0 +1,183 @@
+"""Side views of method dpgs: where they are, when they come, what they are targets of, and rounds."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from helpers.tiny_scene import camera, sparse_points, tiny_scene
+from splatproof.methods.dpgs.settings import SideSettings
+from splatproof.methods.dpgs.side_views import SideOrder, SideViews
+from splatproof.methods.dpgs.spirals import parts, side_cameras
+from splatproof.reference.supervision.spiral_path import SpiralSettings
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.render import RenderOutput
+from splatproof.reference.types.scene import Scene, View
+
+SMALL = SideSettings(spiral=SpiralSettings(layers=2, views=3))
+
+
+def flight() -> Scene:
+    """Cameras 10 above points on a ground of 8 x 4, which ends at 2 % of them."""
+    scene = tiny_scene()
+    generator = torch.Generator().manual_seed(0)
+    ground = torch.rand(500, 3, generator=generator).double() * torch.tensor([8.0, 4.0, 0.1])
+    down = torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64))
+    down[2, 3] = 10
+    views = [replace(v, camera=replace(v.camera, world_to_camera=down)) for v in scene.views]
+    up = torch.tensor([0.0, 0, 1], dtype=torch.float64)
+    return replace(scene, views=tuple(views), points=sparse_points(ground), up=up)
+
+
+def test_a_spiral_circles_the_points_from_the_flights_height_with_the_flights_lens():
+    scene = flight()
+    cameras = side_cameras(scene, SMALL)
+    assert len(cameras) == 6
+    eyes = torch.stack([one.centre for one in cameras])
+    assert eyes[:3, 2].tolist() == pytest.approx([10] * 3, abs=0.1)
+    assert eyes[3:, 2].tolist() == pytest.approx([5] * 3, abs=0.1)
+    half = 0.96 * (8**2 + 4**2) ** 0.5 / 2
+    away = (eyes[:, :2] - torch.tensor([4.0, 2.0])).norm(dim=1)
+    assert away.tolist() == pytest.approx([half] * 6, abs=0.3)
+    lens = scene.train_views[0].camera
+    assert all(torch.equal(one.K, lens.K) for one in cameras)
+    assert {(one.width, one.height) for one in cameras} == {(lens.width, lens.height)}
+
+
+def test_several_spirals_stand_side_by_side_along_the_longer_side():
+    scene = flight()
+    cameras = side_cameras(scene, replace(SMALL, spirals=2))
+    middles = torch.stack([one.centre for one in cameras]).reshape(2, 6, 3)[:, :3].mean(dim=1)
+    assert middles[:, 0].tolist() == pytest.approx([2, 6], abs=0.2)
+    assert middles[:, 1].tolist() == pytest.approx([2, 2], abs=0.2)
+
+
+@given(count=st.integers(1, 12), up=st.integers(0, 2))
+def test_the_parts_are_as_many_and_cover_the_ground_once(count, up):
+    generator = torch.Generator().manual_seed(count)
+    points = torch.rand(300, 3, generator=generator).double()
+    axis = torch.eye(3, dtype=torch.float64)[up]
+    found = parts(points, axis, count)
+    ((low, high),) = parts(points, axis, 1)
+    assert len(found) == count
+    volume = sum(float((b - a).prod()) for a, b in found)
+    assert volume == pytest.approx(float((high - low).prod()))
+    assert all(torch.equal((b - a)[up], (high - low)[up]) for a, b in found)
+
+
+def test_there_are_no_side_views_without_ground_or_height():
+    scene = flight()
+    assert (
+        side_cameras(replace(scene, points=sparse_points(torch.zeros(0, 3).double())), SMALL) == ()
+    )
+    below = replace(scene, up=-scene.up)
+    assert side_cameras(below, SMALL) == ()
+
+
+@given(
+    photos=st.integers(1, 6), sides=st.integers(1, 5), steps=st.integers(2, 80),
+    every=st.integers(1, 7), refresh=st.integers(1, 30), views=st.integers(1, 3),
+)  # fmt: skip
+def test_every_nth_step_of_the_second_half_begins_with_a_side_view_of_its_round(
+    photos, sides, steps, every, refresh, views
+):
+    order = SideOrder(
+        photos, sides, steps=steps, every=every, refresh=refresh, views_per_step=views
+    )
+    generator = torch.Generator().manual_seed(0)
+    for step in range(steps):
+        drawn = [order.next(generator) for _ in range(views)]
+        since = step - steps // 2
+        sided = since >= 0 and since % every == 0
+        assert [index >= photos for index in drawn] == [sided, *[False] * (views - 1)]
+        if sided:
+            number = (drawn[0] - photos) // sides
+            assert number == since // refresh < order.rounds
+
+
+def test_an_order_goes_on_where_it_stopped():
+    def fresh() -> SideOrder:
+        return SideOrder(5, 4, steps=40, every=3, refresh=8, views_per_step=1)
+
+    whole, generator = fresh(), torch.Generator().manual_seed(1)
+    want = [whole.next(generator) for _ in range(40)]
+    for stop in (0, 7, 20, 33):
+        first, generator = fresh(), torch.Generator().manual_seed(1)
+        have = [first.next(generator) for _ in range(stop)]
+        again = fresh()
+        again.restore(first.state(), stop)
+        assert have + [again.next(generator) for _ in range(40 - stop)] == want
+    off = SideOrder(5, 4, steps=40, every=0, refresh=8, views_per_step=1)
+    assert max(off.next(generator) for _ in range(40)) < 5
+    assert off.rounds == 0
+
+
+class Wall:
+    """A wall at z = 4 before all cameras of the row, black but for the left half of its views."""
+
+    def __init__(self) -> None:
+        self.drawn: list[str] = []
+
+    def __call__(self, view: View) -> RenderOutput:
+        self.drawn.append(view.name)
+        height, width = view.size
+        solid = torch.ones(height, width)
+        if view.name.startswith("side"):
+            solid[:, : width // 4] = 0.2  # a hole
+        return RenderOutput(
+            colour=0.5 * solid[..., None].expand(height, width, 3), alpha=solid,
+            depth=torch.full((height, width), 4.0), radii=torch.zeros(0),
+        )  # fmt: skip
+
+
+def side_views(refiner, folder=None, told=lambda number, share: None, photos=None) -> SideViews:
+    middle: Camera = camera(2)
+    views = tiny_scene().train_views if photos is None else photos
+    return SideViews([middle, middle], views, Wall(), refiner, folder, told)
+
+
+def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():
+    shares = {}
+    made = side_views("warp", told=shares.__setitem__)
+    first, *_ = made.views(1)
+    assert first.load_mask is not None
+    target, unproven = first.load(), first.load_mask()
+    (same,) = [v for v in tiny_scene().views if torch.equal(v.camera.centre, camera(2).centre)]
+    solid = slice(24 // 4, None)
+    # 8 bits, and a bilinear sample at pixel centres that are hit to 1e-6
+    torch.testing.assert_close(
+        target[:, solid], same.load()[:, solid], atol=0.5 / 255 + 1e-3, rtol=0
+    )
+    assert unproven[:, : 24 // 4].all()
+    assert not unproven[:, 8:20].any()
+    assert shares == {0: pytest.approx(float(unproven.float().mean()))}
+
+
+def test_without_a_refiner_the_target_is_the_render():
+    first, *_ = side_views("none").views(1)
+    assert float((first.load()[:, 8:] - 0.5).abs().max()) <= 0.51 / 255
+
+
+def test_one_photo_proves_nothing():
+    (photo,) = tiny_scene().train_views[:1]
+    first, *_ = side_views("warp", photos=(photo,)).views(1)
+    assert first.load_mask is not None
+    assert first.load_mask().all()
+
+
+def test_a_round_is_made_once_and_found_again(tmp_path):
+    made = side_views("warp", tmp_path)
+    views = made.views(2)
+    assert len({view.name for view in views}) == len(views) == 4
+    targets = [view.load() for view in views[:2]]
+    assert isinstance(made.draw, Wall)
+    count = len(made.draw.drawn)
+    assert count == 5 + 2
+    views[3].load()
+    assert len(made.draw.drawn) == 2 * count
+    again = side_views("none", tmp_path)  # reads what is there
+    assert all(torch.equal(v.load(), t) for v, t in zip(again.views(1), targets, strict=True))
+    assert isinstance(again.draw, Wall)
+    assert again.draw.drawn == []
