@@ -96,14 +96,13 @@ def _larger(suite: str) -> str:
 def _missing(page: Page) -> str:
     """One paragraph on the rows that the suite asks for and that have fewer seeds than it says."""
     seeds = Counter((r.scene, r.protocol, r.row) for r in page.rows if not r.error)
-    lacking = [
-        f"{row} ({scene}, {protocol}: {seeds[scene, protocol, row]} of {asked})"
-        for (scene, protocol, row), asked in page.planned.items()
-        if seeds[scene, protocol, row] < asked
-    ]
+    asked = Counter(row for _, _, row in page.planned)
+    lacking = [key for key, count in page.planned.items() if seeds[key] < count]
     if not lacking:
         return f"All {len(page.planned)} rows of the suite are here."
-    return f"**Incomplete**: {len(lacking)} of {len(page.planned)} rows lack seeds: {', '.join(lacking)}."
+    short = Counter(row for _, _, row in lacking)
+    named = ", ".join(f"{row} ({short[row]} of {asked[row]})" for row in short)
+    return f"**Incomplete**: {len(lacking)} of {len(page.planned)} rows (a scene and protocol each) lack seeds: {named}."
 
 
 def _claims(found: Sequence[Judged]) -> str:
