@@ -24,6 +24,8 @@ sparse points are triangulated from the training views alone, at given poses. Wh
   `depth_prior_domain`); `~depth-oracle+noise` and `~depth-oracle`: true depth, disturbed or not, as bounds.
 - `dropgaussian`: a growing share of Gaussians hidden in each step.
 - `cor-gs`: two fields that prune and regularise each other.
+- `stratosplat`: depths completed photo by photo under a layered memory, virtual Gaussians on planes beside explicit ones;
+  `@explicit` without these, `@explicit-independent` each photo by itself, `@explicit-dense` from matched points.
 """,
     printed=(
         Printed(

@@ -21,7 +21,11 @@ def commands() -> list[list[str]]:
     parts = [part for line in said.splitlines() for part in line.split("&&")]
     words = [shlex.split(part, comments=True) for part in parts]
     found = [[w.rsplit("/", 1)[-1] for w in line] for line in words]
-    return [line[line.index("bench") + 1 :] for line in found if "bench" in line]
+    return [
+        line[line.index("bench") + 1 :]
+        for line in found
+        if "bench" in line and "--help" not in line
+    ]
 
 
 def test_it_runs_a_suite_reports_it_and_names_the_next_commands(commands):
