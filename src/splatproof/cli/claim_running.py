@@ -7,7 +7,7 @@ from pathlib import Path
 from splatproof.base.errors import MissingError
 from splatproof.cli import output
 from splatproof.cli.claim_sources import CHECKS_NAME, QUICK, read_checked, write_checked
-from splatproof.cli.running import USUAL, USUAL_BLOCKS, BlockRunning, Screen, options, prepare
+from splatproof.cli.running import USUAL, USUAL_BLOCKS, Screen, options, prepare
 from splatproof.reports.claims.claim import CheckClaim, Claim
 from splatproof.reports.claims.obstacles import Known, method_of, obstacle
 from splatproof.reports.verdicts import HALF
@@ -136,8 +136,6 @@ def run(work: Work, out: Path, *, quick: bool) -> int:
     from splatproof.suites.claim_checks.registry import run_check
     from splatproof.suites.runner import run_suite
 
-    # blocks of 200 steps take less than the start of a process for each; the numbers are the same
-    blocks = BlockRunning(engine="inline") if quick else USUAL_BLOCKS
     failed = 0
     for suite in work.suites:
         prepare(suite)
@@ -145,7 +143,7 @@ def run(work: Work, out: Path, *, quick: bool) -> int:
             screen = Screen(bar, lambda outcome: None)
             outcomes = run_suite(
                 suite, out, on_progress=screen.progress, on_result=screen.result,
-                **options(USUAL, blocks),
+                **options(USUAL, USUAL_BLOCKS),
             )  # fmt: skip
         failed += sum(outcome.status == "failed" for outcome in outcomes)
     path = out / CHECKS_NAME
