@@ -57,6 +57,9 @@ class Model(ABC):
 
     mode: Mode = "classic"
     """How its splats are rasterized, in training and afterwards."""
+    code_finishes: bool = False
+    """Whether an appearance code, if it has one, is read by `finish_image` alone: then a fit of a
+    code rasterizes once."""
 
     def __init__(self, parameters: Parameters, schedules: Mapping[str, Schedule]) -> None:
         """Take the parameters and each one's rate.

@@ -19,6 +19,8 @@ REACH = 1.5
 """Diameters of a thing that it moves at most between two sweeps."""
 SAMPLES = 48
 """Returns of a thing that are looked for again."""
+SHIFTS = 64
+"""Shifts that are tried at once, for the sake of memory."""
 BACK = 0.7
 """A thing is taken to move where that leaves less than this share of the distance between returns that
 standing still leaves."""
@@ -114,20 +116,25 @@ def motion(
     there, here = KDTree(close), KDTree(thing)
     far = 2 * spacing
 
-    def left(shift: Float64[np.ndarray, "3"]) -> float:
-        onto = there.query(sample + shift, distance_upper_bound=far)[0]
-        part = close[np.linalg.norm(close - shift - centre, axis=1) < size]
-        back = here.query(part - shift, distance_upper_bound=far)[0]
-        return sum(float(np.minimum(d, far).mean()) if len(d) else far for d in (onto, back))
+    def left(shifts: Float64[np.ndarray, "s 3"]) -> Float64[np.ndarray, " s"]:
+        onto = there.query(sample + shifts[:, None], distance_upper_bound=far)[0]
+        moved = close - shifts[:, None]
+        of, part = np.nonzero(np.linalg.norm(moved - centre, axis=2) < size)
+        back = here.query(moved[of, part], distance_upper_bound=far)[0]
+        count = np.bincount(of, minlength=len(shifts))
+        total = np.bincount(of, np.minimum(back, far), minlength=len(shifts))
+        back_mean = np.where(count > 0, total / np.maximum(count, 1), far)
+        return np.minimum(onto, far).mean(axis=1) + back_mean
 
-    costs = [left(shift) for shift in shifts]
-    if not costs:
+    if not len(shifts):
         return np.inf, np.zeros(3)
-    shift = shifts[int(np.argmin(costs))]
+    batches = np.array_split(shifts, -(-len(shifts) // SHIFTS))
+    shift = shifts[int(np.argmin(np.concatenate([left(batch) for batch in batches])))]
     for _ in range(3):  # from the grid of shifts to the best one nearby
         apart, which = there.query(sample + shift, distance_upper_bound=far)
         onto = np.isfinite(apart)
         if onto.any():
             moved = shift + np.median(close[np.asarray(which)[onto]] - sample[onto] - shift, axis=0)
-            shift = min((shift, moved), key=left)
-    return left(shift) / max(left(np.zeros(3)), 1e-12), shift
+            shift = min((shift, moved), key=lambda one: float(left(one[None])[0]))
+    moving, still = left(np.stack([shift, np.zeros(3)]))
+    return float(moving / max(still, 1e-12)), shift

@@ -18,6 +18,7 @@ from splatproof.reference.anchors import control
 from splatproof.reference.anchors.control import GrowthSettings
 from splatproof.reference.anchors.motion_hierarchy import HierarchySettings
 from splatproof.reference.anchors.vibration import vibrate
+from splatproof.reference.types.cells import unique_rows
 
 
 class HdgsControl:
@@ -251,7 +252,7 @@ def alone(
         voxel: Edge of the voxels.
     """
     cells = (torch.cat([taken, places]) / voxel).floor().long()
-    kinds, which = torch.unique(cells, dim=0, return_inverse=True)
+    kinds, which = unique_rows(cells)
     number = torch.arange(len(cells), device=cells.device)
     first = torch.full((len(kinds),), len(cells), device=cells.device)
     first = first.scatter_reduce(0, which, number, "amin")

@@ -11,6 +11,7 @@ from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dynamic.sweep_points import TimedPoints
 from splatproof.methods.training.initialise import neighbour_distance
 from splatproof.reference.anchors.motion_hierarchy import HierarchySettings
+from splatproof.reference.types.cells import unique_rows
 
 SPREAD = 0.3
 """Deviation of the offsets at the start, in units of an anchor's scale: siblings start apart."""
@@ -50,7 +51,7 @@ def sites(points: TimedPoints, voxel: float, middle: float) -> Sites:
         middle: Peak of what stands still.
     """
     fine = cells_of(points.positions, voxel / 2)
-    kinds, which = torch.unique(fine, dim=0, return_inverse=True)
+    kinds, which = unique_rows(fine)
     (moving,) = torch.where(points.moved)
     order = torch.full((len(kinds),), len(points)).scatter_reduce_(0, which[moving], moving, "amin")
     owner = order[which]
@@ -88,7 +89,7 @@ def free_of(cells: Int[Tensor, "m 3"], taken: Int[Tensor, "n 3"]) -> Bool[Tensor
         cells: Those asked about.
         taken: Cells that are.
     """
-    kinds, which = torch.unique(torch.cat([taken, cells]), dim=0, return_inverse=True)
+    kinds, which = unique_rows(torch.cat([taken, cells]))
     held = torch.zeros(len(kinds), dtype=torch.bool, device=cells.device)
     held[which[: len(taken)]] = True
     return ~held[which[len(taken) :]]
@@ -96,7 +97,7 @@ def free_of(cells: Int[Tensor, "m 3"], taken: Int[Tensor, "n 3"]) -> Bool[Tensor
 
 def _means(points: TimedPoints, edge: float) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 7"]]:
     """Mean place of each voxel's points, well inside of it, and their mean colour, velocity, time."""
-    cells, which = torch.unique(cells_of(points.positions, edge), dim=0, return_inverse=True)
+    cells, which = unique_rows(cells_of(points.positions, edge))
     count = torch.bincount(which, minlength=len(cells)).double()[:, None]
     middle = (cells + 0.5) * edge
     told = [points.colours / 255, points.velocities, points.seconds[:, None]]
@@ -118,7 +119,7 @@ def voxel_for(positions: Float[Tensor, "m 3"], anchors: int) -> float:
     low, high = -float(HALVINGS), 1.0  # powers of 2 of the size
     while high - low > 0.03:
         power = (low + high) / 2
-        held = torch.unique(cells_of(positions, size * 2**power), dim=0)
+        held = unique_rows(cells_of(positions, size * 2**power))[0]
         low, high = (power, high) if len(held) > anchors else (low, power)
     return size * 2**high
 

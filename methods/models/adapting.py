@@ -9,6 +9,7 @@ from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.base.names import did_you_mean
+from splatproof.methods.kernels import adam
 from splatproof.methods.training.terms import photometric_loss
 from splatproof.reference.types.scene import View
 
@@ -16,6 +17,8 @@ RATE, LAST_RATE = 0.05, 0.05 / 64
 """Adam's rate at the start of a fit, and the smallest that is tried."""
 PATIENCE, GAIN = 8, 1e-3
 """The rate is halved after so many steps in which the loss fell by less than this share."""
+EPSILON = 1e-8
+"""Adam's, as its paper has it."""
 MOST_STEPS = 300
 """Steps after which a fit ends in any case."""
 
@@ -94,21 +97,24 @@ def fit_code(
     Source: ours.
     """
     truth = image.to(start)
-    code = start.detach().clone().requires_grad_()
-    adam = torch.optim.Adam([code], lr=RATE)
-    best, least, mark, rate = code.detach().clone(), float("inf"), float("inf"), RATE
+    code = start.detach().float().cpu().clone()  # a few numbers, for the update on the CPU
+    first, second = torch.zeros_like(code), torch.zeros_like(code)
+    best, least, mark, rate = code.clone(), float("inf"), float("inf"), RATE
     for step in range(1, MOST_STEPS + 1):
         with torch.enable_grad():
-            loss = photometric_loss(show(code)[:, columns].contiguous(), truth)
+            asked = code.clone().to(start).requires_grad_()
+            loss = photometric_loss(show(asked)[:, columns].contiguous(), truth)
         if float(loss.detach()) < least:
-            best, least = code.detach().clone(), float(loss.detach())
+            best, least = code.clone(), float(loss.detach())
         if step % PATIENCE == 0:
             if least > (1 - GAIN) * mark:
                 rate /= 2
-                adam.param_groups[0]["lr"] = rate
             mark = least
         if rate < LAST_RATE or not loss.requires_grad:
             break
-        (code.grad,) = torch.autograd.grad(loss, [code])
-        adam.step()
-    return best
+        (gradient,) = torch.autograd.grad(loss, [asked])
+        adam.step(
+            [code], [gradient.float().cpu().contiguous()], [first], [second], [rate], step,
+            epsilon=EPSILON,
+        )  # fmt: skip
+    return best.to(start)

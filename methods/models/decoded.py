@@ -85,11 +85,14 @@ class DecodedModel:
 
     def _drawn(self, view: View, background: Float[Tensor, "3"] | None = None) -> RenderOutput:
         """The image of a view, with gradients, where its parameters are."""
-        output = get_backend(self.backend).draw(
+        output = self._rasterized(view, background)
+        return replace(output, colour=self.model.finish_image(view, output))
+
+    def _rasterized(self, view: View, background: Float[Tensor, "3"] | None) -> RenderOutput:
+        return get_backend(self.backend).draw(
             view.camera, self.model.splats(view, TRAINED), mode=self.mode,
             background=None if background is None else background.to(self.device),
         )  # fmt: skip
-        return replace(output, colour=self.model.finish_image(view, output))
 
     @torch.no_grad()
     def bake(self, view: View | None = None) -> Gaussians:
@@ -137,11 +140,15 @@ class AdaptingModel(DecodedModel):
         model, asked = self.model, view.without_truth()
         assert isinstance(model, HasCode)
         model.parameters.to(self.device)  # moved tensors are new ones: none asks for a gradient
+        start = model.neutral_code(asked)
+        once = self._rasterized(asked, None) if model.code_finishes else None
 
         def show(code: Tensor) -> Tensor:
-            return self._drawn(replace(asked, appearance=code)).colour
+            coded = replace(asked, appearance=code)
+            output = self._rasterized(coded, None) if once is None else once
+            return model.finish_image(coded, output)
 
-        return fit_code(show, model.neutral_code(asked), image, columns).cpu()
+        return fit_code(show, start, image, columns).cpu()
 
 
 def _reconstruction(*, model: Model, **about: Any) -> DecodedModel:

@@ -101,6 +101,7 @@ class ExposedModel(Model):
         self.base, self.photos = base, tuple(photos)
         self.kind: Kind = kind
         self.mode = base.mode
+        self.code_finishes = not isinstance(base, HasCode)
 
     @property
     def exposures(self) -> Exposures:

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from splatproof.reference.types.cells import unique_rows
+
 
 @dataclass(frozen=True, kw_only=True)
 class GrowthSettings:
@@ -53,7 +55,7 @@ def voxel_statistics(
 
     Source: HDGS, Sec. 3.5, "Growing".
     """
-    cells, owner = torch.unique((positions / voxel).floor().long(), dim=0, return_inverse=True)
+    cells, owner = unique_rows((positions / voxel).floor().long())
     zero = gradients.new_zeros(len(cells))
     density = zero.index_add(0, owner, torch.ones_like(gradients))
     total = zero.index_add(0, owner, gradients)
@@ -92,7 +94,7 @@ def new_anchors(
     coarse = _free(statistics.cells[steep & ~dense], anchors, voxel)
     inside = (steep & dense)[statistics.owner]
     edge = voxel / settings.fine
-    parts = torch.unique((positions[inside] / edge).floor().long(), dim=0)
+    parts = unique_rows((positions[inside] / edge).floor().long())[0]
     fine = _free(parts, anchors, edge)
     return torch.cat([(coarse.to(positions) + 0.5) * voxel, (fine.to(positions) + 0.5) * edge])
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from splatproof.reference.rasterizer import rotation
 from splatproof.reference.types import mlp
+from splatproof.reference.types.cells import unique_rows
 from splatproof.reference.types.mlp import Mlp
 from splatproof.reference.types.splats import Splats
 
@@ -75,7 +76,7 @@ def anchor_voxels(points: Float[Tensor, "n 3"], voxel: float) -> Float[Tensor, "
     """
     if not voxel > 0:
         raise ValueError(f"voxel size must be positive: {voxel}")
-    return torch.unique((points / voxel).round(), dim=0) * voxel
+    return unique_rows((points / voxel).round().long())[0].to(points) * voxel
 
 
 def view_code(
@@ -214,7 +215,7 @@ def grow(
     parents = torch.where(wanted)[0] // k
     taken = {tuple(row) for row in (anchors.centres / cell).round().long().tolist()}
     free = torch.tensor([tuple(row) not in taken for row in asked.tolist()], dtype=torch.bool)
-    cells, owner = torch.unique(asked[free], dim=0, return_inverse=True)
+    cells, owner = unique_rows(asked[free])
     sources = anchors.features[parents[free]]
     strongest = sources.new_full((len(cells), sources.shape[1]), -torch.inf)
     strongest = strongest.scatter_reduce(

@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from splatproof.reference.types.cells import unique_rows
+
 OFFSETS = tuple(itertools.product((-1, 0, 1), repeat=3))
 """Kernel cells in the order of their weights: x slowest, z fastest; number 13 is the centre."""
 SELF = 13
@@ -30,7 +32,7 @@ def neighbours(sites: Int[Tensor, "n 3"]) -> Int[Tensor, "n 27"]:
 
     Raises: ValueError if two sites share a voxel.
     """
-    if len(sites) and len(torch.unique(sites, dim=0)) < len(sites):
+    if len(sites) and len(unique_rows(sites)[0]) < len(sites):
         raise ValueError("two sites share a voxel: merge them first")
     index = {tuple(site): i for i, site in enumerate(sites.tolist())}
     found = [

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.cells import unique_rows
 from splatproof.reference.types.scene import SparsePoints
 
 
@@ -265,7 +266,7 @@ def merge_in_voxels(points: DensePoints, size: float) -> DensePoints:
     if not len(points.scores):
         return points
     cells = ((points.positions - points.positions.amin(dim=0)) / size).floor().long()
-    _, owner = torch.unique(cells, dim=0, return_inverse=True)
+    _, owner = unique_rows(cells)
     total = _sum_by(owner, points.scores)
     return DensePoints(
         positions=_sum_by(owner, points.positions * points.scores[:, None]) / total[:, None],

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float64
 from torch import Tensor
@@ -140,9 +141,10 @@ def _thinned(points: Float64[Tensor, "n 3"]) -> tuple[Float64[Tensor, "m 3"], Te
     """The first point in each cube of side SPACING, and its row."""
     if len(points) == 0:
         return points, torch.zeros(0, dtype=torch.int64)
-    cells = torch.floor(points / SPACING).long()
-    _, cube = torch.unique(cells, dim=0, return_inverse=True)
-    first = torch.full((int(cube.max()) + 1,), len(points))
-    first.scatter_reduce_(0, cube, torch.arange(len(points)), "amin")
-    rows = first.sort().values
+    cube = np.zeros(len(points), dtype=np.int64)
+    for axis in torch.floor(points / SPACING).long().unbind(dim=1):
+        # numbered anew after each axis: never above len(points)^2, however far the points lie
+        _, place = np.unique(axis.numpy(), return_inverse=True)
+        _, cube = np.unique(cube * (place.max() + 1) + place, return_inverse=True)
+    rows = torch.from_numpy(np.sort(np.unique(cube, return_index=True)[1]))
     return points[rows], rows

@@ -2,6 +2,7 @@
 
 import math
 
+import flip_evaluator
 import numpy as np
 import pytest
 import torch
@@ -79,3 +80,21 @@ def test_a_mask_averages_the_map_over_valid_pixels():
 def test_no_valid_pixel_is_nan():
     image = noise_image(5, 6, 0)
     assert math.isnan(flip(image, 1 - image, torch.zeros(5, 6, dtype=torch.bool)))
+
+
+def test_a_map_is_made_once_for_the_same_pixels(monkeypatch):
+    made = []
+    evaluate = flip_evaluator.evaluate
+    monkeypatch.setattr(
+        flip_evaluator, "evaluate", lambda *a, **k: made.append(a) or evaluate(*a, **k)
+    )
+    target = noise_image(20, 30, 5)
+    image = spoiled(target, 0.1, 6)
+    first = flip_map(check_pair(image, target))
+    first[:] = 0  # who gets a map may write on it
+    assert flip(image.clone(), target.clone()) > 0
+    assert len(made) == 1
+    image[3, 4, 1] = 1 - image[3, 4, 1]
+    flip(image, target)
+    flip(target, image)  # the reverse is another pair
+    assert len(made) == 3
