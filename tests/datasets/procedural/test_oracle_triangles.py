@@ -40,7 +40,14 @@ def sample(cloud, seed):
     return cloud.part(rows)
 
 
-@pytest.mark.parametrize(("world", "density"), [("city", 1.0), ("tunnel", 20.0), ("street", 1.0)])
+@pytest.mark.parametrize(
+    ("world", "density"),
+    [
+        ("city", 1.0),
+        ("tunnel", 20.0),
+        pytest.param("street", 1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_visible_is_what_triangles_say(world, density):
     caster, training, _ = stage_of(world)
     training = training[::3]
@@ -58,7 +65,10 @@ def test_what_is_visible_is_what_triangles_say(world, density):
 
 @pytest.mark.parametrize(
     ("world", "density"),
-    [("city", 2.0), pytest.param("aerial-sparse", 2.0, marks=pytest.mark.slow)],
+    [
+        pytest.param("city", 2.0, marks=pytest.mark.slow),
+        pytest.param("aerial-sparse", 2.0, marks=pytest.mark.slow),
+    ],
 )
 def test_blind_facades_are_hidden_from_every_training_view(world, density):
     caster, training, tests = stage_of(world)
@@ -97,7 +107,7 @@ def test_the_oracle_sees_past_nothing():
     ]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_files_alone_tell_how_cars_move(tmp_path, made, seed):
     """Points of a car, taken from one frame's depth, lie on it in the next after its motion."""
     if seed == 1:

@@ -44,7 +44,10 @@ def floating(caster):
     return found
 
 
-@pytest.mark.parametrize("kind", aerial.SCENES)
+@pytest.mark.parametrize(
+    "kind",  # the others are built of the same parts
+    [k if k == "church" else pytest.param(k, marks=pytest.mark.slow) for k in aerial.SCENES],
+)
 def test_nothing_floats_over_an_aerial_scene_and_no_view_looks_past_its_end(kind):
     world = aerial.SCENES[kind](0)
     caster = Caster(world)
@@ -118,6 +121,7 @@ def drive():
     return street.Drive(0, street.PRESETS["large"])
 
 
+@pytest.mark.slow  # half a minute of rays; what each control plants is found below
 def test_nothing_in_the_street_goes_through_anything(drive):
     still = Caster(drive.still.build())
     boxes = {mover: box_around(mover) for mover in drive.movers}

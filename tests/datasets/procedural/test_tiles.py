@@ -51,6 +51,7 @@ def test_the_frames_do_not_depend_on_the_tiles_kept(unbounded):
     assert len(plan.stage._stages) == tiles.STAGES
 
 
+@pytest.mark.slow
 def test_a_view_sees_what_it_sees_of_the_whole_city(unbounded):
     plan, shots = city.plan(SEED, replace(BLOCKS, tiles=0)), picked(BLOCKS)[1]
     for shot in shots:
@@ -80,6 +81,7 @@ def test_a_view_holds_few_blocks_however_large_the_city_is():
         assert len(seen) <= most[shot.name.split("_")[0]], shot.name
 
 
+@pytest.mark.slow
 def test_everything_stands_within_reach_of_its_tile():
     sketch = tiles.Sketch(city.PITCH, (-84.0, -56.0))
     city.furnish(sketch, 1, city.draw_kinds(1, 3, 2), 40.0)

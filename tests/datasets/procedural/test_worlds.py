@@ -18,6 +18,8 @@ from splatproof.reference.types.protocol import Protocol
 
 PROTOCOL = Protocol(name="test", source="ours", hold=8)
 
+SLOW = pytest.mark.slow
+
 
 @pytest.mark.parametrize("world", ["city", "tunnel", "street"])
 def test_the_adapter_opens_it_with_depth_everywhere(made, world):
@@ -239,7 +241,7 @@ def test_moving_things_are_where_their_pose_says(made):
 
 @pytest.mark.parametrize(
     ("world", "rules"),
-    [("city", "hold = 8"), ("tunnel", "hold = 8"),
+    [pytest.param("city", "hold = 8", marks=SLOW), pytest.param("tunnel", "hold = 8", marks=SLOW),
      ("street", f'hold = {street.HELD}\nhold_unit = "time"')],
 )  # fmt: skip
 def test_3dgs_learns_it_from_the_command_line(made, tmp_path, capsys, world, rules):
@@ -284,15 +286,11 @@ def test_an_aerial_scene_has_nine_views_to_train_on():
     assert len(aerial.SCENES) == 8
 
 
-SLOW = pytest.mark.slow
-
-
 @pytest.mark.parametrize(
     "kind",
     [
         "church",
-        "mountain",
-        *(pytest.param(kind, marks=SLOW) for kind in ("stadium", "factory", "park")),
+        *(pytest.param(kind, marks=SLOW) for kind in ("mountain", "stadium", "factory", "park")),
     ],
 )
 def test_aerial_worlds_differ_by_seed_and_are_alike_for_one(kind):
