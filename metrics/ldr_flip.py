@@ -45,12 +45,12 @@ def flip_map(pair: Pair) -> Float[np.ndarray, "h w"]:
     The last maps are kept: a render is looked at whole, by parts and as a picture of its errors,
     and its map is the longest of all metrics to make.
     """
-    images = [np.ascontiguousarray(one, dtype=np.float32) for one in (pair.target, pair.image)]
-    key = (images[0].shape, *(hashlib.blake2b(one).digest() for one in images))
+    target, image = (one.astype(np.float32) for one in (pair.target, pair.image))
+    key = (target.shape, *(hashlib.blake2b(one.tobytes()).digest() for one in (target, image)))
     known = dict(_LAST)
     if key not in known:
         error, _, _ = flip_evaluator.evaluate(
-            *images, "LDR", applyMagma=False, computeMeanError=False
+            target, image, "LDR", applyMagma=False, computeMeanError=False
         )
         known[key] = error[..., 0]
         _LAST.append((key, known[key]))

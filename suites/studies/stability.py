@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatproof.base.errors import SplatproofError
 from splatproof.reference.checks.agreement import compare_gradients
-from splatproof.suites.hard_cases import blocks, components, gaussians, images
+from splatproof.suites.hard_cases import blocks, components, gaussians, images, ladders
 from splatproof.suites.hard_cases.case import HardCase
 
 
@@ -17,14 +17,15 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
     """A row a case and implementation.
 
     Keys: component, case, implementation, expect, finite, max_abs_error, grad_rel_l2,
-    discontinuity_pixels, budget, ms, ok, note.
+    discontinuity_pixels, budget, ms, ok, note; those of a ladder also have ladder and hardness.
 
     Args:
-        quick: Leave out the cases of more than a thousand Gaussians.
+        quick: Leave out the cases of more than a thousand Gaussians, and most rungs of ladders.
     """
     for case in (*components.CASES, *blocks.CASES, *images.CASES):
         yield judge(case)
     yield from gaussians.rows(quick=quick)
+    yield from ladders.rows(quick=quick)
 
 
 def judge(case: HardCase) -> dict[str, Any]:

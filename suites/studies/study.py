@@ -15,6 +15,7 @@ from splatproof.suites.studies import (
     size,
     size_plot,
     stability,
+    stability_plot,
 )  # fmt: skip
 from splatproof.suites.studies.instructions import measure as instructions
 from splatproof.suites.studies.speed import measure as speed
@@ -45,7 +46,7 @@ STUDIES = {
         description="every hard case through every implementation: error, gradient, budget",
         columns=("component", "case", "implementation", "max_abs_error", "grad_rel_l2",
                  "discontinuity_pixels", "budget", "ms", "ok", "note"),
-        rows=stability.rows,
+        rows=stability.rows, pictures=stability_plot.draw,
     ),
     "speed": Study(
         description="time, memory and error of everything that has a twin",

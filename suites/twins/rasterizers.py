@@ -12,6 +12,7 @@ from splatproof.methods.kernels.roofline import count_pairs
 from splatproof.reference.checks.discontinuities import discontinuity_pixels
 from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.reference.types.gaussians import Gaussians
+from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
 from splatproof.suites.twins.random_scenes import speed_scene
 from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size, Twin, functional
 
@@ -35,7 +36,16 @@ GROWTH = (
 
 def activated(size: Size) -> Problem:
     """A random scene in the parameters that the image is defined by."""
-    scene, gradient = speed_scene(*size)
+    return activated_scene(*speed_scene(*size))
+
+
+def activated_scene(scene: GaussianScene, gradient: Tensor) -> Problem:
+    """The problem of one scene.
+
+    Args:
+        scene: Gaussians and their camera.
+        gradient: By the colour, height x width x 3.
+    """
     leaves = {name: getattr(scene, name) for name in ACTIVATED}
     return _problem(scene.camera, leaves, gradient, lambda: [leaves[n] for n in ACTIVATED[:4]])
 

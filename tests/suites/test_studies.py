@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from splatproof.suites.hard_cases import blocks, components, images
+from splatproof.suites.hard_cases import blocks, components, images, ladders
 from splatproof.suites.hard_cases.case import HardCase, drawn, fixed
-from splatproof.suites.studies import memory, stability
+from splatproof.suites.studies import memory, stability, stability_plot
 from splatproof.suites.studies.study import STUDIES
 
 CASES = (*components.CASES, *blocks.CASES, *images.CASES)
@@ -39,6 +39,31 @@ def wrong_gradient(x: torch.Tensor) -> torch.Tensor:
 def test_the_judge_sees_planted_errors(run):
     assert stability.judge(GOOD)["ok"]
     assert not stability.judge(replace(GOOD, run=run))["ok"]
+
+
+@pytest.mark.parametrize("ladder", ladders.LADDERS, ids=lambda one: f"{one.component}: {one.name}")
+def test_errors_stay_within_their_budgets_up_a_ladder(ladder):
+    for rung in (ladder.rungs[1], ladder.rungs[-1]):
+        for row in ladders.climbed(ladder, rung):
+            assert row["ok"], row
+
+
+def test_a_ladder_sees_what_loses_digits():
+    """The control: without the allowance, the equations as they are written fail far from the origin."""
+    (far,) = (one for one in ladders.LADDERS if one.name == "distance from the origin")
+    strict = replace(far, plain=lambda rung: 1.0)
+    near, away = (
+        {row["implementation"]: row["ok"] for row in ladders.climbed(strict, rung)}
+        for rung in (1.0, 1e6)
+    )
+    assert all(near.values())
+    assert [name for name, ok in away.items() if not ok] == ["torch dense"]
+
+
+def test_ladders_are_drawn(tmp_path):
+    found = [row for rung in (1.0, 1e3) for row in ladders.climbed(ladders.LADDERS[1], rung)]
+    assert stability_plot.draw(found, tmp_path) == [tmp_path / "stability.png"]
+    assert stability_plot.draw([], tmp_path) == []
 
 
 def test_a_case_that_must_be_refused_and_is_not_fails():

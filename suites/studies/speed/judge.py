@@ -16,7 +16,7 @@ Judgement = dict[str, Any]
 def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
     """Errors of all twins by name.
 
-    Keys of each: max_abs_error and rms_error of the output, grad_rel_l2 and grad_cosine (the worst
+    Keys of each: max_abs_error, rms_error and scale (the largest true value, at least 1) of the output, grad_rel_l2 and grad_cosine (the worst
     of the gradients by each leaf; None without a backward pass), discontinuity_pixels, ok. Outputs at a
     discontinuity do not count and pass no gradient; an approximating twin is ok if it is finite.
 
@@ -26,7 +26,14 @@ def judge(component: Component, problem: Problem) -> dict[str, Judgement]:
     """
     if component.reference is None:
         nothing = dict.fromkeys(
-            ("max_abs_error", "rms_error", "grad_rel_l2", "grad_cosine", "discontinuity_pixels")
+            (
+                "max_abs_error",
+                "scale",
+                "rms_error",
+                "grad_rel_l2",
+                "grad_cosine",
+                "discontinuity_pixels",
+            )
         )
         return {twin.name: nothing | {"ok": True} for twin in component.twins}
     ignored = problem.discontinuities() if problem.discontinuities else None
@@ -75,6 +82,7 @@ def compare(value: Tensor, truth: Tensor, ignored: Bool[Tensor, "..."] | None) -
         error = error[~ignored]
     return {
         "max_abs_error": largest_error(value, truth, ignore=ignored),
+        "scale": max(1.0, float(truth.abs().max())) if truth.numel() else 1.0,
         "rms_error": float(error.square().mean().sqrt()) if error.numel() else 0.0,
         "discontinuity_pixels": 0 if ignored is None else int(ignored.sum()),
     }
