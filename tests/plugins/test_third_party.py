@@ -22,7 +22,7 @@ from splatproof.methods.storage.ply import read_ply
 
 BENCH = str(Path(sys.executable).with_name("bench"))
 METHODS = ("relocating", "tiny-anchors", "drifting")
-STEPS = 400
+STEPS = 200
 SUITE = f"""
 description = "A third party's methods"
 [[cases]]
