@@ -15,12 +15,13 @@ import numpy as np
 
 from fuzz.target import Target
 from splatproof.base.errors import SplatproofError
+from splatproof.base.memory import MEBIBYTE, peak_memory_mb
 
 SECONDS = 1.0
 """Processor time that reading one input may take."""
 BYTES_EACH = 64
 """Memory per byte of the file ..."""
-BYTES_ALWAYS = 256 * 2**20
+BYTES_ALWAYS = 256 * MEBIBYTE
 """... and beside that."""
 ADDRESSES = 2**31
 """Addresses that a reader may ask for beside those that are taken: a bomb ends here, not the machine."""
@@ -43,11 +44,6 @@ class Answer:
 
 def _overdue(number: int, frame: FrameType | None) -> None:
     raise Overdue
-
-
-def peak_bytes() -> int:
-    """Highest resident memory since `forget_peak`."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def forget_peak() -> None:
@@ -75,7 +71,7 @@ def _clock() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
-def tried(target: Target, data: bytes, held: int) -> Answer:
+def tried(target: Target, data: bytes, held: float) -> Answer:
     """Write an input, read it, and judge: an error of the project's in one line, or sound values.
 
     Args:
@@ -102,10 +98,10 @@ def tried(target: Target, data: bytes, held: int) -> Answer:
     seconds = time.process_time() - begun
     if seconds > SECONDS:  # native code hears no signal
         fault = fault or f"took more than {SECONDS:g} s: {seconds:.1f}"
-    grown = peak_bytes() - held
+    grown = peak_memory_mb() * MEBIBYTE - held
     if grown > BYTES_ALWAYS + BYTES_EACH * len(data):
         forget_peak()
-        fault = fault or f"took {grown / 2**20:.0f} MiB for {len(data)} bytes"
+        fault = fault or f"took {grown / MEBIBYTE:.0f} MiB for {len(data)} bytes"
     return Answer(accepted, fault)
 
 

@@ -48,7 +48,8 @@ def _place(draw: random.Random, size: int) -> int:
     return draw.randrange(min(size, draw.choice((16, 64, 10**9))) + 1) if size else 0
 
 
-def _flip(draw: random.Random, data: bytes, _: Sequence[bytes]) -> bytes:
+def _flip(draw: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
+    del others
     out = bytearray(data)
     for _ in range(draw.choice((1, 1, 2, 8)) if out else 0):
         out[min(_place(draw, len(out)), len(out) - 1)] ^= 1 << draw.randrange(8)

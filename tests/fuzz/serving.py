@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fuzz import bounds
 from fuzz.target import Target
+from splatproof.base.memory import MEBIBYTE, peak_memory_mb
 
 Build = Callable[[Path], Target]
 """Makes a target in an empty folder."""
@@ -52,7 +53,7 @@ def serve(note: Path, builders: Mapping[str, Build]) -> None:
     with scratch_folder() as scratch, note.open("r+b", buffering=0) as noted:
         targets = made_targets(Path(scratch), builders)
         bounds.confine()
-        held = bounds.peak_bytes()
+        held = peak_memory_mb() * MEBIBYTE
         print("ready", flush=True)
         for line in sys.stdin:
             name, first, inputs = json.loads(line)

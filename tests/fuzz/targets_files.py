@@ -7,6 +7,7 @@ import tarfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -108,19 +109,19 @@ def _zip(rows: list[tuple[str, str, bytes]]) -> bytes:
     return file.getvalue()
 
 
-def _tar(kind: str) -> Callable[[list[tuple[str, str, bytes]]], bytes]:
+def _tar(mode: Literal["w", "w:gz"]) -> Callable[[list[tuple[str, str, bytes]]], bytes]:
     def write(rows: list[tuple[str, str, bytes]]) -> bytes:
         file = io.BytesIO()
-        with tarfile.open(fileobj=file, mode=f"w:{kind}") as archive:
-            for name, kind_, content in rows:
+        with tarfile.open(fileobj=file, mode=mode) as archive:
+            for name, kind, content in rows:
                 info = tarfile.TarInfo(name)
                 kinds = {
                     "link": tarfile.SYMTYPE,
                     "device": tarfile.CHRTYPE,
                     "folder": tarfile.DIRTYPE,
                 }
-                info.type = kinds.get(kind_, tarfile.REGTYPE)
-                info.linkname, info.size = "/etc/passwd", len(content) if kind_ == "file" else 0
+                info.type = kinds.get(kind, tarfile.REGTYPE)
+                info.linkname, info.size = "/etc/passwd", len(content) if kind == "file" else 0
                 archive.addfile(info, io.BytesIO(content))
         return file.getvalue()
 
@@ -129,7 +130,7 @@ def _tar(kind: str) -> Callable[[list[tuple[str, str, bytes]]], bytes]:
 
 def archive(ending: str) -> Callable[[Path], Target]:
     """An archive of two photos in a folder."""
-    write = {".zip": _zip, ".tar": _tar(""), ".tar.gz": _tar("gz")}[ending]
+    write = {".zip": _zip, ".tar": _tar("w"), ".tar.gz": _tar("w:gz")}[ending]
     rows = [
         ["town/a.png", "file", "abc" * 40],
         ["town/deep/b.png", "file", "x"],
