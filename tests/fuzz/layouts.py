@@ -176,7 +176,7 @@ def members(archive: Callable[[list[tuple[str, str, bytes]]], bytes]) -> Layout:
                     for n, kind, text in rows
                 ]
             )
-        except (ValueError, TypeError, RecursionError, UnicodeError, OverflowError):
+        except (ValueError, TypeError, RecursionError, OverflowError, struct.error):
             return contents[0]
 
     return Layout(_split_members, join)
