@@ -87,7 +87,12 @@ def link_to_null(path: Path) -> None:
     path.symlink_to(os.devnull)
 
 
-NOT_FILES = [(folder, "a folder"), (pipe, "a pipe"), (a_socket, "a socket"), (link_to_null, "a dev")]
+NOT_FILES = [
+    (folder, "a folder"),
+    (pipe, "a pipe"),
+    (a_socket, "a socket"),
+    (link_to_null, "a dev"),
+]
 
 
 @pytest.mark.parametrize(("make", "kind"), NOT_FILES)

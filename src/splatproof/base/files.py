@@ -130,7 +130,9 @@ def check_target(path: Path) -> None:
         above = next(p for p in path.parents if p.exists() and not p.is_dir())
         raise UsageError(f"{path}: {above} is a file, expected a folder; choose another") from None
     except ValueError:
-        raise UsageError(f"{str(path)!r}: not a name that a file can have; choose another") from None
+        raise UsageError(
+            f"{str(path)!r}: not a name that a file can have; choose another"
+        ) from None
     except OSError as error:
         if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
             raise
