@@ -133,7 +133,9 @@ def test_names_that_no_file_can_have(tmp_path):
 def test_a_file_larger_than_the_memory_is_not_begun(tmp_path):
     with (tmp_path / "large").open("wb") as file:
         file.truncate(2**43)  # takes no room on the disk
-    with pytest.raises(MissingError, match=r"large: has 8388608 MB, more than 50% of the memory"):
+    with pytest.raises(
+        MissingError, match=r"large: takes 8388608 MB to read, more than 90% of the memory"
+    ):
         files.read_bytes(tmp_path / "large")
 
 

@@ -85,17 +85,22 @@ DOORS = {
     ),
     "mask": Door(ADAPTERS.nerfstudio, edited_json("transforms.json", mask_path), "images/0.png"),
     "points": Door(
-        ADAPTERS.nerfstudio, edited_json("transforms.json", ply_path), "images/0.png",
+        ADAPTERS.nerfstudio,
+        edited_json("transforms.json", ply_path),
+        "images/0.png",
         reads_points=True,
-    ),  # fmt: skip
+    ),
     "blender": Door(
         ADAPTERS.blender, edited_json(TRAIN, file_path_without_suffix), "train/r_0.png"
     ),
     "matrixcity": Door(
-        CITY.city, edited_json(TRAIN, file_path), "train/block_1/0000.png",
-        base="pose/block_A", inside="pose/block_A",
-    ),  # fmt: skip
-}  # fmt: skip
+        CITY.city,
+        edited_json(TRAIN, file_path),
+        "train/block_1/0000.png",
+        base="pose/block_A",
+        inside="pose/block_A",
+    ),
+}
 
 
 @pytest.mark.parametrize("way", ["absolute", "climbing", "link"])

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from splatproof.base.errors import DataError, MissingError, SplatproofError, UsageError
-from splatproof.base.memory import MEBIBYTE, available_mb
+from splatproof.base.errors import DataError, SplatproofError, UsageError
+from splatproof.base.memory import check_room
 
 PARTIAL = ".partial"
 """End of the names of files that are being written."""
@@ -19,8 +19,6 @@ CHUNK = 2**20
 """Bytes that are read at a time from something that may be large."""
 ROOM = 200
 """Bytes of a name to which an ending is added."""
-SHARE = 0.5
-"""Of the memory that is free, what one file that is read as a whole may take."""
 KINDS = (
     (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
@@ -64,11 +62,7 @@ def read_bytes(path: Path, fault: type[SplatproofError] = DataError) -> bytes:
     Raises: `fault` naming the path and what is wrong; MissingError where memory is short.
     """
     size = size_of(path, fault)
-    if size > SHARE * available_mb() * MEBIBYTE:
-        raise MissingError(
-            f"{path}: has {size / MEBIBYTE:.0f} MB, more than {SHARE:.0%} of the memory that is free "
-            f"({available_mb():.0f} MB); take a machine with more memory"
-        )
+    check_room(path, size)
     try:
         return path.read_bytes()
     except OSError as error:
