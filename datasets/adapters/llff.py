@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import size_of
 from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap import photo_folder
@@ -37,9 +38,10 @@ def open_llff(folder: Path, protocol: Protocol) -> Scene:
     Source: Mildenhall et al. 2019 (LLFF), release: llff/poses/pose_utils.py and README.
     """
     path = folder / FILE
+    size_of(path)
     try:
         rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError, RecursionError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not an array of numpy.save ({said})") from None
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():

@@ -14,6 +14,7 @@ from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
+from splatproof.base.inside import inside
 from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
@@ -101,7 +102,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
         name = Path(str(frame["file_path"])).as_posix()
         where = f"{path}: frame {name}"
         split = None if lists is None else lists.get(name)
-        file = folder / name
+        file = inside(folder, name, where)
         if protocol.images not in FULL_SIZE_FOLDERS:
             file = file.parent.with_name(protocol.images) / file.name
         if lists is not None and split is None:
@@ -136,7 +137,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     if cloud is not None:
         if not isinstance(cloud, str):
             raise DataError(f"{path}: ply_file_path is {cloud!r}, expected a file name")
-        file = folder / cloud
+        file = inside(folder, cloud, f"{path}: ply_file_path")
         layout = replace(layout, points=read_ply_points(file), description=[path, file])
     return open_layout(folder, layout, protocol)
 
@@ -165,7 +166,7 @@ def _mask(folder: Path, frame: dict[str, object], factor: int, where: str) -> Pa
     name = frame.get("mask_path")
     if name is None:
         return None
-    file = folder / str(name)
+    file = inside(folder, str(name), f"{where}: mask_path")
     if factor > 1:
         file = folder / f"masks_{factor}" / file.name
     if not file.is_file():
@@ -239,20 +240,21 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
     Source: Mildenhall et al. 2020, data release.
     """
     photos = []
-    for file, split in zip(BLENDER_FILES, ("train", "test"), strict=True):
-        path = folder / file
+    for described, split in zip(BLENDER_FILES, ("train", "test"), strict=True):
+        path = folder / described
         data, frames = read_frames(path)
         angle = positive(data.get("camera_angle_x"), str(path), "camera_angle_x")
         if angle >= math.pi:
             raise DataError(f"{path}: camera_angle_x is {angle}, expected radians below pi")
         for frame in frames:
             name = Path(f"{frame['file_path']}.png").as_posix()
-            width, height = photo_size(folder / name)
+            file = inside(folder, name, f"{path}: file_path")
+            width, height = photo_size(file)
             focal = width / (2 * math.tan(angle / 2))
             photos.append(
                 PosedPhoto(
                     name=name,
-                    path=folder / name,
+                    path=file,
                     camera=pinhole_camera(width, height, focal, focal, width / 2, height / 2),
                     camera_to_world=opengl_pose(frame, f"{path}: frame {name}"),
                     split="train" if split == "train" else "test",

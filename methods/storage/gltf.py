@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import whole_file
+from splatproof.base.files import read_bytes, whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
@@ -160,7 +160,7 @@ def _tensor(values: Float32[np.ndarray, "..."]) -> Tensor:
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a .glb file."""
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         magic, version, length = HEAD.unpack_from(content)
         if magic != b"glTF" or version != 2 or length != len(content):
             raise ValueError(
@@ -174,9 +174,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
             raise ValueError("expected one chunk of JSON and one of binary data")
         start += size + CHUNK.size
         return document, content[start : start + rest]
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, ValueError, struct.error) as error:
+    except (ValueError, RecursionError, struct.error) as error:
         raise DataError(f"{path}: not a whole .glb file ({error})") from None
 
 

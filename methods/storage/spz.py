@@ -1,5 +1,7 @@
 """Gaussians as .spz, the small format of the web viewers, through the public package gsply."""
 
+import struct
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -8,7 +10,8 @@ import numpy as np
 import torch
 
 from splatproof.base.errors import DataError, MissingError
-from splatproof.base.files import whole_file
+from splatproof.base.files import size_of, whole_file
+from splatproof.base.memory import check_room
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -55,9 +58,10 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     gsply = _package()
+    check_room(path, size_of(path))
     try:
         data = gsply.read_spz(path)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, MemoryError, zlib.error, struct.error) as error:
         raise DataError(f"{path}: not a whole .spz file ({error})") from None
     dc, rest = np.asarray(data.sh0), np.asarray(data.shN)
     if rest.ndim < 3:  # degree 0

@@ -14,6 +14,8 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes, size_of
+from splatproof.base.memory import GROWTH, SMALL, check_growth, check_room
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -60,6 +62,7 @@ def read_packed(
     if header is None:
         (model,) = chunks
         return model, facts
+    check_room(path, 4 * header["primitives"] * (11 + 3 * header["bands"]))
     shapes = _shapes(header["primitives"], header["bands"])
     arrays = {name: torch.empty(shape) for name, shape in shapes.items()}
     start = 0
@@ -110,10 +113,12 @@ def _opened(
     path: Path, threads: int | None, most_bytes: int
 ) -> tuple[PackedFacts, dict[str, Any] | None, Iterator[Gaussians]]:
     """Facts, header (None for version 1) and chunks."""
+    size_of(path)
     version = version_of(path)
     if version == 1:
         try:
-            model = packing.unpack(container.decode(path.read_bytes(), most_bytes=most_bytes))
+            most = min(most_bytes, max(SMALL, GROWTH * path.stat().st_size))
+            model = packing.unpack(container.decode(read_bytes(path), most_bytes=most))
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
         return PackedFacts(), None, iter([model])
@@ -127,6 +132,7 @@ def _opened(
     count, bands, size = header["primitives"], header["bands"], header["chunk"]
     if -(-count // size) * 32 > path.stat().st_size:
         raise DataError(f"{path}: claims {count} primitives, more than it can hold")
+    check_growth(path, 4 * count * (11 + 3 * bands), path.stat().st_size)
     if 4 * count * (11 + 3 * bands) > most_bytes:
         raise DataError(f"{path}: claims {count} primitives; that is over {most_bytes} bytes")
     table = _table(path, next(stream, b""), 3 * (bands - 1))

@@ -14,6 +14,7 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, final
 
+from splatproof.base.inside import allowing_outside, outside_is_allowed
 from splatproof.base.plugin_files import Brought
 from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
@@ -49,7 +50,8 @@ class Worker:
             environment = None
         self._says, theirs = context.Pipe()
         # plug-ins come first: what follows may be made of their classes
-        given = (Brought(), work, theirs, arguments, is_quiet(), environment)
+        told = (is_quiet(), outside_is_allowed())
+        given = (Brought(), work, theirs, arguments, told, environment)
         self._process = context.Process(target=_serve, args=given)
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says)
@@ -152,15 +154,17 @@ def _serve(
     work: Callable[..., object],
     connection: Connection,
     arguments: tuple[Any, ...],
-    quiet: bool,
+    told: tuple[bool, bool],
     environment: dict[str, str] | None,
 ) -> None:
-    """What a worker's process does; it knows the plug-ins of who started it, and is as quiet."""
+    """What a worker's process does; it knows the plug-ins of who started it, is as quiet and trusts
+    the scenes that it trusts."""
+    quiet, trusting = told
     serve_parent()
     if environment is not None:
         os.environ.clear()
         os.environ.update(environment)
-    with connection, silenced(quiet):
+    with connection, silenced(quiet), allowing_outside(trusting):
         work(connection, *arguments)
 
 

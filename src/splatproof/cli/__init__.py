@@ -41,6 +41,8 @@ class Command:
     help: str
     plugins: bool = False
     """Whether it takes `--plugin`: it looks up methods, metrics or kinds of scene folders by name."""
+    scenes: bool = False
+    """Whether it takes `--allow-outside`: it opens scenes that users name."""
 
 
 COMMANDS = {
@@ -60,42 +62,49 @@ COMMANDS = {
         functions={},
         help="Train one method on one scene and score the held-out views.",
         plugins=True,
+        scenes=True,
     ),
     "render": Command(
         module="render",
         functions={"": "render"},
         help="Render a trained model's views as images.",
         plugins=True,
+        scenes=True,
     ),
     "view": Command(
         module="view",
         functions={"": "view"},
         help="Look at trained models in the browser, from anywhere.",
         plugins=True,
+        scenes=True,
     ),
     "turntable": Command(
         module="turntable",
         functions={"": "turntable"},
         help="Write a film of a trained model: round the scene, or along its cameras.",
         plugins=True,
+        scenes=True,
     ),
     "score": Command(
         module="score",
         functions={"": "score"},
         help="Score a folder of renders, made by anything, against a folder of truths.",
         plugins=True,
+        scenes=True,
     ),
     "export": Command(
         module="export",
         functions={"": "export"},
         help="Write a trained model as a .ply file.",
         plugins=True,
+        scenes=True,
     ),
     "run": Command(
         module="run",
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
         plugins=True,
+        scenes=True,
     ),
     "protocols": Command(
         module="protocols",
@@ -265,7 +274,10 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
     module = importlib.import_module(f"splatproof.cli.{command.module}")
     named = {key: getattr(module, f) for key, f in command.functions.items()}
     given = named or module.subcommands()
-    functions = {key: flags.with_flags(f, plugins=command.plugins) for key, f in given.items()}
+    functions = {
+        key: flags.with_flags(f, plugins=command.plugins, scenes=command.scenes)
+        for key, f in given.items()
+    }
     if "" in functions:
         app.command(name=name)(functions[""])
         return

@@ -66,6 +66,7 @@ def export(
         seen: The one view that the model is written at.
     """
     from splatproof.base.errors import UsageError
+    from splatproof.base.files import check_target
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
     from splatproof.methods.storage.packed.writer import PackedFacts
@@ -80,6 +81,9 @@ def export(
     ):
         if path is not None and path.suffix.lower() != suffix:
             raise UsageError(f"--{option} {path}: expected a name that ends in {suffix}")
+    for path in (ply, spz, gltf, packed):
+        if path is not None:
+            check_target(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
     if ply is None and local:
