@@ -6,6 +6,7 @@ import numpy as np
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import size_of
+from splatproof.base.numbers import image_size
 from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap import photo_folder
@@ -78,7 +79,7 @@ def _photo(path: Path, name: str, row: np.ndarray, where: str) -> PosedPhoto:
     )
     down, right, back, centre = matrix[:, :4].T
     pose = np.stack([right, down, -back, centre], axis=1)
-    width, height = round(width), round(height)
+    width, height = image_size(round(width), round(height), where)
     return PosedPhoto(
         name=name,
         path=path,

@@ -15,6 +15,7 @@ from jaxtyping import Float64
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
 from splatproof.base.inside import inside
+from splatproof.base.numbers import finite, image_size
 from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
@@ -200,7 +201,7 @@ def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
             f"{where}: camera_model is {model!r}, expected one of {', '.join(PERSPECTIVE)} or "
             f"{FISHEYE}; cut other photos into perspective views first"
         )
-    width, height = (int(positive(values.get(key), where, key)) for key in ("w", "h"))
+    width, height = image_size(values.get("w"), values.get("h"), where)
     fx, fy, cx, cy = (positive(values.get(k), where, k) for k in ("fl_x", "fl_y", "cx", "cy"))
     bend = {key: _number(values.get(key, 0.0), where, key) for key in _DISTORTION}
     k1, k2, k3, k4, p1, p2 = bend.values()
@@ -211,7 +212,7 @@ def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
     elif k4:
         raise DataError(f"{where}: k4 is {k4}, which only {FISHEYE} has; expected 0")
     elif not any(bend.values()):
-        return pinhole_camera(width, height, fx, fy, cx, cy)
+        return pinhole_camera(width, height, fx, fy, cx, cy, where)
     else:
         kind, params = "FULL_OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     return pycolmap.Camera(model=kind, width=width, height=height, params=params)
@@ -221,9 +222,10 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def _number(value: object, where: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(f"{where}: {name} is {value!r}, expected a finite number")
-    return float(value)
+    number = finite(value)
+    if number is None:
+        raise DataError(f"{where}: {name} is {value!r:.60}, expected a finite number")
+    return number
 
 
 def open_blender(folder: Path, protocol: Protocol) -> Scene:
@@ -255,7 +257,9 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
                 PosedPhoto(
                     name=name,
                     path=file,
-                    camera=pinhole_camera(width, height, focal, focal, width / 2, height / 2),
+                    camera=pinhole_camera(
+                        width, height, focal, focal, width / 2, height / 2, str(path)
+                    ),
                     camera_to_world=opengl_pose(frame, f"{path}: frame {name}"),
                     split="train" if split == "train" else "test",
                 )

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
@@ -94,7 +95,12 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         arrays |= vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:
-        blocks, distances = arrays["blocks"].long(), arrays["distances"]
+        numbers, distances = arrays["blocks"], arrays["distances"]
+        if numbers.is_floating_point() or numbers.is_complex() or numbers.dtype == torch.bool:
+            raise ValueError(f"blocks of type {numbers.dtype}, expected whole numbers")
+        blocks = numbers.long()
+        if not bool(distances.isfinite().all()):
+            raise ValueError("a distance that is not finite")
         if blocks.shape != (len(model),) or distances.shape != (len(model),):
             raise ValueError(f"{len(blocks)} blocks and {len(distances)} distances for "
                              f"{len(model)} Gaussians")  # fmt: skip

@@ -214,10 +214,10 @@ def require_kind(facts: Mapping[str, Any], known: Mapping[str, object], folder: 
     Raises: DataError for a kind that nothing here can load.
     """
     kind = facts.get("kind")
-    if kind not in known:
+    if not isinstance(kind, str) or kind not in known:
         raise DataError(
             f"{folder / DESCRIPTION}: kind {kind!r}, this installation loads "
             f"{', '.join(sorted(known))}; install the package whose method "
             "made it, or name its file with --plugin"
         )
-    return str(kind)
+    return kind

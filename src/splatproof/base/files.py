@@ -172,9 +172,13 @@ def read_json(path: Path) -> Any:
     Raises: DataError naming the file when it is missing, cannot be read or is not JSON.
     """
     try:
-        return json.loads(read_bytes(path))
+        return json.loads(read_bytes(path), parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: not JSON ({error})") from None
+
+
+def _no_number(name: str) -> None:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def sha256(path: Path) -> str:

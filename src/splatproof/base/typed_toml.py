@@ -12,7 +12,9 @@ from typing import Any, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.files import read_text
 from splatproof.base.names import unknown
+from splatproof.base.numbers import check_numbers
 
 T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=True)
@@ -27,10 +29,8 @@ def read_toml(path: Path, fault: type[SplatproofError] = UsageError) -> dict[str
     Raises: `fault` naming the file when it is missing, not text or not TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise fault(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
+        return tomllib.loads(read_text(path, fault))
+    except (ValueError, RecursionError) as error:
         raise fault(f"{path}: not a TOML file: {error}") from None
 
 
@@ -54,7 +54,7 @@ def build(
         # `kind`, because pydantic lets only what is not a dataclass itself take a configuration.
         text = json.dumps([table], default=str)
         around: Any = GenericAlias(tuple, (kind,))
-        return TypeAdapter(around, config=STRICT).validate_json(text)[0]
+        made: T = TypeAdapter(around, config=STRICT).validate_json(text)[0]
     except ValidationError as error:
         found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
@@ -62,6 +62,10 @@ def build(
         raise fault(_told(kind, first["loc"][1:], dict(first), where)) from None
     except SplatproofError as error:  # the dataclass checks its own values
         raise fault(f"{where}: {error}") from None
+    except (ValueError, RecursionError) as error:  # text with half a letter in it, or deep nesting
+        raise fault(f"{where}: cannot be read ({error})") from None
+    check_numbers(made, f"{where}: ", fault)
+    return made
 
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:

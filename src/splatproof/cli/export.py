@@ -67,6 +67,7 @@ def export(
     """
     from splatproof.base.errors import UsageError
     from splatproof.base.files import check_target
+    from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
     from splatproof.methods.storage.packed.writer import PackedFacts
@@ -86,6 +87,8 @@ def export(
             check_target(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
+    if gate is not None:
+        in_range(gate, "--gate")
     if ply is None and local:
         raise UsageError("--local is for --ply FILE; add it or leave --local out")
     loaded = load_reconstruction(model_path(model))

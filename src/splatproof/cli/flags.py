@@ -2,12 +2,14 @@
 
 import inspect
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 
 from splatproof.base.inside import allowing_outside
+from splatproof.base.numbers import check_numbers
 from splatproof.cli import output
 
 JsonFlag = Annotated[
@@ -62,6 +64,9 @@ def with_flags(
         plugin: object = (),
         **named: Any,
     ) -> Any:
+        for name, value in named.items():
+            # fields of a dataclass are options of their own
+            check_numbers(value, "--" if is_dataclass(value) else f"--{name.replace('_', '-')}")
         style = output.Style(json=json, quiet=quiet)
         with output.speaking(style), allowing_outside(allow_outside):
             return function(*args, **named)
