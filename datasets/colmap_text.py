@@ -8,6 +8,7 @@ import numpy as np
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes
+from splatproof.base.numbers import LARGEST
 from splatproof.datasets.colmap_index import ModelIndex, parameter_count
 
 SUFFIX = ".txt"
@@ -45,20 +46,21 @@ def _check_count(path: Path, kind: str, found: int) -> None:
 
 def _numbers(place: str, fields: list[str], kind: type[int] | type[float]) -> list:
     """Fields as whole or real numbers."""
-    try:
-        return [kind(field) for field in fields]
-    except ValueError:
-        found = next(field for field in fields if not _is(field, kind))
-        expected = "a whole number" if kind is int else "a number"
-        raise DataError(f"{place}: found {found[:40]!r} instead of {expected}") from None
+    numbers = [_number(field, kind) for field in fields]
+    if None in numbers:
+        found = fields[numbers.index(None)]
+        expected = "a whole number from 0 to 2^63 - 1" if kind is int else "a number"
+        raise DataError(f"{place}: found {found[:40]!r} instead of {expected}")
+    return numbers
 
 
-def _is(field: str, kind: type[int] | type[float]) -> bool:
+def _number(field: str, kind: type[int] | type[float]) -> float | None:
+    """The number that a field says; None for none. COLMAP's whole numbers have no sign."""
     try:
-        kind(field)
+        number = kind(field)
     except ValueError:
-        return False
-    return True
+        return None
+    return number if kind is float or 0 <= number <= LARGEST else None
 
 
 def _expect(place: str, fields: list[str], count: int, layout: str) -> None:

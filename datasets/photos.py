@@ -54,7 +54,15 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             # a damaged header may say any size; what decodes it would allocate that first
             check_growth(path, image.width * image.height * BITS.get(image.mode, 8) // 8, size)
             yield image
-    except (OSError, ValueError, SyntaxError, IndexError, TypeError, MemoryError) as error:
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        IndexError,
+        TypeError,
+        MemoryError,
+        AssertionError,
+    ) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not a readable image ({said}); replace the file") from None
 

@@ -1,5 +1,6 @@
 """LLFF: poses_bounds.npy, a row of 17 numbers for each photo in the order of the sorted names."""
 
+import tokenize
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
 FILE = "poses_bounds.npy"
+DAMAGED = (
+    OSError, ValueError, SyntaxError, tokenize.TokenError, EOFError, MemoryError, RecursionError,
+)  # fmt: skip
+"""What numpy says to a file that is none of its own; it reads the header as Python."""
 COLUMNS = 17
 """A 3 x 5 matrix by rows, camera to world beside (height, width, focal length); near; far."""
 
@@ -42,7 +47,7 @@ def open_llff(folder: Path, protocol: Protocol) -> Scene:
     size_of(path)
     try:
         rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, SyntaxError, EOFError, MemoryError, RecursionError) as error:
+    except DAMAGED as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not an array of numpy.save ({said})") from None
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():

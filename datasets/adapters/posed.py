@@ -52,7 +52,7 @@ def checked_pose(matrix: object, where: str) -> Float64[np.ndarray, "3 4"]:
     """
     try:
         values = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if values.shape not in ((3, 4), (4, 4)) or not np.isfinite(values).all():
         raise DataError(f"{where}: the pose is not a 3 x 4 or 4 x 4 matrix of finite numbers")

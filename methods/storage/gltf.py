@@ -120,7 +120,7 @@ def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
             .double().clamp(TINIEST, LARGEST).logit().float(),
             sh=_tensor(sh),
         )  # fmt: skip
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{path}: not a whole .glb of Gaussians ({error!r})") from None
     if shift.shape != (3,) or mode not in ("classic", "antialiased"):
         raise DataError(f"{path}: extras say shift {told.get('shift')!r} and mode {mode!r}")
@@ -194,7 +194,10 @@ def _primitive(document: dict[str, Any], path: Path) -> tuple[dict[str, Any], di
         raise DataError(
             f"{path}: its Gaussians are compressed by another extension; unpack it first"
         )
-    node = next(node for node in document["nodes"] if node.get("mesh") == number)
+    nodes = [node for node in document["nodes"] if node.get("mesh") == number]
+    if not nodes:
+        raise DataError(f"{path}: no node shows its Gaussians, expected one")
+    node = nodes[0]
     moves = {"matrix", "translation", "rotation", "scale"} & set(node)
     parents = [n for n in document["nodes"] if n.get("children")]
     if moves or parents:

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+import zstandard
 
 from splatproof.base.errors import DataError, MissingError
 from splatproof.base.files import size_of, whole_file
@@ -61,9 +62,19 @@ def read_spz(path: str | Path) -> Gaussians:
     check_room(path, size_of(path))
     try:
         data = gsply.read_spz(path)
-    except (OSError, ValueError, EOFError, MemoryError, zlib.error, struct.error) as error:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zlib.error,
+        struct.error,
+        zstandard.ZstdError,
+    ) as error:
         raise DataError(f"{path}: not a whole .spz file ({error})") from None
     dc, rest = np.asarray(data.sh0), np.asarray(data.shN)
+    if not len(dc):
+        raise DataError(f"{path}: 0 Gaussians. Expected at least one")
     if rest.ndim < 3:  # degree 0
         rest = np.zeros((len(dc), 0, 3))
     sh = np.concatenate([dc[:, None], rest], axis=1)

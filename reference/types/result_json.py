@@ -121,7 +121,10 @@ def _read(value: Any, kind: Any, where: str, source: str) -> Any:
         if isinstance(value, str) and value in NON_FINITE:
             return NON_FINITE[value]
         _check(value, int | float, where, source)
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise DataError(f"{source}: {where}: {_kind(value)} is no float") from None
     _check(value, kind, where, source)
     return value
 

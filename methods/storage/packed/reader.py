@@ -121,6 +121,7 @@ def _opened(
             model = packing.unpack(container.decode(read_bytes(path), most_bytes=most))
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
+        _check_finite(path, model)
         return PackedFacts(), None, iter([model])
     if version != VERSION:
         raise DataError(
@@ -211,11 +212,20 @@ def _chunks(
 
     def decode(item: tuple[int, bytes]) -> Gaussians:
         try:
-            return _gaussians(*item, header["bands"], table)
+            part = _gaussians(*item, header["bands"], table)
         except (DataError, struct.error) as error:
             raise DataError(f"{path}: a chunk that is none ({error})") from None
+        _check_finite(path, part)
+        return part
 
     return in_order(decode, numbered(), workers)
+
+
+def _check_finite(path: Path, part: Gaussians) -> None:
+    """Refuse numbers that no packed model has: none is written with one, and seals can be forged."""
+    for name, values in vars(part).items():
+        if not values.isfinite().all():
+            raise DataError(f"{path}: {name} that are not finite; pack the model again")
 
 
 def _gaussians(
