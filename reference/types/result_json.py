@@ -53,7 +53,7 @@ def result_from_json(text: str, source: str) -> Result:
     """
     try:
         record = json.loads(text, parse_constant=_refuse_constant)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{source}: not a result record: {error}") from error
     if not isinstance(record, dict):
         raise DataError(f"{source}: expected a JSON object, found {_kind(record)}")

@@ -148,11 +148,14 @@ def remove_partial_files(folder: Path) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a UTF-8 text file that is there whole or not at all.
 
+    Names of files that are not UTF-8 have lone surrogates in Python's text. They are written as the
+    escapes that JSON has for them, and come back from it.
+
     Args:
         path: Name of the file; its folder is made, and a file that is there is replaced.
         text: What it is to hold; line ends stay as they are.
     """
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -8,6 +8,7 @@ imported only when it is chosen, and imports what is heavy (torch, mlflow, pycol
 import errno
 import importlib
 import inspect
+import io
 import os
 import signal
 import sys
@@ -176,6 +177,9 @@ COMMANDS = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run `bench` with these arguments (default: the process's) and return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names and consoles may have any encoding
+            stream.reconfigure(errors="backslashreplace")
     # Threads that spin while they wait make training ten times slower on a machine that is shared;
     # read when torch is first imported, here or in a worker.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -195,6 +199,16 @@ OF_THE_MACHINE = {
     errno.EACCES: _RIGHTS, errno.EPERM: _RIGHTS, errno.EROFS: _RIGHTS,
 }  # fmt: skip
 """What a disk can have against a command, and what to do about it."""
+OF_THE_NAME = (
+    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP,
+    errno.EINVAL, errno.ENOTEMPTY,
+)  # fmt: skip
+"""What is wrong with a path that a user gave, or that was taken away meanwhile."""
+_WHERE = "SPLATPROOF_DEBUG=1 shows where"
+
+
+NO_MEMORY = "can't allocate memory"
+"""Words of torch's error for it, which has no type of its own."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -228,13 +242,18 @@ def _told(action: Callable[[], int]) -> int:
         print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
     except OSError as error:
-        if error.errno not in OF_THE_MACHINE:
+        if isinstance(error, BrokenPipeError):
             raise
         if os.environ.get("SPLATPROOF_DEBUG"):
             traceback.print_exc()
-        where = f"{error.filename2 or error.filename}: " if error.filename else ""
-        said, advice = os.strerror(error.errno), OF_THE_MACHINE[error.errno]
-        print(f"bench: {where}{said}; {advice}", file=sys.stderr)
+        print(f"bench: {_of_the_system(error)}", file=sys.stderr)
+        return (UsageError if error.errno in OF_THE_NAME else MissingError).exit_code
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and NO_MEMORY not in str(error):
+            raise
+        if os.environ.get("SPLATPROOF_DEBUG"):
+            traceback.print_exc()
+        print(f"bench: out of memory; take fewer or smaller images; {_WHERE}", file=sys.stderr)
         return MissingError.exit_code
     except KeyboardInterrupt as ended:
         told = isinstance(ended, Terminated)
@@ -243,6 +262,14 @@ def _told(action: Callable[[], int]) -> int:
         return 128 + (signal.SIGTERM if told else signal.SIGINT)
     except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
         return exit_.code if isinstance(exit_.code, int) else 2
+
+
+def _of_the_system(error: OSError) -> str:
+    """What the system has against a command, in one line."""
+    where = f"{error.filename2 or error.filename}: " if error.filename else ""
+    said = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
+    advice = "check the path, or choose another" if error.errno in OF_THE_NAME else _WHERE
+    return f"{where}{said or type(error).__name__}; {OF_THE_MACHINE.get(error.errno or 0, advice)}"
 
 
 def _run(arguments: list[str]) -> int:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, get_type_hints
 import tyro
 
 from splatproof.base.inside import allowing_outside
-from splatproof.base.numbers import check_numbers
+from splatproof.base.numbers import check_numbers, in_range
 from splatproof.cli import output
 
 JsonFlag = Annotated[
@@ -30,6 +30,8 @@ AllowOutside = Annotated[
         "to. Only for scenes that you trust: what is read is shown in results."
     ),
 ]
+LEAST = {"seed": 0, "threads": 1, "workers": 1, "width": 1, "height": 1}
+"""Smallest value of options that mean the same in every command."""
 
 
 PluginFiles = Annotated[
@@ -66,7 +68,10 @@ def with_flags(
     ) -> Any:
         for name, value in named.items():
             # fields of a dataclass are options of their own
-            check_numbers(value, "--" if is_dataclass(value) else f"--{name.replace('_', '-')}")
+            option = "--" if is_dataclass(value) else f"--{name.replace('_', '-')}"
+            check_numbers(value, option)
+            if name in LEAST and value is not None:
+                in_range(value, option, LEAST[name])
         style = output.Style(json=json, quiet=quiet)
         with output.speaking(style), allowing_outside(allow_outside):
             return function(*args, **named)
