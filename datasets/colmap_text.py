@@ -54,7 +54,7 @@ def _numbers(place: str, fields: list[str], kind: type[int] | type[float]) -> li
     return numbers
 
 
-def _number(field: str, kind: type[int] | type[float]) -> float | None:
+def _number(field: str, kind: type[int] | type[float]) -> int | float | None:
     """The number that a field says; None for none. COLMAP's whole numbers have no sign."""
     try:
         number = kind(field)
