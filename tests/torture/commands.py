@@ -124,7 +124,7 @@ def _rows(name: str) -> Callable[[Path], dict[str, object]]:
 
 COMMANDS: dict[str, Command] = {
     "ingest": Command(
-        arguments=("ingest", "photos", "scene"), prepare=_photos, outcome=contents("scene"), whole=("scene",),
+        arguments=("ingest", "photos", "scene", "--threads", "1"), prepare=_photos, outcome=contents("scene"), whole=("scene",),
     ),
     "fit": Command(
         arguments=("fit", "3dgs", "town", "--iterations", "150", "--out", "out", *CHECKPOINTS),

@@ -37,13 +37,15 @@ class Torture:
         """
         self._name, self._command, self._scratch = name, command, scratch
         self.kills: Counter[str] = Counter()
-        folder = self._folder("undisturbed")
+        folder = self._folder()
         self._seconds = kills.finished(command, folder, f"{os.getpid()}-{name}")
         self.wanted = command.outcome(folder)
         assert self.wanted, f"{name}: leaves nothing to compare"
+        folder.rename(f"{folder}-undisturbed")
 
-    def _folder(self, called: str) -> Path:
-        folder = self._scratch / f"{self._name.replace(' ', '-')}-{called}"
+    def _folder(self) -> Path:
+        """A fresh folder, always of the same name: models and records say where their scene is."""
+        folder = self._scratch / self._name.replace(" ", "-")
         folder.mkdir()
         self._command.prepare(folder)
         return folder
@@ -56,7 +58,7 @@ class Torture:
             most: Bound on the kills.
         """
         draw = random.Random(f"{self._name} {seed}")
-        folder, faults = self._folder(f"round{seed}"), []
+        folder, faults = self._folder(), []
         for number in range(draw.randint(1, most)):
             how = kills.drawn(draw)
             mark = f"{os.getpid()}-{self._name}-{seed}-{number}"
@@ -69,7 +71,9 @@ class Torture:
             faults += [f"left over: {path}" for path in kills.left_over(folder)]
         except AssertionError as error:
             faults.append(str(error))
-        if not faults:
+        if faults:
+            folder.rename(f"{folder}-round{seed}")
+        else:
             shutil.rmtree(folder)
         return faults
 
