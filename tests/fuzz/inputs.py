@@ -26,8 +26,10 @@ WHOLE = 1_000_000
 BATCH = 200
 """Inputs between two looks at another target: a run that is ended early has tried all."""
 SHARES = {
-    "blender": 0.1, "transforms.json": 0.5, "llff": 0.5, "model.json": 0.5, "tar.gz": 0.2, "png": 0.5,
-    "baseline": 0.3, "suite": 0.5, "cameras": 0.5, "exif": 0.5,
+    "blender": 0.04, "tar.gz": 0.05, "baseline": 0.2, "transforms.json": 0.2, "llff": 0.2,
+    "model.json": 0.2, "tar": 0.3, "suite": 0.3, "exif": 0.3, "cameras": 0.5, "png": 0.5,
+    "record": 0.5, "zip": 0.5, "model.safetensors": 0.5, "colmap rigs.txt": 0.3,
+    "colmap frames.txt": 0.3,
 }  # fmt: skip
 """Inputs of a target against others', by what one costs; the rest have 1."""
 
