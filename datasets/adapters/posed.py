@@ -18,8 +18,8 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def pinhole_camera(
-    width: float,
-    height: float,
+    width: int | float,
+    height: int | float,
     fx: float,
     fy: float,
     cx: float,
