@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
-from splatproof.base.numbers import image_size, in_range
+from splatproof.base.numbers import Number, image_size, in_range
 from splatproof.datasets.colmap_library import pycolmap
 
 RIGID = 1e-3
@@ -18,8 +18,8 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def pinhole_camera(
-    width: float,
-    height: float,
+    width: Number,
+    height: Number,
     fx: float,
     fy: float,
     cx: float,

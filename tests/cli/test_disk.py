@@ -30,7 +30,13 @@ def test_what_the_disk_has_against_it(monkeypatch, capsys, number, advice, path)
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(errno.ENOENT, 2), (errno.EISDIR, 2), (errno.ENAMETOOLONG, 2), (errno.EIO, 3), (errno.EMFILE, 3)],
+    [
+        (errno.ENOENT, 2),
+        (errno.EISDIR, 2),
+        (errno.ENAMETOOLONG, 2),
+        (errno.EIO, 3),
+        (errno.EMFILE, 3),
+    ],
 )
 def test_whatever_else_the_system_says_is_one_line(monkeypatch, capsys, number, code):
     def command() -> int:

@@ -134,7 +134,9 @@ def test_a_console_of_any_encoding(encoding, monkeypatch):
         output.warn(record["path"])
         return 0
 
-    streams = {name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")}
+    streams = {
+        name: io.TextIOWrapper(io.BytesIO(), encoding=encoding) for name in ("stdout", "stderr")
+    }
     monkeypatch.setattr(doctor, "doctor", command)
     with monkeypatch.context() as patch:
         for name, stream in streams.items():

@@ -9,7 +9,7 @@ from splatproof.base.errors import DataError, MissingError
 
 MEBIBYTE = 2**20
 SHARE = 0.9
-"""Of the memory that is free, what one file may take when it is read."""
+"""What one file may take when it is read, of the memory that is free."""
 GROWTH = 1400
 """Times its own size that a file unpacks to at most. Deflate reaches 1032 (zlib's documentation); LZW
 as in TIFF 7.36 MB out of the 5.6 kB that fill its table once, 1323."""

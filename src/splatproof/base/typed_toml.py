@@ -26,12 +26,15 @@ def read_toml(path: Path, fault: type[SplatproofError] = UsageError) -> dict[str
     Args:
         path: The file, in UTF-8.
         fault: Type of the error that is raised: DataError for a file that belongs to data.
-    Raises: `fault` naming the file when it is missing, not text or not TOML.
+    Raises: `fault` naming the file when it is missing, not text or not TOML, or has a number that
+        nothing can mean.
     """
     try:
-        return tomllib.loads(read_text(path, fault))
+        tables = tomllib.loads(read_text(path, fault))
     except (ValueError, RecursionError) as error:
         raise fault(f"{path}: not a TOML file: {error}") from None
+    check_numbers(tables, f"{path}: ", fault)
+    return tables
 
 
 def build(
@@ -54,7 +57,7 @@ def build(
         # `kind`, because pydantic lets only what is not a dataclass itself take a configuration.
         text = json.dumps([table], default=str)
         around: Any = GenericAlias(tuple, (kind,))
-        made: T = TypeAdapter(around, config=STRICT).validate_json(text)[0]
+        return TypeAdapter(around, config=STRICT).validate_json(text)[0]
     except ValidationError as error:
         found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
@@ -64,8 +67,6 @@ def build(
         raise fault(f"{where}: {error}") from None
     except (ValueError, RecursionError) as error:  # text with half a letter in it, or deep nesting
         raise fault(f"{where}: cannot be read ({error})") from None
-    check_numbers(made, f"{where}: ", fault)
-    return made
 
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:
