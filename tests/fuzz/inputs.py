@@ -26,10 +26,12 @@ WHOLE = 1_000_000
 BATCH = 200
 """Inputs between two looks at another target: a run that is ended early has tried all."""
 SHARES = {
-    "blender": 0.04, "tar.gz": 0.05, "baseline": 0.2, "transforms.json": 0.2, "llff": 0.2,
-    "model.json": 0.2, "tar": 0.3, "suite": 0.3, "exif": 0.3, "cameras": 0.5, "png": 0.5,
-    "record": 0.5, "zip": 0.5, "model.safetensors": 0.5, "colmap rigs.txt": 0.3,
-    "colmap frames.txt": 0.3,
+    "blender": 0.02, "tar.gz": 0.1, "baseline": 0.1, "transforms.json": 0.1, "llff": 0.1,
+    "model.json": 0.1, "tar": 0.15, "suite": 0.15, "exif": 0.2, "cameras": 0.1, "zip": 0.3,
+    "model.safetensors": 0.2, "colmap rigs.txt": 0.1, "colmap frames.txt": 0.1, "record": 0.3,
+    "colmap cameras.txt": 0.3, "colmap images.txt": 0.3, "colmap points3D.txt": 0.3,
+    "gaussians ply": 0.5, "packed": 0.5, "protocol": 0.5, "registry": 0.3, "points ply": 1.5,
+    "npz": 1.5, "views.json": 1.5, "kitti labels": 1.5, "kitti tracklets": 1.5, "photo tourism": 1.5,
 }  # fmt: skip
 """Inputs of a target against others', by what one costs; the rest have 1."""
 

@@ -2,7 +2,9 @@
 
 import gzip
 import json
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.result_json import result_from_json
-from splatproof.reports.store import read_results
+from splatproof.reports.store import STATE
 
 SUITE = """description = "Killed"
 [[cases]]
@@ -99,14 +101,27 @@ def trained(name: str) -> Callable[[Path], dict[str, object]]:
             parts = path.relative_to(out).parts
             if "mlartifacts" not in parts and {"model", *PICTURES} & set(parts) and path.is_file():
                 found["/".join(parts)] = path.read_bytes()
-        if (out / "mlflow.db").exists():
-            stored = [essence(one.result) for one in read_results(f"sqlite:///{out / 'mlflow.db'}")]
-            for one in stored:
-                found[f"row {one.scene} {one.method} {one.seed}"] = one
-            found["rows"] = len(stored)
-        return found
+        return found | _store(out)
 
     return outcome
+
+
+def _store(out: Path) -> dict[str, object]:
+    """Records of the complete runs in a store, and how many there are.
+
+    MLflow keeps a connection to every path that it was asked for, and here each round's is the same.
+    """
+    with closing(sqlite3.connect(f"file:{out / 'mlflow.db'}?mode=ro", uri=True)) as connection:
+        rows = connection.execute(
+            "SELECT run_uuid FROM tags WHERE key = ? AND value = 'complete'", (STATE,)
+        ).fetchall()
+    results = [
+        result_from_json((out / "mlartifacts" / run / "artifacts/record.json").read_text(), run)
+        for (run,) in rows
+    ]
+    return {"rows": len(rows)} | {
+        f"row of {r.scene} {r.method} {r.seed}": essence(r) for r in results
+    }
 
 
 def _rows(name: str) -> Callable[[Path], dict[str, object]]:
