@@ -18,8 +18,8 @@ NAMES = {"cameras": "cameras", "images": "images", "points3D": "points"}
 
 def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
     """(place, fields) of every line that is no comment; empty lines only where they mean something."""
-    text = _text(path)
-    for number, line in enumerate(text.splitlines(), start=1):
+    # not splitlines: COLMAP ends lines at line feeds alone, Python at form feeds and others too
+    for number, line in enumerate(_text(path).removesuffix("\n").split("\n"), start=1):
         if not line.startswith("#") and (keep_empty or line.strip()):
             yield f"{path}: line {number}", line.split()
 

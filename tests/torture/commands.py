@@ -15,7 +15,7 @@ from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.result_json import result_from_json
-from splatproof.reports.store import STATE
+from splatproof.reports.mlflow_search import STATE
 
 SUITE = """description = "Killed"
 [[cases]]
