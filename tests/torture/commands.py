@@ -36,6 +36,8 @@ class Command:
     """A command of bench, run in a folder of its own."""
 
     arguments: tuple[str, ...]
+    program: tuple[str, ...] = ()
+    """What is run with the arguments; empty: bench."""
     prepare: Callable[[Path], None]
     """Makes what the command reads."""
     outcome: Callable[[Path], dict[str, object]]

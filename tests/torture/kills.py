@@ -64,7 +64,7 @@ def started(command: Command, folder: Path, mark: str) -> subprocess.Popen[str]:
     environment.pop("MLFLOW_TRACKING_URI", None)
     with (folder / "stderr").open("w") as said:
         return subprocess.Popen(
-            [BENCH, *command.arguments], cwd=folder, env=environment, text=True, start_new_session=True,
+            [*(command.program or (BENCH,)), *command.arguments], cwd=folder, env=environment, text=True, start_new_session=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said,
         )  # fmt: skip
 

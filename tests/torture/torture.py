@@ -20,7 +20,7 @@ from torture import kills
 from torture.commands import COMMANDS, Command
 
 STATE = Path("build/torture.json")
-MOST = 5
+MOST = 12
 """Kills of one round."""
 
 
@@ -81,7 +81,7 @@ class Torture:
 def main() -> int:
     """Torture; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=7, help="of each command")
+    parser.add_argument("--rounds", type=int, default=3, help="of each command")
     parser.add_argument("--first", type=int, default=0, help="seed of the first round")
     parser.add_argument(
         "--only", action="append", default=[], choices=list(COMMANDS), help="a command"
