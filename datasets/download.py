@@ -95,6 +95,7 @@ def download(
             _fetch(url, part, report, timeout)
             break
         except urllib.error.HTTPError as error:
+            error.close()
             if error.code < 500 and error.code not in (408, 429):
                 raise MissingError(
                     f"{url}: the server answers {error.code} {error.reason}"

@@ -157,7 +157,7 @@ def test_a_registry_names_nothing_outside_its_root(tmp_path, monkeypatch, text):
         registry.list_scenes()
 
 
-RULES = {"source": "test"}
+RULES: dict[str, object] = {"source": "test"}
 
 
 @pytest.mark.parametrize("name", ["..", ".", "", "a/b", "../a", "a\0"])
