@@ -21,7 +21,7 @@ LIMIT = 512 * 2**30
 DAMAGED = (
     tarfile.TarError, zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, lzma.LZMAError, EOFError,
     NotImplementedError,  # zipfile's word for a compression that it does not know
-    struct.error, ValueError,  # tarfile's and zipfile's for fields of headers
+    struct.error, ValueError, IndexError, MemoryError,  # fields of headers that lie
 )  # fmt: skip
 """What the readers say of archives that are cut short, garbled or of an unknown compression."""
 OF_THE_ARCHIVE = (errno.ENAMETOOLONG, errno.EINVAL)

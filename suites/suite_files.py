@@ -232,7 +232,8 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         for row, (method, _) in parts.items()
     }
     protocols = [
-        resized(load_protocol(_beside(name, path)), table.width) for name in table.protocols
+        resized(_protocol(name, path, f"{where}.protocols"), table.width)
+        for name in table.protocols
     ]
     scenes = [_scene(name, path, f"{where}.scenes") for name in table.scenes]
     product = itertools.product(
@@ -245,6 +246,14 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         )
         for scene, row, protocol, level, prior, seed in product
     ]  # fmt: skip
+
+
+def _protocol(name: str, path: Path, where: str) -> Protocol:
+    """A registered protocol, or that of a file. Raises: UsageError that names the suite file too."""
+    try:
+        return load_protocol(_beside(name, path))
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
 
 
 def _parts(row: str, where: str) -> tuple[str, str]:

@@ -3,6 +3,8 @@
 import hashlib
 import os
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -145,3 +147,19 @@ def test_text_that_is_not_utf_8_is_named(tmp_path):
         files.read_text(tmp_path / "a.txt")
     (tmp_path / "a.txt").write_bytes(b"a\r\nb\n")
     assert files.read_text(tmp_path / "a.txt") == "a\nb\n"
+
+
+def test_what_killed_writers_left_is_removed_and_what_is_written_stays(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    target = tmp_path / "a[1].ply"
+    left = tmp_path / f"{target.name}.{ended.pid}.partial"
+    kept = [
+        tmp_path / f"{target.name}.{os.getpid()}.partial",
+        tmp_path / f"a1.ply.{ended.pid}.partial",
+        tmp_path / f"{target.name}.mine.partial",
+    ]
+    for path in (left, *kept):
+        path.touch()
+    files.remove_stale(target)
+    assert sorted(tmp_path.iterdir()) == sorted(kept)

@@ -82,6 +82,8 @@ def tried(target: Target, data: bytes, held: float) -> Answer:
     target.path.write_bytes(data)
     if target.prepare is not None:
         target.prepare(target.path)
+    if peak_memory_mb() * MEBIBYTE - held > BYTES_ALWAYS / 2:
+        forget_peak()  # of making the input, or of one before
     begun, accepted, fault = time.process_time(), False, ""
     try:
         with _clock():

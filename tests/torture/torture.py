@@ -12,12 +12,15 @@ import random
 import shutil
 import sys
 import tempfile
+import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 from torture import kills
 from torture.commands import COMMANDS, Command
+from torture.kills import Kill
 
 STATE = Path("build/torture.json")
 MOST = 12
@@ -58,21 +61,28 @@ class Torture:
             most: Bound on the kills.
         """
         draw = random.Random(f"{self._name} {seed}")
+        return self.killed([kills.drawn(draw) for _ in range(draw.randint(1, most))])
+
+    def killed(self, hows: Sequence[Kill]) -> list[str]:
+        """Kill the command so and so in one folder, let it end, and say what is wrong.
+
+        Args:
+            hows: The kills, one after another.
+        """
         folder, faults = self._folder(), []
-        for number in range(draw.randint(1, most)):
-            how = kills.drawn(draw)
-            mark = f"{os.getpid()}-{self._name}-{seed}-{number}"
+        for number, how in enumerate(hows):
+            mark = f"{os.getpid()}-{self._name}-{number}-{time.monotonic_ns()}"
             found = kills.kill(self._command, folder, self._seconds, how, mark, self.wanted)
             self.kills[f"{'+'.join(how.signals)} {how.whom}"] += 1
             faults += [f"kill {number} {asdict(how)}: {fault}" for fault in found]
         try:
-            kills.finished(self._command, folder, f"{os.getpid()}-{self._name}-{seed}-end")
+            kills.finished(self._command, folder, f"{os.getpid()}-{self._name}-end")
             faults += kills.differences(self._command.outcome(folder), self.wanted)
             faults += [f"left over: {path}" for path in kills.left_over(folder)]
         except AssertionError as error:
             faults.append(str(error))
         if faults:
-            folder.rename(f"{folder}-round{seed}")
+            folder.rename(f"{folder}-{time.monotonic_ns()}")
         else:
             shutil.rmtree(folder)
         return faults

@@ -169,7 +169,7 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
         if not 1 <= header["chunk"] <= LARGEST_CHUNK:
             raise ValueError(f"chunks of {header['chunk']}, expected up to {LARGEST_CHUNK}")
         return header
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path}: header of a packed model that is none ({error})") from None
 
 

@@ -1,6 +1,7 @@
 """The door for files: regular ones alone, read within bounds, written whole or not at all."""
 
 import errno
+import glob
 import hashlib
 import json
 import os
@@ -133,6 +134,32 @@ def check_target(path: Path) -> None:
         raise UsageError(f"{path}: {error.strerror}; choose another name") from None
     if not stat.S_ISREG(mode):
         raise UsageError(f"{path}: is {_kind(mode)}, expected a file to write; choose another name")
+
+
+def remove_stale(path: Path) -> None:
+    """Remove what writers of one file left beside it that were killed on this machine.
+
+    To be asked where a user names the file: nothing else looks there again. What a process is still
+    writing stays.
+
+    Args:
+        path: Name of the finished file.
+    """
+    for partial in path.parent.glob(f"{glob.escape(_short(path.name))}.*{PARTIAL}"):
+        writer = partial.name.removesuffix(PARTIAL).rpartition(".")[2]
+        if writer.isdecimal() and not _is_alive(int(writer)):
+            partial.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    """Whether there is a process of that number, whoever's it is."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def remove_partial_files(folder: Path) -> None:

@@ -66,7 +66,7 @@ def export(
         seen: The one view that the model is written at.
     """
     from splatproof.base.errors import UsageError
-    from splatproof.base.files import check_target
+    from splatproof.base.files import check_target, remove_stale
     from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
@@ -85,6 +85,7 @@ def export(
     for path in (ply, spz, gltf, packed):
         if path is not None:
             check_target(path)
+            remove_stale(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
     if gate is not None:
