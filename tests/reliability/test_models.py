@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.tiny_scene import random_gaussians
-from splatproof.base.errors import DataError
+from helpers.tiny_scene import camera, random_gaussians
+from splatproof.base import memory
+from splatproof.base.errors import DataError, MissingError
 from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.array_files import read_arrays
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.storage.camera_files import read_cameras
 from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import RecordWriter, records
 from splatproof.methods.storage.packed.writer import write_packed
@@ -29,6 +31,67 @@ def claiming(path: Path, primitives: int) -> None:
         writer = RecordWriter(file)
         for content in (told, *others):
             writer.add(content)
+
+
+HEADERS = [
+    b"[" * 100_000,
+    b'{"format": ' + b"[" * 100_000,
+    b"null",
+    b"[]",
+    b"\xff",
+    {"shift": [10**400, 0, 0]},
+    {"shift": [None, 0, 0]},
+    {"shift": [1e999, 0, 0]},
+    {"primitives": 10**400},
+    {"primitives": -1},
+    {"bands": 10**400},
+    {"chunk": 0},
+    {"format": {}},
+    {"mode": []},
+]
+
+
+@pytest.mark.parametrize("changed", HEADERS, ids=lambda one: str(one)[:40])
+def test_headers_of_packed_files(tmp_path, changed):
+    path = tmp_path / "model.spgs"
+    write_packed(path, random_gaussians(40))
+    header, *others = records(path)
+    told = (
+        json.dumps(json.loads(header) | changed).encode() if isinstance(changed, dict) else changed
+    )
+    with path.open("wb") as file:
+        writer = RecordWriter(file)
+        for content in (told, *others):
+            writer.add(content)
+    with pytest.raises(DataError, match=r"model\.spgs: ") as caught:
+        read_packed(path)
+    assert "\n" not in str(caught.value)
+
+
+def entry(**changed) -> dict:
+    where = camera(0)
+    return {"name": "0.png", "width": where.width, "height": where.height,
+            "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()} | changed  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"name": name} for name in ("..", ".", "/", "", "a\0", "\ud800", "../../a", "n" * 300)]
+    + [
+        {side: size}
+        for side in ("width", "height")
+        for size in (10**5, 2**40, 2**80, 10**400, 1e300)
+    ]
+    + [{"width": 2**16, "height": 2**16}, {"K": [[10**400] * 3] * 3}, {"time": 10**400}],
+    ids=lambda one: str(one)[:50],
+)
+def test_cameras_that_nothing_can_be_rendered_from(tmp_path, changed, monkeypatch):
+    monkeypatch.setattr(memory, "available_mb", lambda: 64_000.0)
+    (tmp_path / "cameras.json").write_text(json.dumps([entry(**changed)]))
+    with pytest.raises((DataError, MissingError), match=r"cameras\.json: camera 0") as caught:
+        read_cameras(tmp_path / "cameras.json")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
 
 
 def test_a_small_packed_file_that_claims_many_gaussians(tmp_path):

@@ -16,6 +16,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes, size_of
 from splatproof.base.memory import GROWTH, SMALL, check_growth, check_room
+from splatproof.base.numbers import finite
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -159,8 +160,8 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
                 words = " or ".join(kind.__name__ for kind in types)
                 raise ValueError(f"{name} is {header[name]!r}, expected {words}")
         shift = header["shift"]
-        if len(shift) != 3 or not all(type(v) in (int, float) for v in shift):
-            raise ValueError(f"shift is {shift!r}, expected three numbers")
+        if len(shift) != 3 or any(finite(value) is None for value in shift):
+            raise ValueError(f"shift is {shift!r:.80}, expected three finite numbers")
         if header["mode"] not in ("classic", "antialiased"):
             raise ValueError(f"mode is {header['mode']!r}, expected 'classic' or 'antialiased'")
         if header["bands"] not in (1, 4, 9, 16) or header["primitives"] < 0:
@@ -168,7 +169,7 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
         if not 1 <= header["chunk"] <= LARGEST_CHUNK:
             raise ValueError(f"chunks of {header['chunk']}, expected up to {LARGEST_CHUNK}")
         return header
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path}: header of a packed model that is none ({error})") from None
 
 

@@ -114,23 +114,22 @@ def test_numbers_near_the_end_of_float32(name, value, mode):
     weights = torch.ones(scene.camera.height, scene.camera.width, 3)
     want, slopes = render(reference.rasterize, scene, torch.float64, weights, mode)
     got, found = render(native.rasterize, scene, torch.float32, weights, mode)
-    pairs = [(got.colour, want.colour), *zip(found, slopes, strict=True)]
+    pairs = [(got.colour.detach(), want.colour.detach()), *zip(found, slopes, strict=True)]
     for one, other in pairs:
         # seen here: 8e-7 of the largest; 30 contributions of float32 at 1.2e-7 each
         budget = 30 * torch.finfo(torch.float32).eps * float(other.abs().max())
         assert float((one.double() - other).abs().max()) <= budget
 
 
-def test_gradients_that_float32_cannot_hold_are_not_finite_rather_than_wrong():
+def test_what_float32_cannot_hold_is_not_finite_rather_than_wrong():
     scene = put(random_scene(30, 13), "sh", 4, 3e38)
     weights = torch.ones(scene.camera.height, scene.camera.width, 3)
     want, slopes = render(reference.rasterize, scene, torch.float64, weights, "classic")
     got, found = render(native.rasterize, scene, torch.float32, weights, "classic")
-    assert float((got.colour.double() - want.colour).abs().max()) < 1e-5 * float(want.colour.max())
-    beyond = [float(slope.abs().max()) > LARGEST for slope in slopes]
-    assert any(beyond)
-    for one, other, large in zip(found, slopes, beyond, strict=True):
-        if large:
-            assert not one.isfinite().all()
-        else:
-            assert float((one.double() - other).abs().max()) < 1e-5 * float(other.abs().max())
+    assert any(float(slope.abs().max()) > LARGEST for slope in slopes)
+    pairs = [(got.colour.detach(), want.colour.detach()), *zip(found, slopes, strict=True)]
+    for one, true in pairs:
+        finite = one.isfinite()
+        assert finite[true.abs() > LARGEST].sum() == 0
+        off = (one.double() - true)[finite].abs()
+        assert float(off.max()) < 1e-5 * float(true[finite].abs().max())
