@@ -1,5 +1,6 @@
 """Files of models that are bombs, of wrong types, or none."""
 
+import gzip
 import json
 import os
 import struct
@@ -20,6 +21,7 @@ from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import RecordWriter, records
 from splatproof.methods.storage.packed.writer import write_packed
 from splatproof.methods.storage.ply import read_ply
+from splatproof.methods.storage.spz import read_spz, write_spz
 
 
 def claiming(path: Path, primitives: int) -> None:
@@ -132,6 +134,22 @@ def test_an_array_that_is_larger_than_its_archive(tmp_path):
     path.write_bytes(whole[:start] + header.ljust(end - start) + whole[end:])
     with pytest.raises(DataError, match=r"a\.npz: no array 'depth' to read"):
         read_arrays(path, "depth")
+
+
+def test_an_spz_that_unpacks_to_more_than_its_gaussians(tmp_path):
+    path = tmp_path / "a.spz"
+    write_spz(path, random_gaussians(9), version=3)
+    whole = gzip.decompress(path.read_bytes())
+    assert len(read_spz(path)) == 9
+    path.write_bytes(gzip.compress(whole + bytes(60 * 2**20), compresslevel=1))
+    before = peak_memory_mb()
+    with pytest.raises(DataError, match=r"a\.spz: unpacks to more than its 9 Gaussians"):
+        read_spz(path)
+    assert peak_memory_mb() - before < 40
+    for size in range(0, len(whole), 37):
+        path.write_bytes(gzip.compress(whole)[:size])
+        with pytest.raises(DataError, match=r"a\.spz: "):
+            read_spz(path)
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.glb", "a.spgs", "folder"])
