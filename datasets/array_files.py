@@ -28,7 +28,7 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
             for name in names:
                 found.append(arrays[name])
     except (
-        OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError,
+        OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError, RecursionError, SyntaxError,
         NotImplementedError,  # zipfile's word for a compression that it does not know
     ) as error:  # fmt: skip
         said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
+from splatproof.base.inside import checked_name
 from splatproof.base.memory import check_room
 from splatproof.base.names import did_you_mean
 from splatproof.base.numbers import finite, image_size
@@ -53,6 +54,7 @@ def read_cameras(path: str | Path) -> dict[str, View]:
         name = entry["name"]
         if not isinstance(name, str) or not name or name in views:
             raise DataError(f"{where}: name {name!r}, expected a text that no other camera has")
+        checked_name(name, where)
         view = camera_view(_camera(entry, where), name, time=_time(entry, where))
         views[name] = replace(view, **_words(entry, where))
     return views
@@ -65,7 +67,7 @@ def _time(entry: dict[str, Any], where: str) -> float | None:
     time = entry["time"]
     seconds = finite(time)
     if seconds is None:
-        raise DataError(f"{where}: time {time!r}, expected a finite number of seconds")
+        raise DataError(f"{where}: time {time!r:.60}, expected a finite number of seconds")
     return seconds
 
 

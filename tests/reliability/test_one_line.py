@@ -87,7 +87,15 @@ LINES = [
 ]
 
 
-@pytest.mark.parametrize("arguments", LINES, ids=lambda one: " ".join(one)[:70])
+SLOW = ("gallery", "ingest", "report", "run", "scenes")
+"""Commands that load much, or make a scene, before they look at a path."""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [pytest.param(a, marks=[pytest.mark.slow] if a[0] in SLOW else []) for a in LINES],
+    ids=lambda one: " ".join(one)[:70],
+)
 def test_what_cannot_be_is_one_line(arguments, house, capsys, monkeypatch):
     monkeypatch.chdir(house)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)

@@ -16,6 +16,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes, size_of
 from splatproof.base.memory import GROWTH, SMALL, check_growth, check_room
+from splatproof.base.numbers import finite
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -160,8 +161,8 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
                 words = " or ".join(kind.__name__ for kind in types)
                 raise ValueError(f"{name} is {header[name]!r}, expected {words}")
         shift = header["shift"]
-        if len(shift) != 3 or not all(type(v) in (int, float) for v in shift):
-            raise ValueError(f"shift is {shift!r}, expected three numbers")
+        if len(shift) != 3 or any(finite(value) is None for value in shift):
+            raise ValueError(f"shift is {shift!r:.80}, expected three finite numbers")
         if header["mode"] not in ("classic", "antialiased"):
             raise ValueError(f"mode is {header['mode']!r}, expected 'classic' or 'antialiased'")
         if header["bands"] not in (1, 4, 9, 16) or header["primitives"] < 0:
