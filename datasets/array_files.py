@@ -1,5 +1,6 @@
 """Reads arrays of .npz files beside the photos of a scene folder of ours."""
 
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -28,7 +29,8 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
             for name in names:
                 found.append(arrays[name])
     except (
-        OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError, RecursionError, SyntaxError,
+        OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError, RecursionError, SyntaxError, TypeError,
+        tokenize.TokenError,  # numpy reads the header of an array as Python
         NotImplementedError,  # zipfile's word for a compression that it does not know
     ) as error:  # fmt: skip
         said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__

@@ -18,7 +18,7 @@ from splatproof.reference.types.scene import Scene
 
 FILE = "poses_bounds.npy"
 DAMAGED = (
-    OSError, ValueError, SyntaxError, tokenize.TokenError, EOFError, MemoryError, RecursionError,
+    OSError, ValueError, TypeError, SyntaxError, tokenize.TokenError, EOFError, MemoryError, RecursionError,
 )  # fmt: skip
 """What numpy says to a file that is none of its own; it reads the header as Python."""
 COLUMNS = 17

@@ -125,6 +125,8 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 valid=_mask(folder, frame, copy_factor(protocol.images), where),
             )
         )
+    if not frames:
+        raise DataError(f"{path}: has no frames, expected one a photo")
     if not photos:
         raise DataError(
             f"{path}: not one photo of its {len(frames)} frames is there, expected {unused[0]} and "

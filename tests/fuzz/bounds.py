@@ -101,7 +101,7 @@ def tried(target: Target, data: bytes, held: float) -> Answer:
     if seconds > SECONDS:  # native code hears no signal
         fault = fault or f"took more than {SECONDS:g} s: {seconds:.1f}"
     grown = peak_memory_mb() * MEBIBYTE - held
-    if grown > BYTES_ALWAYS + BYTES_EACH * len(data):
+    if grown > BYTES_ALWAYS + BYTES_EACH * len(data) + target.room(data):
         forget_peak()
         fault = fault or f"took {grown / MEBIBYTE:.0f} MiB for {len(data)} bytes"
     return Answer(accepted, fault)

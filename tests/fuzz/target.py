@@ -24,6 +24,8 @@ class Target:
     """Whether no number of what is read may be NaN or infinite; False where the format allows it."""
     named: bool = True
     """Whether an error says the file's name."""
+    room: Callable[[bytes], int] = lambda data: 0
+    """Bytes of memory that an input may take beside the bounds that all have."""
     prepare: Callable[[Path], None] | None = None
     """Called when the file was written: makes right what others say of it, such as a checksum."""
 

@@ -24,7 +24,7 @@ from splatproof.datasets.archives import extract
 from splatproof.datasets.catalogue.registry import read_registry
 from splatproof.datasets.ingesting.survey import survey_photos
 from splatproof.datasets.ingesting.upright import copy_upright
-from splatproof.datasets.photos import check_photo, photo_size, read_photo
+from splatproof.datasets.photos import PEAK, check_photo, photo_size, read_photo
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.result_json import result_to_json
 from splatproof.reports.comparing import baselines
@@ -51,23 +51,38 @@ def _read_photo(path: Path) -> object:
     return read_photo(path, (0.0, 0.0, 0.0)), read_photo(path)
 
 
+def _pixels(data: bytes) -> int:
+    """Bytes that the pixels of a photo take while it is read: a few bytes of file may be any number."""
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            return PEAK * image.width * image.height
+    except Exception:  # noqa: BLE001 (whatever Pillow says: then there are no pixels)
+        return 0
+
+
 def png(folder: Path) -> Target:
     """PNG of 8 and 16 bits, of a palette, grey and transparent."""
     deep = cv2.imencode(".png", _picture().astype(np.uint16) * 257)[1].tobytes()
     samples = [_saved("PNG"), deep, *(_saved("PNG", mode) for mode in ("P", "L", "RGBA"))]
-    return Target(path=folder / "a.png", samples=samples, layout=layouts.PNG, read=_read_photo)
+    return Target(
+        path=folder / "a.png", samples=samples, layout=layouts.PNG, read=_read_photo, room=_pixels
+    )
 
 
 def jpeg(folder: Path) -> Target:
     """JPEG, sequential, progressive and grey."""
     samples = [_saved("JPEG"), _saved("JPEG", progressive=True), _saved("JPEG", "L")]
-    return Target(path=folder / "a.jpg", samples=samples, layout=BINARY, read=_read_photo)
+    return Target(
+        path=folder / "a.jpg", samples=samples, layout=BINARY, read=_read_photo, room=_pixels
+    )
 
 
 def tiff(folder: Path) -> Target:
     """TIFF, plain and deflated."""
     samples = [_saved("TIFF"), _saved("TIFF", compression="tiff_deflate")]
-    return Target(path=folder / "a.tif", samples=samples, layout=BINARY, read=_read_photo)
+    return Target(
+        path=folder / "a.tif", samples=samples, layout=BINARY, read=_read_photo, room=_pixels
+    )
 
 
 def exif(folder: Path) -> Target:

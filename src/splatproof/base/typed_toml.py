@@ -1,6 +1,7 @@
 """TOML tables as dataclasses: strict types, unknown keys refused with the nearest name."""
 
 import dataclasses
+import functools
 import json
 import tomllib
 import typing
@@ -56,8 +57,7 @@ def build(
         # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1. A tuple around
         # `kind`, because pydantic lets only what is not a dataclass itself take a configuration.
         text = json.dumps([table], default=str)
-        around: Any = GenericAlias(tuple, (kind,))
-        return TypeAdapter(around, config=STRICT).validate_json(text)[0]
+        return _adapter(kind).validate_json(text)[0]
     except ValidationError as error:
         found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
@@ -67,6 +67,13 @@ def build(
         raise fault(f"{where}: {error}") from None
     except (ValueError, RecursionError) as error:  # text with half a letter in it, or deep nesting
         raise fault(f"{where}: cannot be read ({error})") from None
+
+
+@functools.cache
+def _adapter(kind: type) -> TypeAdapter:
+    """What checks tables of one kind; making it takes longer than a thousand checks."""
+    around: Any = GenericAlias(tuple, (kind,))
+    return TypeAdapter(around, config=STRICT)
 
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:
