@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev bench docs test test-slow baseline fuzz lint types clean
+.PHONY: setup setup-dev bench docs test test-slow baseline fuzz fuzz-inputs torture lint types clean
 
 bench: setup
 	$(BIN)/bench run start > /dev/null # the report prints the leaderboard
@@ -40,6 +40,14 @@ baseline: setup
 fuzz: setup-dev
 	$(BIN)/pip install -q -c constraints.txt nanobind cmake
 	$(BIN)/python tests/fuzz/sanitized.py
+
+# damaged files of every kind to every reader, a million of them; goes on where it was ended
+fuzz-inputs: setup-dev
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/inputs.py
+
+# commands killed at random moments, started again, and held against undisturbed ones
+torture: setup-dev
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python tests/torture/torture.py
 
 lint: setup-dev
 	$(BIN)/ruff check .

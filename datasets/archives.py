@@ -1,8 +1,10 @@
 """Unpacks archives from strangers: nothing outside the folder, no links, no bombs, all or nothing."""
 
+import errno
 import gzip
 import lzma
 import stat
+import struct
 import tarfile
 import zipfile
 import zlib
@@ -19,8 +21,11 @@ LIMIT = 512 * 2**30
 DAMAGED = (
     tarfile.TarError, zipfile.BadZipFile, gzip.BadGzipFile, zlib.error, lzma.LZMAError, EOFError,
     NotImplementedError,  # zipfile's word for a compression that it does not know
+    struct.error, ValueError, IndexError, MemoryError,  # fields of headers that lie
 )  # fmt: skip
 """What the readers say of archives that are cut short, garbled or of an unknown compression."""
+OF_THE_ARCHIVE = (errno.ENAMETOOLONG, errno.EINVAL)
+"""What the system says to a member's name, or to a place before the archive's start."""
 MEMBERS = 2_000_000
 """Bound on the number of members."""
 
@@ -78,6 +83,12 @@ def _unpack(archive: Path, work: Path, limit: int) -> None:
     except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
         raise DataError(
             f"{archive}: a member is file and folder at once ({error.filename})"
+        ) from None
+    except OSError as error:
+        if error.errno not in OF_THE_ARCHIVE:
+            raise
+        raise DataError(
+            f"{archive}: a member cannot be unpacked ({error.strerror}); its name or place is damaged"
         ) from None
     except RuntimeError as error:  # zipfile's way of saying that a password is wanted
         raise DataError(f"{archive}: cannot be read ({error})") from None

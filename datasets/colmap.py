@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.inside import inside
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap_model import Model, find_model, pose_matrix, read_model
 from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
@@ -77,6 +78,7 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
         model: The checked model.
         photos: Folder of the photos that the model's images name; copies N times smaller lie in
             a folder whose name ends in _N.
+    Raises: DataError for a name that leads out of that folder, see `inside`.
     """
     several = len({image.camera_id for image in model.images}) > 1
     posed = []
@@ -86,7 +88,7 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
         posed.append(
             PosedPhoto(
                 name=image.name,
-                path=photos / image.name,
+                path=inside(photos, image.name, f"{model.folder}: an image's name"),
                 camera=model.reconstruction.camera(image.camera_id),
                 camera_to_world=np.concatenate(
                     [rotation, -rotation @ world_to_camera[:, 3:]], axis=1

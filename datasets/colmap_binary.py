@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes
 from splatproof.datasets.colmap_index import ModelIndex, parameter_count
 
 SUFFIX = ".bin"
@@ -17,7 +18,7 @@ class _Walk:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.data = path.read_bytes()
+        self.data = read_bytes(path)
         self.at = 0
         self.what = "its header"
 

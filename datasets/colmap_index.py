@@ -4,14 +4,17 @@ COLMAP's own reader does not notice the end of a file: a truncated model is fill
 was in memory, or read for ever. So every file is walked first.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.colmap_library import pycolmap
 
+Value = TypeVar("Value", int, str)
 MODEL_FILES = ("cameras", "images", "points3D")
 RIG_FILES = ("rigs", "frames")
 
@@ -64,12 +67,10 @@ def check_references(folder: Path, suffix: str, index: ModelIndex) -> None:
         ("images", index.image_ids),
         ("points3D", index.point_ids.tolist()),
     ):
-        if len(set(ids)) != len(ids):
-            double = next(i for i in ids if ids.count(i) > 1)
+        if (double := _double(ids)) is not None:
             raise DataError(f"{folder / (what + suffix)}: id {double} occurs more than once")
     images = folder / f"images{suffix}"
-    if len(set(index.image_names)) != len(index.image_names):
-        double = next(n for n in index.image_names if index.image_names.count(n) > 1)
+    if (double := _double(index.image_names)) is not None:
         raise DataError(f"{images}: image name {double!r} occurs more than once")
     known = set(index.cameras)
     for name, camera in zip(index.image_names, index.image_cameras, strict=True):
@@ -79,6 +80,16 @@ def check_references(folder: Path, suffix: str, index: ModelIndex) -> None:
                 f"there are {sorted(known)[:8]}"
             )
     _check_tracks(folder / f"points3D{suffix}", suffix, index)
+
+
+def _double(values: Iterable[Value]) -> Value | None:
+    """The first value that was there before; None where all differ."""
+    seen = set[Value]()
+    for value in values:
+        if value in seen:
+            return value
+        seen.add(value)
+    return None
 
 
 def _check_tracks(path: Path, suffix: str, index: ModelIndex) -> None:

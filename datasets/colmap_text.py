@@ -1,43 +1,66 @@
 """Walks COLMAP's text model files line by line (layout: COLMAP, "Output Format")."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes
+from splatproof.base.numbers import LARGEST
 from splatproof.datasets.colmap_index import ModelIndex, parameter_count
 
 SUFFIX = ".txt"
+NAMES = {"cameras": "cameras", "images": "images", "points3D": "points"}
+"""What the header of each file calls what it counts."""
 
 
 def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
     """(place, fields) of every line that is no comment; empty lines only where they mean something."""
-    try:
-        text = path.read_text()
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: is not text; a binary model ends in .bin") from None
-    for number, line in enumerate(text.splitlines(), start=1):
+    # not splitlines: COLMAP ends lines at line feeds alone, Python at form feeds and others too
+    for number, line in enumerate(_text(path).removesuffix("\n").split("\n"), start=1):
         if not line.startswith("#") and (keep_empty or line.strip()):
             yield f"{path}: line {number}", line.split()
 
 
+def _text(path: Path) -> str:
+    try:
+        return read_bytes(path).decode()
+    except UnicodeDecodeError:
+        raise DataError(f"{path}: is not text; a binary model ends in .bin") from None
+
+
+def _check_count(path: Path, kind: str, found: int) -> None:
+    """What COLMAP's header counts must be there: a file that was cut between lines looks whole."""
+    text = _text(path)
+    said = re.search(rf"^# Number of {kind}: (\d{{1,18}})\b", text, re.MULTILINE)
+    if said and not text.endswith("\n"):  # COLMAP, which wrote the header, ends every line
+        raise DataError(f"{path}: ends in the middle of a line; it is cut short, copy it again")
+    if said and int(said[1]) != found:
+        raise DataError(
+            f"{path}: has {found} {kind}, its header says {said[1]}; it is cut short or edited, copy "
+            "it again or correct the header"
+        )
+
+
 def _numbers(place: str, fields: list[str], kind: type[int] | type[float]) -> list:
     """Fields as whole or real numbers."""
-    try:
-        return [kind(field) for field in fields]
-    except ValueError:
-        found = next(field for field in fields if not _is(field, kind))
-        expected = "a whole number" if kind is int else "a number"
-        raise DataError(f"{place}: found {found[:40]!r} instead of {expected}") from None
+    numbers = [_number(field, kind) for field in fields]
+    if None in numbers:
+        found = fields[numbers.index(None)]
+        expected = "a whole number from 0 to 2^63 - 1" if kind is int else "a number"
+        raise DataError(f"{place}: found {found[:40]!r} instead of {expected}")
+    return numbers
 
 
-def _is(field: str, kind: type[int] | type[float]) -> bool:
+def _number(field: str, kind: type[int] | type[float]) -> int | float | None:
+    """The number that a field says; None for none. COLMAP's whole numbers have no sign."""
     try:
-        kind(field)
+        number = kind(field)
     except ValueError:
-        return False
-    return True
+        return None
+    return number if kind is float or 0 <= number <= LARGEST else None
 
 
 def _expect(place: str, fields: list[str], count: int, layout: str) -> None:
@@ -93,15 +116,18 @@ def index_text(folder: Path) -> ModelIndex:
 
     Raises: DataError naming file, line and field.
     """
+    cameras = _cameras(folder / "cameras.txt")
     images = _images(folder / "images.txt")
     points = _points(folder / "points3D.txt")
+    for name, found in (("cameras", cameras), ("images", images), ("points3D", points)):
+        _check_count(folder / f"{name}.txt", NAMES[name], len(found))
     for name, least in (("rigs", 4), ("frames", 10)):
         if (folder / f"{name}.txt").exists():
             for place, fields in _lines(folder / f"{name}.txt"):
                 _expect(place, fields, least, f"at least {least} fields of a {name[:-1]}")
     tracks = np.array([i for _, track in points for i in track], dtype=np.int64).reshape(-1, 2)
     return ModelIndex(
-        cameras=_cameras(folder / "cameras.txt"),
+        cameras=cameras,
         image_ids=[image[0] for image in images],
         image_names=[image[1] for image in images],
         image_cameras=[image[2] for image in images],

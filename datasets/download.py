@@ -10,6 +10,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from splatproof.base import files
 from splatproof.base.errors import DataError, MissingError, UsageError
@@ -24,8 +25,34 @@ RESERVE = 64 * 2**20
 """Bytes of disk that a download leaves free."""
 OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EFBIG)
 """Errors that trying again does not cure."""
+SCHEMES = ("http", "https")
+"""Kinds of addresses that are fetched from, also after a redirect."""
 Report = Callable[[int, int], None]
 """Told (bytes so far, bytes in all or 0 where the server does not say)."""
+
+
+class _WebAlone(urllib.request.HTTPRedirectHandler):
+    """Follows redirects to http and https; urllib's own follows them to ftp too."""
+
+    def redirect_request(
+        self,
+        req: urllib.request.Request,
+        fp: Any,
+        code: int,
+        msg: str,
+        headers: http.client.HTTPMessage,
+        newurl: str,
+    ) -> urllib.request.Request | None:
+        """The next request. Raises: MissingError for an address that is not the web's."""
+        if urllib.parse.urlsplit(newurl).scheme not in SCHEMES:
+            fp.close()
+            raise MissingError(
+                f"{req.full_url}: leads to {newurl}, which is not followed; expected http or https"
+            )
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+_OPENER = urllib.request.build_opener(_WebAlone)
 
 
 def download(
@@ -55,7 +82,7 @@ def download(
         MissingError: the server says no, does not answer, or the disk is full.
         DataError: the file came whole and has another checksum; it is deleted.
     """
-    if urllib.parse.urlsplit(url).scheme not in ("http", "https"):
+    if urllib.parse.urlsplit(url).scheme not in SCHEMES:
         raise UsageError(f"{url}: expected an address with http:// or https://")
     if target.is_file() and files.sha256(target) == sha256.lower():
         return target
@@ -68,6 +95,7 @@ def download(
             _fetch(url, part, report, timeout)
             break
         except urllib.error.HTTPError as error:
+            error.close()
             if error.code < 500 and error.code not in (408, 429):
                 raise MissingError(
                     f"{url}: the server answers {error.code} {error.reason}"
@@ -104,7 +132,7 @@ def _fetch(url: str, part: Path, report: Report, timeout: float) -> None:
         headers["Range"] = f"bytes={have}-"
     request = urllib.request.Request(url, headers=headers)
     try:
-        answer = urllib.request.urlopen(request, timeout=timeout)
+        answer = _OPENER.open(request, timeout=timeout)
     except urllib.error.HTTPError as error:
         if error.code != 416 or not have:
             raise

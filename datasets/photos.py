@@ -3,6 +3,7 @@
 They are 8-bit RGB or grey, or PNG of 16-bit RGB.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,11 +16,20 @@ from PIL import Image
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import write_bytes
+from splatproof.base.files import size_of, write_bytes
+from splatproof.base.memory import check_growth, check_room
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-# Aerial cameras reach 150 megapixels, above Pillow's default warning against decompression bombs.
-Image.MAX_IMAGE_PIXELS = 2**30
+PEAK = 32
+"""Bytes a pixel while a photo is read: 4 in Pillow, 3 as an array, 12 as floats and 12 divided."""
+BITS = {"1": 1, "RGB": 24, "YCbCr": 24, "LAB": 24, "RGBA": 32, "CMYK": 32, "I": 32, "F": 32}
+"""Bits a pixel in a file of each of Pillow's modes; 8 of the others, or more."""
+MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "La", "RGBa")
+"""Pillow's modes that are RGB or grey of 8 bits: they are shown as they are stored."""
+BITS_PER_SAMPLE = 258
+"""Tag of TIFF."""
+# Aerial cameras reach 150 megapixels, above Pillow's limit; ours is the memory, see `_check`.
+Image.MAX_IMAGE_PIXELS = None
 
 
 def list_photos(folder: Path) -> list[str]:
@@ -36,12 +46,23 @@ def list_photos(folder: Path) -> list[str]:
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
     """Open an image file; everything Pillow can say against it becomes one DataError."""
+    if not os.path.lexists(path):
+        raise DataError(f"{path}: photo is missing; put it back or leave it out")
+    size = size_of(path)
     try:
         with Image.open(path) as image:
+            # a damaged header may say any size; what decodes it would allocate that first
+            check_growth(path, image.width * image.height * BITS.get(image.mode, 8) // 8, size)
             yield image
-    except FileNotFoundError:
-        raise DataError(f"{path}: photo is missing; put it back or leave it out") from None
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+    except (
+        OSError,
+        ValueError,
+        SyntaxError,
+        IndexError,
+        TypeError,
+        MemoryError,
+        AssertionError,
+    ) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not a readable image ({said}); replace the file") from None
 
@@ -79,7 +100,9 @@ def read_photo(
             return rgba[..., :3] * rgba[..., 3:] + torch.tensor(background) * (1 - rgba[..., 3:])
         if _is_16_bit(path):
             # Pillow would drop the lower byte
-            stored = np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+            stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+            if stored is None or stored.shape != (image.height, image.width, 3):
+                raise DataError(f"{path}: not a readable image (16-bit PNG); replace the file")
             return torch.from_numpy(stored[..., ::-1].astype(np.float32)) / 65535
         pixels = np.array(image.convert("RGB"))
     return torch.from_numpy(pixels).float() / 255
@@ -92,18 +115,34 @@ def _is_16_bit(path: Path) -> bool:
     return head[:8] == b"\x89PNG\r\n\x1a\n" and head[24:] == bytes([16, 2])
 
 
+def _bits(path: Path, image: Image.Image) -> int:
+    """Bits of a channel in the file, where a format has more than 8 and Pillow drops them."""
+    if image.format == "PNG":
+        with path.open("rb") as file:
+            return file.read(25)[24]
+    if image.format == "TIFF":
+        return max(getattr(image, "tag_v2", {}).get(BITS_PER_SAMPLE, (1,)))
+    return 8
+
+
 def check_photo(path: Path) -> None:
     """Raise what `read_photo` would raise; JPEGs are decoded at an eighth of the size."""
     with _opened(path) as image:
-        image.draft("RGB", (image.width // 8, image.height // 8))
+        image.draft("RGB", (max(image.width // 8, 1), max(image.height // 8, 1)))
         _check(path, image)
 
 
 def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None:
     """Decode, and refuse what is not 8-bit RGB or grey, or is transparent where it must not be."""
+    bits, mode = _bits(path, image), image.mode
+    if mode not in MODES or (bits > 8 and not _is_16_bit(path)):
+        depth = f" of {bits} bits" if bits > 8 else ""
+        raise DataError(
+            f"{path}: pixel format is {mode}{depth}, expected 8-bit RGB or grey, or a PNG of 16-bit "
+            "RGB; convert it"
+        )
+    check_room(path, image.width * image.height * PEAK)
     image.load()
-    if image.mode.startswith(("I", "F")):
-        raise DataError(f"{path}: pixel format is {image.mode}, expected 8-bit RGB or grey")
     if transparent or not image.has_transparency_data:
         return
     if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:

@@ -3,6 +3,7 @@
 import numpy as np
 import torch
 
+from splatproof.base.errors import DataError
 from splatproof.datasets.colmap_model import Model
 from splatproof.reference.types.scene import SparsePoints
 
@@ -12,10 +13,17 @@ def read_points(model: Model) -> SparsePoints:
 
     Args:
         model: The checked model.
+    Raises: DataError where COLMAP took other points from the files than were checked.
     """
     index = model.index
     order = np.argsort(index.point_ids)
-    points = [model.reconstruction.point3D(int(i)) for i in index.point_ids[order]]
+    try:
+        points = [model.reconstruction.point3D(int(i)) for i in index.point_ids[order]]
+    except IndexError as error:
+        raise DataError(
+            f"{model.folder}: COLMAP reads other points than the file of points3D lists ({error}); "
+            "write the model again"
+        ) from None
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
 

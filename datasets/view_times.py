@@ -7,6 +7,7 @@ from pathlib import Path
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json, write_bytes
+from splatproof.base.numbers import finite
 
 NAME = "views.json"
 SKY = "sky"
@@ -58,7 +59,7 @@ def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
     table = read_json(path)
     try:
         found = {
-            name: Moment(time=float(entry["time"]), sensor=str(entry["sensor"]))
+            name: Moment(time=_seconds(entry["time"]), sensor=str(entry["sensor"]))
             for name, entry in table.items()
         }
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -69,3 +70,10 @@ def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
         if name not in found:
             raise DataError(f"{path}: view {name!r} is missing; name all views or remove the file")
     return found
+
+
+def _seconds(value: object) -> float:
+    number = finite(value)
+    if number is None:
+        raise ValueError(f"{value!r:.60} is no finite number")
+    return number

@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
+from splatproof.base.errors import DataError
 from splatproof.methods.city.model import CITY, load_city
 from splatproof.methods.contracts.method import Loader
 from splatproof.methods.contracts.reconstruction import (
+    DESCRIPTION,
     Origin,
     Reconstruction,
     origin_of,
@@ -20,6 +22,12 @@ from splatproof.methods.models.explicit import (
 from splatproof.methods.models.exposure import EXPOSED, load_exposed
 from splatproof.methods.registry import methods
 from splatproof.methods.storage.packed.reader import read_packed
+
+DAMAGED = (
+    AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError, TypeError,
+    ValueError,
+)  # fmt: skip
+"""What a loader meets in facts or arrays of another shape than it wrote."""
 
 
 def loaders() -> dict[str, Loader]:
@@ -49,7 +57,12 @@ def load_reconstruction(folder: str | Path, *, backend: str = "cpu") -> Reconstr
             model=model, backend=backend, mode=told.mode, shift=told.shift, units=told.units
         )
     stored, known = read_stored(folder), loaders()
-    return known[require_kind(stored.facts, known, folder)](folder, stored, backend)
+    load = known[require_kind(stored.facts, known, folder)]
+    try:
+        return load(folder, stored, backend)
+    except DAMAGED as error:  # facts or arrays that the loader did not expect, under right hashes
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise DataError(f"{folder / DESCRIPTION}: damaged ({said}); copy it again") from error
 
 
 def load_origin(folder: str | Path) -> Origin:

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from splatproof.base.errors import UsageError
+from splatproof.base.inside import checked_name
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.metrics.registry import find_metric
@@ -67,7 +68,11 @@ def protocol_from_rules(name: str, rules: dict[str, object], where: str) -> Prot
     """
     if "name" in rules:
         raise unknown(where, "name", KEYS)
+    checked_name(name, f"{where}: its name becomes a folder", UsageError, nested=False)
     protocol = build(Protocol, rules | {"name": name}, where)
+    for key, folder in (("images", protocol.images), ("test_folder", protocol.test_folder)):
+        if folder:
+            checked_name(folder, f"{where}: {key}", UsageError)
     _check(protocol, where)
     return protocol
 

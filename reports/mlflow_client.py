@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from splatproof.base.errors import MissingError, UsageError
+from splatproof.base.files import check_target
 from splatproof.base.locks import locked
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ ENVIRONMENT = {
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
 }
 """Set unless the user has set them. Two retries, 1 and 2 s apart, of at most 20 s each."""
+IN_URIS = "%?#"
+"""Letters that a URI takes for its own."""
 
 
 def default_uri(out: Path) -> str:
@@ -32,18 +35,51 @@ def default_uri(out: Path) -> str:
 
     Args:
         out: Folder of the runs.
-    Raises: UsageError where MLFLOW_TRACKING_URI names a kind of store that MLflow 3 refuses.
+    Raises: UsageError where MLFLOW_TRACKING_URI names a kind of store that MLflow 3 refuses, or
+        `out` cannot be named in a URI.
     """
-    uri = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{out.resolve() / 'mlflow.db'}"
+    uri = os.environ.get("MLFLOW_TRACKING_URI") or sqlite_uri(out / "mlflow.db")
     check_uri(uri)
     return uri
+
+
+def sqlite_uri(file: Path) -> str:
+    """The tracking URI of an SQLite file.
+
+    Letters that mean something in a URI are quoted. MLflow makes the folder of a "sqlite:" URI by its
+    name as it is quoted, so the driver, which it would take anyway, is named then: it makes none.
+
+    Args:
+        file: The database; relative to the current folder, and it may be missing.
+    Raises: UsageError for a path that is not UTF-8 text.
+
+    >>> sqlite_uri(Path("/runs/mlflow.db")), sqlite_uri(Path("/what?/mlflow.db"))
+    ('sqlite:////runs/mlflow.db', 'sqlite+pysqlite:////what%3F/mlflow.db')
+    """
+    path = str(file.resolve())
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        raise UsageError(
+            f"{path!r}: not UTF-8, so a tracking URI cannot name it; choose another folder"
+        ) from None
+    quoted = "".join(f"%{ord(c):02X}" if c in IN_URIS else c for c in path)
+    return f"{'sqlite' if quoted == path else 'sqlite+pysqlite'}:///{quoted}"
 
 
 def check_uri(uri: str) -> None:
     """Refuse, before anything is run, a tracking URI that cannot work.
 
-    Raises: UsageError for a plain path or a `file:` store, which MLflow 3 no longer writes.
+    Raises: UsageError for a plain path or a `file:` store, which MLflow 3 no longer writes, for what
+        is no URI, or for an SQLite store that is no file (MLflow would try it again for minutes).
     """
+    try:
+        urllib.parse.urlsplit(uri)
+    except ValueError as error:
+        raise UsageError(f"tracking URI {uri!r}: {error}; expected http://HOST:PORT") from None
+    file = sqlite_file(uri)
+    if file is not None:
+        check_target(file)
     if "://" not in uri or uri.startswith("file:"):
         raise UsageError(
             f"tracking URI {uri!r}: MLflow keeps no runs in plain folders any more; "
@@ -60,8 +96,10 @@ def shown_uri(uri: str) -> str:
 
 def sqlite_file(uri: str) -> Path | None:
     """The database file of an SQLite URI; None for every other store."""
-    parts = urllib.parse.urlsplit(uri)
-    return Path(parts.path[1:]) if parts.scheme.split("+")[0] == "sqlite" else None
+    scheme, _, rest = uri.partition(":///")
+    if scheme.split("+")[0] != "sqlite":
+        return None
+    return Path(urllib.parse.unquote(rest.partition("?")[0]))  # as sqlalchemy reads it
 
 
 def artifact_root(uri: str) -> str | None:
@@ -122,7 +160,7 @@ def _make_tables(file: Path) -> None:
         for left in (making, making.with_name(f"{making.name}-journal")):
             left.unlink(missing_ok=True)
         try:
-            MlflowClient(f"sqlite:///{making.resolve()}").search_experiments(max_results=1)
+            MlflowClient(sqlite_uri(making)).search_experiments(max_results=1)
             making.replace(file)
         finally:
             making.unlink(missing_ok=True)

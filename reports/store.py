@@ -162,6 +162,7 @@ def read_history(uri: str) -> list[StoredResult]:
         uri: Tracking URI. Nothing but this store is read.
     Raises: As `read_results`.
     """
+    check_uri(uri)
     file = sqlite_file(uri)
     if file is not None and not file.exists():
         return []

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from splatproof.base.errors import UsageError
+from splatproof.base.numbers import in_range
 from splatproof.methods.city.cost import START_SECONDS
 from splatproof.methods.threedgs.cost import (
     GAUSSIAN_STEP,
@@ -27,6 +28,10 @@ PACK_SECONDS = 1.8e-6
 SPREAD = 0.2
 """Standard deviation of the logarithm of block times that is assumed, unless --spread says otherwise;
 docs/city.md has what was measured (time std/mean)."""
+MOST = 10**12
+"""Largest number of anything that is planned; the sums stay whole in float64."""
+MOST_SIMULATED = 100_000
+"""Blocks of the largest city that is simulated: DRAWS such runs take 7 s at 2.6 GHz."""
 DRAWS = 50
 """Simulated runs whose mean and extremes are told."""
 
@@ -59,13 +64,11 @@ class City:
     def __post_init__(self) -> None:
         """Refuse numbers that no city can have."""
         for name in ("views", "gaussians", "pixels", "iterations", "cores"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"--{name}: {getattr(self, name)}, expected 1 or more")
+            in_range(getattr(self, name), f"--{name}", 1, MOST)
         for name in ("margin", "refinement"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise UsageError(f"--{name}: {getattr(self, name)}, expected 0 or more")
-        if not (self.memory_gb > 0 and self.views_a_block > 0):
-            raise UsageError("--memory-gb and --views-a-block: expected more than 0")
+            in_range(getattr(self, name), f"--{name}", 0, MOST)
+        for name in ("memory_gb", "views_a_block"):
+            in_range(getattr(self, name), f"--{name.replace('_', '-')}", 0, MOST, above=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,10 +147,10 @@ def plan(city: City, blocks: int, machines: int) -> Plan:
         blocks: Number of blocks K, at least 1.
         machines: Number of machines n, at least 1.
     Returns: Memory and wall seconds, infinite where not even one block fits into a machine.
-    Raises: UsageError for fewer than one of either.
+    Raises: UsageError for fewer than one of either, or more than MOST.
     """
-    if blocks < 1 or machines < 1:
-        raise UsageError(f"{blocks} blocks on {machines} machines: expected at least one of each")
+    in_range(blocks, "--blocks", 1, MOST)
+    in_range(machines, "--machines", 1, MOST)
     memory, room = block_memory(city, blocks), city.memory_gb * 1024
     workers = min(city.cores, int(room / memory), -(-blocks // machines))
     seconds = waves = math.inf
@@ -253,14 +256,15 @@ def simulate(found: Plan, spread: float, seed: int) -> Simulated:
 
     Args:
         found: Plan with at least one worker a machine.
-        spread: Standard deviation of the logarithm of block times, 0 or more.
+        spread: Standard deviation of the logarithm of block times, 0 to 10.
         seed: Number that the draws depend on.
     Returns: Mean and extremes of the wall seconds of DRAWS runs.
-    Raises: UsageError for a negative spread.
+    Raises: UsageError for another spread, a negative seed, or more than MOST_SIMULATED blocks.
     Source: list scheduling by longest first, Graham 1969.
     """
-    if spread < 0:
-        raise UsageError(f"--spread {spread}: expected 0 or more")
+    in_range(spread, "--spread", 0, 10)
+    in_range(seed, "--seed")
+    in_range(found.blocks, "--simulate: the number of blocks", 1, MOST_SIMULATED)
     rng = np.random.default_rng(seed)
     ends, busy = [], []
     slots = found.workers * found.machines
@@ -282,7 +286,7 @@ def makespan(times: Sequence[float], workers: int) -> float:
         workers: Number of workers.
     Returns: Seconds from the start of the first job to the end of the last.
     """
-    free = [0.0] * workers
+    free = [0.0] * min(workers, len(times))  # who never gets a job never ends one
     for time in times:
         heapq.heappush(free, heapq.heappop(free) + time)
-    return max(free)
+    return max(free, default=0.0)

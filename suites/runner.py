@@ -9,6 +9,7 @@ from typing import Literal
 
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.locks import locked
+from splatproof.base.numbers import in_range
 from splatproof.methods.priors.kinds import weights_facts
 from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
@@ -19,7 +20,7 @@ from splatproof.suites.records import RECORD_NAME, read_record
 from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
 from splatproof.suites.same_model import CASE_NAME, training_key
 from splatproof.suites.scene_data import SceneData, changed, digest
-from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.suite_files import MOST_CASES, Case, Suite
 from splatproof.suites.workers import Launch, in_worker
 
 FILES_NAME = ".files.json"
@@ -81,9 +82,8 @@ def select(suite: Suite, *, only: str | None = None, seeds: int | None = None) -
     """
     cases = suite.cases
     if seeds is not None:
-        if seeds < 1:
-            raise UsageError(f"--seeds {seeds}: expected 1 or more")
         rows = {case.folder.parent: case for case in cases}.values()
+        in_range(seeds, "--seeds", 1, MOST_CASES // max(len(rows), 1))
         cases = tuple(replace(case, seed=seed) for case in rows for seed in range(seeds))
     if only is not None:
         kept = tuple(case for case in cases if fnmatch(case.label, only))

@@ -1,6 +1,7 @@
 """Suite files: which scenes, methods, protocols and seeds are to be run, as TOML."""
 
 import itertools
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -9,6 +10,7 @@ from typing import Any
 
 from splatproof.base.errors import UsageError
 from splatproof.base.names import unknown
+from splatproof.base.numbers import in_range
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.datasets.catalogue.registry import list_scenes
 from splatproof.datasets.pose_noise import LEVELS
@@ -21,6 +23,8 @@ from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES, prior_name, 
 
 FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""
+MOST_CASES = 10_000
+"""Cases of the largest suite: with seconds for the smallest case more take days."""
 PATH = ("/", "./", "../")
 """What starts so is a path; everything else is a name, which may hold slashes."""
 
@@ -142,6 +146,8 @@ def load_suite(name_or_path: str | Path) -> Suite:
     if not re.fullmatch(r"[A-Za-z0-9][\w.-]*", path.stem):
         raise UsageError(f"{path}: the file's name becomes a folder; use letters, digits, '-', '_'")
     file = build(SuiteFile, read_toml(path), str(path))
+    if not file.cases:
+        raise UsageError(f"{path}: cases: empty; expected at least one table [[cases]]")
     cases = [
         case
         for index, table in enumerate(file.cases)
@@ -203,6 +209,9 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     for name in ("scenes", "methods", "protocols", "seeds", "pose_noise", "depth_prior"):
         if not getattr(table, name):
             raise UsageError(f"{where}.{name}: empty; expected at least one")
+    lists = (table.scenes, table.methods, table.protocols, table.pose_noise, table.depth_prior)
+    count = math.prod(map(len, (*lists, table.seeds)))
+    in_range(count, f"{where}: the number of cases", 1, MOST_CASES)
     if min(table.seeds) < 0:
         raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(table.seeds)}")
     if table.width is not None and table.width < 1:
@@ -223,7 +232,8 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         for row, (method, _) in parts.items()
     }
     protocols = [
-        resized(load_protocol(_beside(name, path)), table.width) for name in table.protocols
+        resized(_protocol(name, path, f"{where}.protocols"), table.width)
+        for name in table.protocols
     ]
     scenes = [_scene(name, path, f"{where}.scenes") for name in table.scenes]
     product = itertools.product(
@@ -236,6 +246,14 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         )
         for scene, row, protocol, level, prior, seed in product
     ]  # fmt: skip
+
+
+def _protocol(name: str, path: Path, where: str) -> Protocol:
+    """A registered protocol, or that of a file. Raises: UsageError that names the suite file too."""
+    try:
+        return load_protocol(_beside(name, path))
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
 
 
 def _parts(row: str, where: str) -> tuple[str, str]:

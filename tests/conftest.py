@@ -34,7 +34,8 @@ LONGEST = (
     "suites/test_reduced_suites.py",
     "suites/test_reduced_street.py",
     "suites/test_reduced_tunnel.py",
-    "suites/test_kill.py",
+    "torture/test_torture.py",
+    "fuzz/test_inputs.py",
     "plugins/test_third_party.py",
     "regression/test_regression.py",
 )

@@ -1,10 +1,13 @@
 """LLFF: poses_bounds.npy, a row of 17 numbers for each photo in the order of the sorted names."""
 
+import tokenize
 from pathlib import Path
 
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import size_of
+from splatproof.base.numbers import image_size
 from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap import photo_folder
@@ -14,6 +17,10 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
 FILE = "poses_bounds.npy"
+DAMAGED = (
+    OSError, ValueError, TypeError, SyntaxError, tokenize.TokenError, EOFError, MemoryError, RecursionError,
+)  # fmt: skip
+"""What numpy says to a file that is none of its own; it reads the header as Python."""
 COLUMNS = 17
 """A 3 x 5 matrix by rows, camera to world beside (height, width, focal length); near; far."""
 
@@ -37,9 +44,10 @@ def open_llff(folder: Path, protocol: Protocol) -> Scene:
     Source: Mildenhall et al. 2019 (LLFF), release: llff/poses/pose_utils.py and README.
     """
     path = folder / FILE
+    size_of(path)
     try:
         rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except DAMAGED as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not an array of numpy.save ({said})") from None
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
@@ -76,7 +84,7 @@ def _photo(path: Path, name: str, row: np.ndarray, where: str) -> PosedPhoto:
     )
     down, right, back, centre = matrix[:, :4].T
     pose = np.stack([right, down, -back, centre], axis=1)
-    width, height = round(width), round(height)
+    width, height = image_size(round(width), round(height), where)
     return PosedPhoto(
         name=name,
         path=path,

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.inside import inside
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
@@ -66,7 +67,7 @@ def open_matrix_city(folder: Path, protocol: Protocol) -> Scene:
     left_out = [
         (name, f"no frame in {'pose/' + folder.name if split else 'transforms.json'}")
         for block in blocks
-        for name in (f"{block.relative_to(city).as_posix()}/{n}" for n in list_photos(block))
+        for name in (_name(block / photo, city) for photo in list_photos(block))
         if name not in known
     ]
     layout = Layout(
@@ -90,17 +91,16 @@ def _split_block(city: Path, path: Path, side: Literal["train", "test"]) -> list
     width, height, fx, fy, cx, cy = (
         positive(data.get(key), str(path), key) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")
     )
-    camera = pinhole_camera(int(width), int(height), fx, fy, cx, cy)
+    camera = pinhole_camera(width, height, fx, fy, cx, cy, str(path))
     photos = []
     for frame in frames:
         where = f"{path}: frame {frame['file_path']}"
         pose = _opengl(checked_pose(frame.get("transform_matrix"), where), SPLIT_UNIT)
-        file = Path(os.path.normpath(path.parent / str(frame["file_path"])))
-        if not file.is_relative_to(city):
-            raise DataError(f"{where}: file_path is outside {city}; expected ../../<split>/<block>")
+        file = inside(path.parent, str(frame["file_path"]), f"{where}: file_path", within=city)
+        file = Path(os.path.normpath(file))
         photos.append(
             PosedPhoto(
-                name=file.relative_to(city).as_posix(),
+                name=_name(file, city),
                 path=file,
                 camera=camera,
                 camera_to_world=pose,
@@ -108,6 +108,10 @@ def _split_block(city: Path, path: Path, side: Literal["train", "test"]) -> list
             )
         )
     return photos
+
+
+def _name(file: Path, city: Path) -> str:
+    return Path(os.path.relpath(file, city)).as_posix()
 
 
 def _raw_block(city: Path, path: Path, side: Literal["train", "test"]) -> list[PosedPhoto]:

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.numbers import image_size
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
@@ -85,7 +86,7 @@ def _photo(
     scale: float,
 ) -> PosedPhoto:
     data = _load(path)
-    width, height = (int(positive(_plain(data.get(key)), str(path), key)) for key in ("W", "H"))
+    width, height = image_size(_plain(data.get("W")), _plain(data.get("H")), str(path))
     values = _plain(data.get("intrinsics"))
     if not isinstance(values, list) or len(values) != 4:
         raise DataError(f"{path}: intrinsics is {values!r}, expected fx, fy, cx, cy")

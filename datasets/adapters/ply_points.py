@@ -6,6 +6,7 @@ import numpy as np
 from plyfile import PlyData, PlyParseError
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import size_of
 from splatproof.datasets.layout import plain_points
 from splatproof.reference.types.scene import SparsePoints
 
@@ -15,12 +16,11 @@ def read_ply_points(path: Path) -> SparsePoints:
 
     Raises: DataError naming the file and the fault.
     """
+    size_of(path)
     try:
         vertices = PlyData.read(path)["vertex"].data
         positions = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    except FileNotFoundError:
-        raise DataError(f"{path}: missing; the scene's file of cameras names it") from None
-    except (PlyParseError, KeyError, ValueError, OSError) as error:
+    except (PlyParseError, KeyError, ValueError, OSError, MemoryError, OverflowError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not a PLY file with vertices x, y, z ({said})") from None
     if not np.isfinite(positions).all():

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.numbers import Number, image_size, in_range
 from splatproof.datasets.colmap_library import pycolmap
 
 RIGID = 1e-3
@@ -16,7 +18,13 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0])
 
 
 def pinhole_camera(
-    width: int, height: int, fx: float, fy: float, cx: float, cy: float
+    width: Number,
+    height: Number,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    where: str = "camera",
 ) -> pycolmap.Camera:
     """An undistorted camera; everything in pixels, pixel centres at .5.
 
@@ -27,7 +35,10 @@ def pinhole_camera(
         fy: Focal length along y.
         cx: Principal point from the photo's left edge.
         cy: Principal point from the photo's upper edge.
+        where: File and place that give them, for errors.
+    Raises: DataError for a size that no photo has.
     """
+    width, height = image_size(width, height, where)
     return pycolmap.Camera(model="PINHOLE", width=width, height=height, params=[fx, fy, cx, cy])
 
 
@@ -41,7 +52,7 @@ def checked_pose(matrix: object, where: str) -> Float64[np.ndarray, "3 4"]:
     """
     try:
         values = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if values.shape not in ((3, 4), (4, 4)) or not np.isfinite(values).all():
         raise DataError(f"{where}: the pose is not a 3 x 4 or 4 x 4 matrix of finite numbers")
@@ -56,7 +67,7 @@ def checked_pose(matrix: object, where: str) -> Float64[np.ndarray, "3 4"]:
     return np.concatenate([left @ right, values[:3, 3:]], axis=1)
 
 
-def positive(value: object, where: str, name: str) -> float:
+def positive(value: Any, where: str, name: str) -> float:
     """A value from a file as a finite number above 0.
 
     Args:
@@ -65,8 +76,7 @@ def positive(value: object, where: str, name: str) -> float:
         name: Name of the field, for errors.
     Raises: DataError naming the file and the field.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
-        raise DataError(f"{where}: {name} is {value!r}, expected a number above 0")
+    in_range(value, f"{where}: {name}", above=True, fault=DataError)
     return float(value)
 
 

@@ -14,6 +14,8 @@ from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
+from splatproof.base.inside import inside
+from splatproof.base.numbers import finite, image_size
 from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
@@ -101,7 +103,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
         name = Path(str(frame["file_path"])).as_posix()
         where = f"{path}: frame {name}"
         split = None if lists is None else lists.get(name)
-        file = folder / name
+        file = inside(folder, name, where)
         if protocol.images not in FULL_SIZE_FOLDERS:
             file = file.parent.with_name(protocol.images) / file.name
         if lists is not None and split is None:
@@ -123,6 +125,8 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
                 valid=_mask(folder, frame, copy_factor(protocol.images), where),
             )
         )
+    if not frames:
+        raise DataError(f"{path}: has no frames, expected one a photo")
     if not photos:
         raise DataError(
             f"{path}: not one photo of its {len(frames)} frames is there, expected {unused[0]} and "
@@ -136,7 +140,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     if cloud is not None:
         if not isinstance(cloud, str):
             raise DataError(f"{path}: ply_file_path is {cloud!r}, expected a file name")
-        file = folder / cloud
+        file = inside(folder, cloud, f"{path}: ply_file_path")
         layout = replace(layout, points=read_ply_points(file), description=[path, file])
     return open_layout(folder, layout, protocol)
 
@@ -165,7 +169,7 @@ def _mask(folder: Path, frame: dict[str, object], factor: int, where: str) -> Pa
     name = frame.get("mask_path")
     if name is None:
         return None
-    file = folder / str(name)
+    file = inside(folder, str(name), f"{where}: mask_path")
     if factor > 1:
         file = folder / f"masks_{factor}" / file.name
     if not file.is_file():
@@ -199,7 +203,7 @@ def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
             f"{where}: camera_model is {model!r}, expected one of {', '.join(PERSPECTIVE)} or "
             f"{FISHEYE}; cut other photos into perspective views first"
         )
-    width, height = (int(positive(values.get(key), where, key)) for key in ("w", "h"))
+    width, height = image_size(values.get("w"), values.get("h"), where)
     fx, fy, cx, cy = (positive(values.get(k), where, k) for k in ("fl_x", "fl_y", "cx", "cy"))
     bend = {key: _number(values.get(key, 0.0), where, key) for key in _DISTORTION}
     k1, k2, k3, k4, p1, p2 = bend.values()
@@ -210,7 +214,7 @@ def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
     elif k4:
         raise DataError(f"{where}: k4 is {k4}, which only {FISHEYE} has; expected 0")
     elif not any(bend.values()):
-        return pinhole_camera(width, height, fx, fy, cx, cy)
+        return pinhole_camera(width, height, fx, fy, cx, cy, where)
     else:
         kind, params = "FULL_OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     return pycolmap.Camera(model=kind, width=width, height=height, params=params)
@@ -220,9 +224,10 @@ _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def _number(value: object, where: str, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise DataError(f"{where}: {name} is {value!r}, expected a finite number")
-    return float(value)
+    number = finite(value)
+    if number is None:
+        raise DataError(f"{where}: {name} is {value!r:.60}, expected a finite number")
+    return number
 
 
 def open_blender(folder: Path, protocol: Protocol) -> Scene:
@@ -239,21 +244,24 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
     Source: Mildenhall et al. 2020, data release.
     """
     photos = []
-    for file, split in zip(BLENDER_FILES, ("train", "test"), strict=True):
-        path = folder / file
+    for described, split in zip(BLENDER_FILES, ("train", "test"), strict=True):
+        path = folder / described
         data, frames = read_frames(path)
         angle = positive(data.get("camera_angle_x"), str(path), "camera_angle_x")
         if angle >= math.pi:
             raise DataError(f"{path}: camera_angle_x is {angle}, expected radians below pi")
         for frame in frames:
             name = Path(f"{frame['file_path']}.png").as_posix()
-            width, height = photo_size(folder / name)
+            file = inside(folder, name, f"{path}: file_path")
+            width, height = photo_size(file)
             focal = width / (2 * math.tan(angle / 2))
             photos.append(
                 PosedPhoto(
                     name=name,
-                    path=folder / name,
-                    camera=pinhole_camera(width, height, focal, focal, width / 2, height / 2),
+                    path=file,
+                    camera=pinhole_camera(
+                        width, height, focal, focal, width / 2, height / 2, str(path)
+                    ),
                     camera_to_world=opengl_pose(frame, f"{path}: frame {name}"),
                     split="train" if split == "train" else "test",
                 )

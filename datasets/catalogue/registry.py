@@ -9,6 +9,7 @@ from typing import Literal
 
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.base.files import sha256
+from splatproof.base.inside import checked_name
 from splatproof.base.locks import locked
 from splatproof.base.names import unknown
 from splatproof.base.typed_toml import build, read_toml
@@ -82,6 +83,8 @@ def read_registry(path: Path) -> tuple[SceneEntry, ...]:
         if scenes is None:
             entries.append(_entry(path, name, table))
             continue
+        if not isinstance(scenes, list) or not all(isinstance(part, str) for part in scenes):
+            raise DataError(f"{path}: [{name}]: scenes is {scenes!r:.80}, expected a list of names")
         for part in scenes:
             inside: dict[str, object] = {"part": part} if table.get("kind") == "made" else {}
             if isinstance(table.get("get"), str):
@@ -96,7 +99,12 @@ def _entry(path: Path, name: str, table: dict[str, object]) -> SceneEntry:
     where = f"{path}: [{name}]"
     if "name" in table:
         raise DataError(f"{where}: name is given, but the table's own name is the scene's")
+    checked_name(name, f"{path}: [{name!r}]")
     entry = build(SceneEntry, {"folders": [name], **table, "name": name}, where, DataError)
+    parts = [("part", entry.part)] if entry.part else []
+    for key, value in [*parts, *(("folders", folder) for folder in entry.folders),
+                       *(("files", file) for file in entry.files)]:  # fmt: skip
+        checked_name(value, f"{where}: {key}")
     if bool(entry.url) != bool(entry.sha256):
         raise DataError(f"{where} needs both url and sha256, or neither")
     return entry

@@ -4,7 +4,7 @@ Everything lands in one database: photos that have features and pairs that are m
 passed over, so a step that is started again does only what is missing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from splatproof.datasets.ingesting.survey import Photo
 
 Report = Callable[[str, int, int], None]
 """Told (step, done, total)."""
+Lens = tuple[int, int, str]
 _PHOTOS_A_CALL = 8
 _PAIRS_A_CALL = 100
 
@@ -47,6 +48,7 @@ def extract(work: Structure, photos: Sequence[Photo], report: Report) -> None:
     options.max_image_size = work.max_image_size
     options.num_threads = work.threads
     cameras = _cameras(work, photos)
+    _images(work, photos, cameras)
     done = 0
     for lens, camera in cameras.items():
         reader = pycolmap.ImageReaderOptions()
@@ -68,9 +70,9 @@ def extract(work: Structure, photos: Sequence[Photo], report: Report) -> None:
     report("features", done, len(photos))
 
 
-def _cameras(work: Structure, photos: Sequence[Photo]) -> dict[tuple[int, int, str], int]:
-    """Camera id of each lens, written once; ids follow the sorted lenses."""
-    first: dict[tuple[int, int, str], Photo] = {}
+def _cameras(work: Structure, photos: Sequence[Photo]) -> dict[Lens, int]:
+    """Camera id of each lens, written once with a rig of it alone; ids follow the sorted lenses."""
+    first: dict[Lens, Photo] = {}
     for photo in photos:
         first.setdefault(photo.lens, photo)
     ids = {lens: i + 1 for i, lens in enumerate(sorted(first))}
@@ -80,7 +82,30 @@ def _cameras(work: Structure, photos: Sequence[Photo]) -> dict[tuple[int, int, s
                 camera = pycolmap.infer_camera_from_image(work.photos / first[lens].name)
                 camera.camera_id = number
                 database.write_camera(camera, use_camera_id=True)
+            if not database.exists_rig(number):
+                rig = pycolmap.Rig(rig_id=number)
+                rig.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number))
+                database.write_rig(rig, use_rig_id=True)
     return ids
+
+
+def _images(work: Structure, photos: Sequence[Photo], cameras: Mapping[Lens, int]) -> None:
+    """Write every photo's entry before its features: ids follow cameras and names.
+
+    COLMAP numbers photos as their features are found, which with several threads is chance, and
+    mapping depends on the numbers.
+    """
+    ordered = sorted(photos, key=lambda photo: cameras[photo.lens])
+    with pycolmap.Database.open(work.database) as database:
+        for number, photo in enumerate(ordered, start=1):
+            camera = cameras[photo.lens]
+            image = pycolmap.Image(name=photo.name, camera_id=camera, image_id=number)
+            frame = pycolmap.Frame(frame_id=number, rig_id=camera)
+            frame.add_data_id(image.data_id)
+            if not database.exists_image(number):
+                database.write_image(image, use_image_id=True)
+            if not database.exists_frame(number):
+                database.write_frame(frame, use_frame_id=True)
 
 
 def choose_pairs(work: Structure, photos: Sequence[Photo]) -> tuple[list[tuple[str, str]], str]:
@@ -194,7 +219,11 @@ def reconstruct(
 def matched_photos(work: Structure) -> dict[str, int]:
     """Each photo with features, and the most verified matches that it has with another one."""
     with pycolmap.Database.open(work.database) as database:
-        names = {image.image_id: image.name for image in database.read_all_images()}
+        names = {
+            image.image_id: image.name
+            for image in database.read_all_images()
+            if database.exists_keypoints(image.image_id)
+        }
         best = dict.fromkeys(names.values(), 0)
         pairs, counts = database.read_two_view_geometry_num_inliers()
     for pair, matches in zip(pairs, counts, strict=True):

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
@@ -23,6 +24,9 @@ CONTAINER = "model.spgs"
 
 REGIONS = "regions.safetensors"
 """Where the blocks of the partition lie."""
+
+MEASURED = ("seconds", "peak_mb")
+"""Fields of BlockFacts that no two runs share."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,8 +65,11 @@ class CityModel(ExplicitModel):
         folder.mkdir(parents=True, exist_ok=True)
         save_regions(folder / REGIONS, self.regions)
         facts: dict[str, Any] = self.facts() | {
-            "blocks": [asdict(facts) for facts in self.block_facts],
-            "stage_seconds": dict(self.stage_seconds),
+            "blocks": [
+                asdict(facts) | {name: _in_places(getattr(facts, name)) for name in MEASURED}
+                for facts in self.block_facts
+            ],
+            "stage_seconds": {n: _in_places(v) for n, v in self.stage_seconds.items()},
         }
         if self.packed is not None:
             write_bytes(path, self.packed)
@@ -94,17 +101,32 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         arrays |= vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:
-        blocks, distances = arrays["blocks"].long(), arrays["distances"]
+        numbers, distances = arrays["blocks"], arrays["distances"]
+        if numbers.is_floating_point() or numbers.is_complex() or numbers.dtype == torch.bool:
+            raise ValueError(f"blocks of type {numbers.dtype}, expected whole numbers")
+        blocks = numbers.long()
+        if len(blocks) and int(blocks.min()) < 0:
+            raise ValueError(f"block {int(blocks.min())}, expected numbers from 0")
+        if not bool(distances.isfinite().all()):
+            raise ValueError("a distance that is not finite")
         if blocks.shape != (len(model),) or distances.shape != (len(model),):
             raise ValueError(f"{len(blocks)} blocks and {len(distances)} distances for "
                              f"{len(model)} Gaussians")  # fmt: skip
         return CityModel(
             model=model, backend=backend, blocks=blocks, distances=distances, packed=packed,
             packed_parts=dict(container["parts"]) if container else {},
-            block_facts=tuple(BlockFacts(**block) for block in facts["blocks"]),
+            block_facts=tuple(
+                BlockFacts(**block | {n: float(block[n]) for n in MEASURED if n in block})
+                for block in facts["blocks"]
+            ),
             regions=load_regions(folder / REGIONS),
             stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},
             **described(facts),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
+
+
+def _in_places(value: float) -> str:
+    """A measured number in as many places as any other, so that a model's size does not tell of it."""
+    return f"{value:.17e}"

@@ -1,6 +1,7 @@
 """What training leaves behind: a reconstruction that renders views, and the folder it is saved in."""
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from splatproof import __version__
 from splatproof.base.errors import DataError
-from splatproof.base.files import sha256, write_text
+from splatproof.base.files import read_json, sha256, write_text
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.render import RenderOutput
@@ -162,12 +163,9 @@ def describe(folder: Path) -> dict[str, Any]:
     Raises: DataError, naming the file and what is wrong with it.
     """
     path = folder / DESCRIPTION
-    try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file. Expected a folder written by `bench fit`") from None
-    except (ValueError, OSError) as error:
-        raise DataError(f"{path}: not JSON ({error})") from None
+    if not os.path.lexists(path):
+        raise DataError(f"{path}: no such file. Expected a folder written by `bench fit`")
+    facts = read_json(path)
     if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise DataError(f"{path}: not a model of splatproof (no format {FORMAT!r})")
     if facts.get("version") != FORMAT_VERSION:
@@ -216,10 +214,10 @@ def require_kind(facts: Mapping[str, Any], known: Mapping[str, object], folder: 
     Raises: DataError for a kind that nothing here can load.
     """
     kind = facts.get("kind")
-    if kind not in known:
+    if not isinstance(kind, str) or kind not in known:
         raise DataError(
             f"{folder / DESCRIPTION}: kind {kind!r}, this installation loads "
             f"{', '.join(sorted(known))}; install the package whose method "
             "made it, or name its file with --plugin"
         )
-    return str(kind)
+    return kind

@@ -85,7 +85,7 @@ def _splats(
     for part in zip(*(t.detach().split(GAUSSIANS_AT_ONCE) for t in model), strict=True):
         means, quaternions, scales, opacities = (t.double() for t in part)
         flat = projection.project(camera, means, rotation.half_covariance(quaternions, scales))
-        inverse = torch.linalg.inv(flat.covariances)
+        inverse = flat.conics
         limit = 2 * (255 * opacities).log().clamp(min=0)
         reach = (limit[:, None] * flat.covariances.diagonal(dim1=1, dim2=2)).sqrt()
         conic = inverse.flatten(start_dim=1)[:, [0, 1, 3]]

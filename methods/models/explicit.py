@@ -1,6 +1,5 @@
 """Explicit Gaussians as a reconstruction: drawn as they are, baked by doing nothing."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,6 +22,8 @@ from splatproof.reference.types.splats import Splats, activated
 EXPLICIT = "explicit"
 """Kind of models of nothing but Gaussians."""
 FIELDS = ("means", "quaternions", "log_scales", "opacity_logits", "sh")
+RANKS = (2, 2, 2, 1, 3)
+"""Dimensions of each of FIELDS."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -145,6 +146,7 @@ def gaussians_in(arrays: Mapping[str, Tensor], source: Path) -> Gaussians:
     missing = [name for name in FIELDS if name not in arrays]
     if missing:
         raise DataError(f"{source}: no array {missing[0]!r}. Expected {', '.join(FIELDS)}")
+    _check_types(arrays, source)
     model = Gaussians(**{name: arrays[name] for name in FIELDS})
     check_gaussians(model, source)
     return model
@@ -159,15 +161,15 @@ def described(facts: Mapping[str, Any]) -> dict[str, Any]:
     Raises: KeyError, TypeError or ValueError for what is missing or wrong.
     """
     shift = torch.tensor(facts["shift"], dtype=torch.float64)
-    if shift.shape != (3,):
-        raise ValueError(f"shift has shape {tuple(shift.shape)}, expected 3 numbers")
+    if shift.shape != (3,) or not shift.isfinite().all():
+        raise ValueError(f"shift is {facts['shift']!r:.80}, expected 3 finite numbers")
     if facts["mode"] not in ("classic", "antialiased"):
         raise ValueError(f"mode {facts['mode']!r}, expected 'classic' or 'antialiased'")
     return {"mode": facts["mode"], "shift": shift, "units": str(facts["units"])}
 
 
 def check_gaussians(model: Gaussians, source: Path) -> None:
-    """Refuse wrong shapes and numbers that are not finite, naming the first.
+    """Refuse wrong types and shapes, and numbers that are not finite, naming the first.
 
     Args:
         model: What is checked.
@@ -176,6 +178,8 @@ def check_gaussians(model: Gaussians, source: Path) -> None:
     Raises: DataError, naming `source`.
     """
     count, bands = len(model.means), model.sh.shape[1:2]
+    if not count:
+        raise DataError(f"{source}: no Gaussians")
     want = {"means": (count, 3), "quaternions": (count, 4), "log_scales": (count, 3),
             "opacity_logits": (count,), "sh": (count, *bands, 3)}  # fmt: skip
     for name in FIELDS:
@@ -192,5 +196,14 @@ def check_gaussians(model: Gaussians, source: Path) -> None:
             )
     if bands[0] not in (1, 4, 9, 16):
         raise DataError(f"{source}: {bands[0]} SH bands, expected 1, 4, 9 or 16")
-    if not math.isfinite(count) or count == 0:
-        raise DataError(f"{source}: no Gaussians")
+
+
+def _check_types(arrays: Mapping[str, Tensor], source: Path) -> None:
+    """Refuse arrays of another type or rank than Gaussians have."""
+    for name, rank in zip(FIELDS, RANKS, strict=True):
+        values = arrays[name]
+        if values.dtype != torch.float32 or values.ndim != rank:
+            raise DataError(
+                f"{source}: {name} is {values.dtype} of shape {tuple(values.shape)}, expected "
+                f"torch.float32 of {rank} dimensions"
+            )

@@ -11,12 +11,17 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_json
+from splatproof.base.inside import checked_name
+from splatproof.base.memory import check_room
 from splatproof.base.names import did_you_mean
+from splatproof.base.numbers import finite, image_size
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import View, camera_view
 
 KEYS = ("name", "width", "height", "K", "world_to_camera")
 """What every entry has."""
+PEAK = 32
+"""Bytes a pixel of a rendered view, at the least: colour, depth and opacity, and a copy to write."""
 MORE = ("time", "sensor", "appearance")
 """What an entry may have besides."""
 
@@ -49,6 +54,7 @@ def read_cameras(path: str | Path) -> dict[str, View]:
         name = entry["name"]
         if not isinstance(name, str) or not name or name in views:
             raise DataError(f"{where}: name {name!r}, expected a text that no other camera has")
+        checked_name(name, where)
         view = camera_view(_camera(entry, where), name, time=_time(entry, where))
         views[name] = replace(view, **_words(entry, where))
     return views
@@ -59,12 +65,9 @@ def _time(entry: dict[str, Any], where: str) -> float | None:
     if "time" not in entry:
         return None
     time = entry["time"]
-    try:
-        seconds = float(time) if type(time) in (int, float) else math.nan
-    except OverflowError:  # a whole number of more than 308 digits
-        seconds = math.inf
-    if not math.isfinite(seconds):
-        raise DataError(f"{where}: time {time!r}, expected a finite number of seconds")
+    seconds = finite(time)
+    if seconds is None:
+        raise DataError(f"{where}: time {time!r:.60}, expected a finite number of seconds")
     return seconds
 
 
@@ -81,7 +84,9 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
     """One camera, checked."""
     for side in ("width", "height"):
         if not isinstance(entry[side], int) or entry[side] < 1:
-            raise DataError(f"{where}: {side} {entry[side]!r}, expected a whole number >= 1")
+            raise DataError(f"{where}: {side} {entry[side]!r:.60}, expected a whole number >= 1")
+    width, height = image_size(entry["width"], entry["height"], where)
+    check_room(f"{where}: an image of {width} x {height}", width * height * PEAK)
     K, pose = _matrix(entry, "K", 3, where), _matrix(entry, "world_to_camera", 4, where)
     if min(K[0, 0], K[1, 1]) <= 0 or K[1, 0] or K[0, 1] or K[2].tolist() != [0, 0, 1]:
         raise DataError(
@@ -92,14 +97,14 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
     # 1e-4 lets matrices through that were printed with five digits
     if off > 1e-4 or torch.linalg.det(turn) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
         raise DataError(f"{where}: world_to_camera is not rigid (off by {off:.2g})")
-    return Camera(K=K, world_to_camera=pose, width=entry["width"], height=entry["height"])
+    return Camera(K=K, world_to_camera=pose, width=width, height=height)
 
 
 def _matrix(entry: dict[str, Any], key: str, size: int, where: str) -> Float[Tensor, "n n"]:
     """A square matrix of finite numbers in float64."""
     try:
         matrix = torch.tensor(entry[key], dtype=torch.float64)
-    except (TypeError, ValueError, RuntimeError):
+    except (TypeError, ValueError, RuntimeError, OverflowError):
         matrix = torch.full((1,), math.nan)
     if matrix.shape != (size, size) or not matrix.isfinite().all():
         raise DataError(f"{where}: {key} is not a {size} x {size} list of finite numbers")

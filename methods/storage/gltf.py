@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import whole_file
+from splatproof.base.files import read_bytes, whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
@@ -120,7 +120,7 @@ def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
             .double().clamp(TINIEST, LARGEST).logit().float(),
             sh=_tensor(sh),
         )  # fmt: skip
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{path}: not a whole .glb of Gaussians ({error!r})") from None
     if shift.shape != (3,) or mode not in ("classic", "antialiased"):
         raise DataError(f"{path}: extras say shift {told.get('shift')!r} and mode {mode!r}")
@@ -160,7 +160,7 @@ def _tensor(values: Float32[np.ndarray, "..."]) -> Tensor:
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a .glb file."""
     try:
-        content = path.read_bytes()
+        content = read_bytes(path)
         magic, version, length = HEAD.unpack_from(content)
         if magic != b"glTF" or version != 2 or length != len(content):
             raise ValueError(
@@ -174,9 +174,7 @@ def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
             raise ValueError("expected one chunk of JSON and one of binary data")
         start += size + CHUNK.size
         return document, content[start : start + rest]
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (OSError, ValueError, struct.error) as error:
+    except (ValueError, RecursionError, struct.error) as error:
         raise DataError(f"{path}: not a whole .glb file ({error})") from None
 
 
@@ -196,7 +194,10 @@ def _primitive(document: dict[str, Any], path: Path) -> tuple[dict[str, Any], di
         raise DataError(
             f"{path}: its Gaussians are compressed by another extension; unpack it first"
         )
-    node = next(node for node in document["nodes"] if node.get("mesh") == number)
+    nodes = [node for node in document["nodes"] if node.get("mesh") == number]
+    if not nodes:
+        raise DataError(f"{path}: no node shows its Gaussians, expected one")
+    node = nodes[0]
     moves = {"matrix", "translation", "rotation", "scale"} & set(node)
     parents = [n for n in document["nodes"] if n.get("children")]
     if moves or parents:

@@ -11,7 +11,7 @@ from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import whole_file
+from splatproof.base.files import size_of, whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
@@ -167,14 +167,13 @@ def _numbered(prefix: str, values: Float[Tensor, "n k"]) -> dict[str, Tensor]:
 
 def _vertices(path: Path) -> tuple[PlyElement, list[str]]:
     """The vertex element and the header's comments."""
+    size_of(path)
     try:
         data = PlyData.read(path)  # memory-mapped: a count beyond the file's end is refused
         if "vertex" not in data:
             raise DataError(f"{path}: no element 'vertex'. Expected a .ply of Gaussians")
         return data["vertex"], list(data.comments)
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (PlyParseError, OSError, ValueError, MemoryError, UnicodeDecodeError) as error:
+    except (PlyParseError, OSError, ValueError, MemoryError, OverflowError) as error:
         found = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{path}: not a whole .ply file ({found})") from None
 

@@ -1,19 +1,29 @@
 """Gaussians as .spz, the small format of the web viewers, through the public package gsply."""
 
+import struct
+import zlib
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
 
 import numpy as np
 import torch
+import zstandard
 
 from splatproof.base.errors import DataError, MissingError
-from splatproof.base.files import whole_file
+from splatproof.base.files import CHUNK, size_of, whole_file
+from splatproof.base.memory import check_room
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.types.gaussians import Gaussians
 
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
+GZIP = b"\x1f\x8b"
+HEAD = struct.Struct("<III4x")
+"""Magic, version and number of Gaussians, and 4 bytes of flags, of an unpacked file."""
+MOST_EACH = 100
+"""Bytes of a Gaussian, at the most: 9 of position, 9 of opacity, colour and scale, 4 of rotation, 45 of
+harmonics of degree 3 or 72 of degree 4."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 
@@ -55,11 +65,22 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     gsply = _package()
+    check_room(path, _unpacked(path))
     try:
         data = gsply.read_spz(path)
-    except (OSError, ValueError, EOFError) as error:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        MemoryError,
+        zlib.error,
+        struct.error,
+        zstandard.ZstdError,
+    ) as error:
         raise DataError(f"{path}: not a whole .spz file ({error})") from None
     dc, rest = np.asarray(data.sh0), np.asarray(data.shN)
+    if not len(dc):
+        raise DataError(f"{path}: 0 Gaussians. Expected at least one")
     if rest.ndim < 3:  # degree 0
         rest = np.zeros((len(dc), 0, 3))
     sh = np.concatenate([dc[:, None], rest], axis=1)
@@ -70,6 +91,34 @@ def read_spz(path: str | Path) -> Gaussians:
     )
     check_gaussians(model, path)
     return model
+
+
+def _unpacked(path: Path) -> int:
+    """Bytes that a file unpacks to. Raises: DataError if they are more than its Gaussians can take."""
+    size = size_of(path)
+    with path.open("rb") as file:
+        if file.read(2) != GZIP:
+            return size
+        file.seek(0)
+        unpacked, stream = 0, zlib.decompressobj(wbits=31)
+        head = b""
+        try:
+            while chunk := file.read(CHUNK):
+                while chunk:
+                    part = stream.decompress(chunk, CHUNK)
+                    chunk = stream.unconsumed_tail
+                    head, unpacked = (head + part)[: HEAD.size], unpacked + len(part)
+                    if (
+                        len(head) == HEAD.size
+                        and unpacked > HEAD.size + MOST_EACH * HEAD.unpack(head)[2]
+                    ):
+                        raise DataError(
+                            f"{path}: unpacks to more than its {HEAD.unpack(head)[2]} Gaussians can take; "
+                            "it is damaged or made to fill the memory, get it again"
+                        )
+        except zlib.error as error:
+            raise DataError(f"{path}: not a whole .spz file ({error})") from None
+    return unpacked
 
 
 def _package() -> ModuleType:

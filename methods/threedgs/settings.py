@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.schedules import Rates, require
+from splatproof.methods.training.schedules import Rates, require, require_cell
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
@@ -74,7 +74,7 @@ class Settings:
         opacity = self.initial_opacity
         require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
         require(self.random_points >= 0, "random_points", self.random_points, ">= 0")
-        require(0 <= self.dense_cell < math.inf, "dense_cell", self.dense_cell, ">= 0")
+        require_cell(self.dense_cell)
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")

@@ -7,6 +7,8 @@ from functools import partial
 from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.model import Schedule
 
+LEAST_CELL = 0.25
+"""Pixels between points that are matched: flow gives a match a pixel, so finer voxels have one each."""
 FULL_LENGTH = 30_000
 """Steps of a full run; schedules are written down for this length."""
 
@@ -22,6 +24,17 @@ def shrink(iterations: int) -> float:
     Source: ours.
     """
     return min(1.0, iterations / FULL_LENGTH)
+
+
+def require_cell(cell: float) -> None:
+    """Refuse voxels of added points that would hold a match each, at the price of all of them.
+
+    Args:
+        cell: Edge of a voxel in pixels; 0: no points are added.
+    Raises: UsageError below LEAST_CELL.
+    """
+    require(cell == 0 or LEAST_CELL <= cell < math.inf, "dense_cell", cell,
+            f"0, or {LEAST_CELL} and more")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

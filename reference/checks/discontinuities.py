@@ -53,7 +53,7 @@ def discontinuity_pixels(
     marks = []
     for part in pixels.split(max(1, 2**22 // max(1, len(order)))):
         offsets = part[:, None] - flat.means[order]
-        conics = torch.linalg.inv(flat.covariances[order])
+        conics = flat.conics[order]
         power = -0.5 * torch.einsum("pni,nij,pnj->pn", offsets, conics, offsets)
         raw = (opacities[order] * power.exp()).clamp(max=compositing.ALPHA_MAX)
         alpha = torch.where(raw >= projection.ALPHA_MIN, raw, 0)

@@ -14,19 +14,18 @@ T_MIN = 1e-4
 
 def alphas(
     offsets: Float[Tensor, "p n 2"],
-    covariances: Float[Tensor, "n 2 2"],
+    conics: Float[Tensor, "n 2 2"],
     opacities: Float[Tensor, " n"],
 ) -> Float[Tensor, "p n"]:
     """Opacity of each Gaussian at each pixel: min(0.99, o exp(-d^T Sigma2^-1 d / 2)), 0 if < 1/255.
 
     Args:
         offsets: d, pixel centre minus mean, in pixels.
-        covariances: Sigma2 in squared pixels, positive definite.
+        conics: Sigma2^-1 in 1 / squared pixels, positive definite.
         opacities: Opacity o of each Gaussian, in [0, 1].
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Eq. 4 and its release's thresholds.
     """
-    conics = torch.linalg.inv(covariances)
     power = -0.5 * torch.einsum("pni,nij,pnj->pn", offsets, conics, offsets)
     alpha = (opacities * power.exp()).clamp(max=ALPHA_MAX)
     return torch.where(alpha >= ALPHA_MIN, alpha, 0)

@@ -26,6 +26,8 @@ class Projected:
     """Camera-space z in scene units; the drawing order."""
     covariances: Float[Tensor, "n 2 2"]
     """2D covariances in squared pixels, low-pass included."""
+    conics: Float[Tensor, "n 2 2"]
+    """Their inverses."""
     compensation: Float[Tensor, " n"]
     """Factor in [0, 1] that mode "antialiased" puts on opacity."""
     in_front: Bool[Tensor, " n"]
@@ -65,7 +67,8 @@ def project(
 
     Sigma comes as its factor H, Sigma = H H^T, because det(M M^T) = |m1 x m2|^2 with the rows
     m1, m2 of M = J W H keeps all digits for a needle, where the textbook determinant of the
-    product loses them.
+    product loses them, and with them its inverse: from 1e8 on, in float64, half of all needles
+    would be seen as hyperbolas.
 
     Args:
         camera: The pinhole camera; its near plane decides what is in front.
@@ -83,13 +86,17 @@ def project(
     sharp = flat @ flat.mT
     area = torch.linalg.cross(flat[:, 0], flat[:, 1]).square().sum(dim=1)  # det(sharp)
     blurred_area = area + BLUR * (sharp[:, 0, 0] + sharp[:, 1, 1]) + BLUR**2
+    covariances = sharp + BLUR * torch.eye(2).to(sharp)
+    a, b, _, c = covariances.flatten(1).unbind(dim=1)
+    adjugate = torch.stack([c, -b, -b, a], dim=1).reshape(-1, 2, 2)
     share = area / blurred_area
     positive = share > 0
     compensation = torch.where(positive, torch.where(positive, share, 1).sqrt(), 0)
     return Projected(
         means=(cam @ camera.K.to(cam).T)[:, :2] / cam[:, 2:],
         depths=cam[:, 2],
-        covariances=sharp + BLUR * torch.eye(2).to(sharp),
+        covariances=covariances,
+        conics=adjugate / blurred_area[:, None, None],
         compensation=compensation,
         in_front=in_front,
     )

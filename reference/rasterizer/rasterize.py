@@ -79,7 +79,7 @@ def rasterize(
     blended, left, medians, ids, tops = [], [], [], [], []
     for part in pixels.split(max(1, PAIRS_AT_ONCE // max(1, len(order)))):
         offsets = pixel_offsets(part, flat.means, probe)[:, order]
-        alpha = compositing.alphas(offsets, flat.covariances[order], opacities[order])
+        alpha = compositing.alphas(offsets, flat.conics[order], opacities[order])
         weight, rest = compositing.weights(alpha)
         blended.append(weight @ carried)
         left.append(rest)

@@ -53,7 +53,7 @@ def result_from_json(text: str, source: str) -> Result:
     """
     try:
         record = json.loads(text, parse_constant=_refuse_constant)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{source}: not a result record: {error}") from error
     if not isinstance(record, dict):
         raise DataError(f"{source}: expected a JSON object, found {_kind(record)}")
@@ -121,7 +121,10 @@ def _read(value: Any, kind: Any, where: str, source: str) -> Any:
         if isinstance(value, str) and value in NON_FINITE:
             return NON_FINITE[value]
         _check(value, int | float, where, source)
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise DataError(f"{source}: {where}: {_kind(value)} is no float") from None
     _check(value, kind, where, source)
     return value
 

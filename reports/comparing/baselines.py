@@ -74,7 +74,7 @@ def read(path: Path, label: str) -> Side:
         )
     try:
         cases = tuple(_case(path, number, body) for number, _ in enumerate(body["cases"] or ()))
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
         raise DataError(f"{path}: damaged ({type(error).__name__}: {error}); {AGAIN}") from None
     return Side(label=label, cases=cases)
 
@@ -150,4 +150,4 @@ def checksum(body: object) -> str:
     Args:
         body: The parts that cases share, and the cases, by name.
     """
-    return hashlib.sha256(_line(body).encode()).hexdigest()
+    return hashlib.sha256(_line(body).encode("utf-8", "surrogatepass")).hexdigest()

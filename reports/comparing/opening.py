@@ -9,7 +9,7 @@ from splatproof.base.errors import DataError, UsageError
 from splatproof.base.names import did_you_mean
 from splatproof.reports.comparing import baselines, sides
 from splatproof.reports.comparing.sides import Side
-from splatproof.reports.mlflow_client import shown_uri
+from splatproof.reports.mlflow_client import shown_uri, sqlite_uri
 from splatproof.reports.store import find_cases
 
 COMMIT = re.compile(r"(?P<where>.+)@(?P<commit>[0-9a-f]{4,40}(-dirty)?)")
@@ -86,11 +86,11 @@ def _open(spec: Spec, label: str, folder: Path) -> Side:
     if "://" in spec.where:
         return sides.from_store(spec.where, label, spec.commit)
     if path.suffix == ".db" and path.is_file():
-        return sides.from_store(_sqlite(path), label, spec.commit)
+        return sides.from_store(sqlite_uri(path), label, spec.commit)
     if path.is_dir():
         store = path / STORE
         if store.is_file() and (spec.commit or not find_cases(path)):
-            return sides.from_store(_sqlite(store), label, spec.commit)
+            return sides.from_store(sqlite_uri(store), label, spec.commit)
         return _of_commit(sides.from_folder(path, label), spec)
     if path.suffix == ".json" and path.is_file():
         return _of_commit(baselines.read(path, label), spec)
@@ -106,7 +106,3 @@ def _open(spec: Spec, label: str, folder: Path) -> Side:
 
 def _of_commit(side: Side, spec: Spec) -> Side:
     return sides.newest(side.label, sides.of_commit(side.cases, spec.commit, side.label))
-
-
-def _sqlite(path: Path) -> str:
-    return f"sqlite:///{path.resolve()}"

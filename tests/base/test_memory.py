@@ -3,6 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
+from splatproof.base import memory
+from splatproof.base.errors import DataError, MissingError
 from splatproof.base.memory import peak_memory_mb
 
 
@@ -16,3 +20,17 @@ def test_peak_memory_sees_an_allocation_and_not_the_parents():
     before, after = map(float, done.stdout.split())
     assert 150 < after - before < 300
     assert peak_memory_mb() > len(held) / 2**20 > before + 100
+
+
+def test_what_the_memory_does_not_hold_is_refused(monkeypatch):
+    monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
+    memory.check_room("a.png", 90 * 2**20)
+    with pytest.raises(MissingError, match=r"^a\.png: takes 91 MB to read, more than 90% .*100 MB"):
+        memory.check_room("a.png", 91 * 2**20)
+
+
+def test_what_grows_more_than_any_file_can_is_refused():
+    memory.check_growth("a.png", 1032 * 10**6, 10**6)  # the most that deflate reaches
+    memory.check_growth("a.png", 64 * 2**20, 1)
+    with pytest.raises(DataError, match=r"^a\.png: says that its 1000 bytes hold 1000 MB"):
+        memory.check_growth("a.png", 1000 * 2**20, 1000)

@@ -75,6 +75,52 @@ def test_what_cannot_be_sent_starts_nothing():
         Worker(echo, lambda: None)
 
 
+BUSY = """
+import os
+def work(says):
+    says.send(os.getpid())
+    sum(range(10**12))  # holds the interpreter, as native code may: no thread of Python's gets a turn
+"""
+PARENT = """
+import sys, threading
+from splatproof.base.processes import Worker
+from busy import work
+
+if __name__ == "__main__":
+    worker = []
+    def start():
+        worker.append(Worker(work, preload=["busy"] if sys.argv[1] == "preload" else []))
+    starter = threading.Thread(target=start)  # a worker outlives the thread that started it
+    starter.start()
+    starter.join()
+    print(worker[0].receive(), flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
+@pytest.mark.parametrize("how", ["spawn", "preload"])
+def test_a_worker_that_is_busy_ends_with_its_parent_at_once(tmp_path, how):
+    (tmp_path / "busy.py").write_text(BUSY)
+    (tmp_path / "parent.py").write_text(PARENT)
+    with subprocess.Popen(
+        [sys.executable, "parent.py", how], cwd=tmp_path, stdout=subprocess.PIPE,
+        stdin=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    ) as parent:  # fmt: skip
+        assert parent.stdout is not None
+        worker = int(parent.stdout.readline())
+        time.sleep(0.3)
+        os.kill(worker, 0)  # it lives
+        parent.kill()
+    deadline = time.monotonic() + 2
+    while Path(f"/proc/{worker}").exists() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    left = Path(f"/proc/{worker}").exists()
+    if left:
+        os.kill(worker, signal.SIGKILL)
+    assert not left
+
+
 SLOW = """
 import time
 time.sleep(0.3)  # as torch: a signal may come while this is imported

@@ -28,12 +28,54 @@ def test_what_the_disk_has_against_it(monkeypatch, capsys, number, advice, path)
     assert advice in line
 
 
-def test_a_missing_file_is_our_own_fault_and_not_hidden(monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [
+        (errno.ENOENT, 2),
+        (errno.EISDIR, 2),
+        (errno.ENAMETOOLONG, 2),
+        (errno.EIO, 3),
+        (errno.EMFILE, 3),
+    ],
+)
+def test_whatever_else_the_system_says_is_one_line(monkeypatch, capsys, number, code):
     def command() -> int:
-        raise FileNotFoundError(errno.ENOENT, "No such file", "a")
+        raise OSError(number, os.strerror(number), "a")
 
     monkeypatch.setattr(doctor, "doctor", command)
-    with pytest.raises(FileNotFoundError):
+    assert main(["doctor"]) == code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"bench: a: {os.strerror(number)}; ")
+    monkeypatch.setenv("SPLATPROOF_DEBUG", "1")
+    assert main(["doctor"]) == code
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (OSError("two\nlines"), "two lines; SPLATPROOF_DEBUG=1 shows where"),
+        (TimeoutError(), "TimeoutError; SPLATPROOF_DEBUG=1 shows where"),
+        (MemoryError(), "out of memory; "),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: x\ny"), "out of memory; "),
+    ],
+)
+def test_faults_without_a_number(monkeypatch, capsys, fault, said):
+    def command() -> int:
+        raise fault
+
+    monkeypatch.setattr(doctor, "doctor", command)
+    assert main(["doctor"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"bench: {said}")
+
+
+def test_a_fault_of_ours_is_not_hidden(monkeypatch):
+    def command() -> int:
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr(doctor, "doctor", command)
+    with pytest.raises(RuntimeError, match="a bug"):
         main(["doctor"])
 
 

@@ -56,9 +56,9 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, 
 
 
 CASES = [
-    pytest.param("ingest", signal.SIGTERM),
-    pytest.param("run", signal.SIGINT),
-    pytest.param("fit", signal.SIGTERM),
+    pytest.param("ingest", signal.SIGTERM, marks=pytest.mark.slow),
+    pytest.param("run", signal.SIGINT, marks=pytest.mark.slow),
+    pytest.param("fit", signal.SIGTERM, marks=pytest.mark.slow),
     pytest.param("ingest", signal.SIGINT, marks=pytest.mark.slow),
     pytest.param("fit", signal.SIGINT, marks=pytest.mark.slow),
     pytest.param("run", signal.SIGTERM, marks=pytest.mark.slow),

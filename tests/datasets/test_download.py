@@ -121,3 +121,20 @@ def test_a_full_disk_is_told_before_the_first_byte(server, tmp_path, monkeypatch
 def test_only_web_addresses(tmp_path, url):
     with pytest.raises(UsageError, match="http"):
         download(url, tmp_path / "x", sha256=DIGEST)
+
+
+@pytest.mark.parametrize(
+    "other", ["ftp://127.0.0.1:9/a.zip", "file:///etc/passwd", "data:,x", "x:y"]
+)
+def test_a_redirect_leads_to_the_web_alone(server, tmp_path, other):
+    server.moved = other
+    with pytest.raises(MissingError, match="(leads to|not allowed|302)") as caught:
+        fetch(server, tmp_path / "a.zip")
+    assert "\n" not in str(caught.value)
+    assert len(server.asked) == 1  # and not asked again and again
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_redirect_on_the_web_is_followed(server, tmp_path):
+    server.moved = server.url
+    assert fetch(server, tmp_path / "a.zip").read_bytes() == BODY

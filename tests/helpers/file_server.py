@@ -15,6 +15,7 @@ class Server(http.server.ThreadingHTTPServer):
         self.ranges = True
         self.wrong_range = False
         self.status = 200
+        self.moved = ""
         self.cut: list[int] = []
         self.asked: list[str | None] = []
         threading.Thread(target=self.serve_forever, daemon=True).start()
@@ -30,6 +31,13 @@ class Handler(http.server.BaseHTTPRequestHandler):
         assert isinstance(server, Server)
         wanted = self.headers.get("Range")
         server.asked.append(wanted)
+        if server.moved:
+            self.send_response(302)
+            self.send_header("Location", server.moved)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+            server.moved = ""
+            return
         if server.status != 200:
             self.send_error(server.status)
             return

@@ -3,6 +3,7 @@
 import os
 from multiprocessing.connection import Connection
 
+from splatproof.base.inside import outside_is_allowed
 from splatproof.base.quiet import is_quiet
 
 
@@ -29,3 +30,8 @@ def tell_quiet(says: Connection) -> None:
 def tell_variable(says: Connection, name: str) -> None:
     """Say a variable of the environment."""
     says.send(os.environ.get(name))
+
+
+def tell_trust(says: Connection) -> None:
+    """Say whether scene files may name files outside their folder."""
+    says.send(outside_is_allowed())

@@ -23,7 +23,14 @@ from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.reference.types.result_json import result_to_json
 from splatproof.reports import run_data, store
 from splatproof.reports.executions import SUITE
-from splatproof.reports.mlflow_client import check_uri, default_uri, open_client, shown_uri
+from splatproof.reports.mlflow_client import (
+    check_uri,
+    default_uri,
+    open_client,
+    shown_uri,
+    sqlite_file,
+    sqlite_uri,
+)
 from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
 from splatproof.reports.store import Failure, Picture, find_cases, read_results, sync
 
@@ -296,6 +303,49 @@ def test_default_uri(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert default_uri(tmp_path) == f"sqlite:///{tmp_path}/mlflow.db"
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://example.invalid:5000")
     assert default_uri(tmp_path) == "http://example.invalid:5000"
+
+
+@pytest.mark.parametrize("name", ["a?b", "a#b", "50%", "a%20b", "a b@c:d"])
+def test_a_store_lies_in_the_folder_of_its_runs_whatever_that_is_called(
+    migrated: Path, tmp_path: Path, name: str
+):
+    out, other = tmp_path / name, tmp_path / name[:1]
+    for folder in {out, other}:
+        folder.mkdir()
+        shutil.copy(migrated, folder / "mlflow.db")
+    uri = default_uri(out)
+    assert sqlite_file(uri) == out / "mlflow.db"
+    before = sorted(tmp_path.iterdir())
+    case = write(out)
+    assert sync([case], uri) == []
+    (stored,) = read_results(uri)
+    assert stored.picture("render", "dji_0001.jpg") == (case / "renders/dji_0001.png").read_bytes()
+    assert sorted(tmp_path.iterdir()) == before  # nothing beside it
+    assert read_results(default_uri(other)) == []
+
+
+def test_a_new_store_lies_in_its_folder_too(tmp_path: Path):
+    (tmp_path / "a?b").mkdir()
+    open_client(default_uri(tmp_path / "a?b"))
+    assert (tmp_path / "a?b" / "mlflow.db").is_file()
+    assert [path.name for path in tmp_path.iterdir()] == ["a?b"]
+
+
+def test_a_folder_that_no_uri_can_name(tmp_path: Path):
+    with pytest.raises(UsageError, match="not UTF-8, so a tracking URI cannot name it"):
+        sqlite_uri(tmp_path / os.fsdecode(b"\xff") / "mlflow.db")
+
+
+def test_what_is_no_store_is_refused_at_once(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    for uri, said in [
+        (f"sqlite:///{tmp_path}", "is a folder"),
+        (f"sqlite:///{tmp_path}/pipe", "is a pipe"),
+        ("http://[::1", "Invalid IPv6 URL; expected http://HOST:PORT"),
+    ]:
+        for ask in (check_uri, open_client, read_results):
+            with pytest.raises(UsageError, match=said):
+                ask(uri)
 
 
 @pytest.mark.parametrize("bad", ["mlruns", "./mlruns", "/a/b", "file:///a/b", "file:mlruns"])

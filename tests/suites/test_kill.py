@@ -17,6 +17,7 @@ from splatproof.reference.types.result import Result
 from splatproof.reports.store import read_results
 from splatproof.suites.records import read_record
 
+pytestmark = pytest.mark.slow  # tests/torture kills a fit and an export in every run of the tests
 FAKE = [sys.executable, str(Path(run_fake_suite.__file__))]
 BENCH = [str(Path(sys.executable).with_name("bench")), "run", "quick", "--quiet", "--out"]
 HANGS = 600

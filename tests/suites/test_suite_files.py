@@ -184,7 +184,7 @@ def test_a_missing_file_a_wrong_name_and_a_name_that_is_no_folder(tmp_path):
     with pytest.raises(UsageError, match="the file's name becomes a folder"):
         load_suite(written(tmp_path, GOOD, "a b.toml"))
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UsageError, match="not a TOML file"):
+    with pytest.raises(UsageError, match="not UTF-8 text"):
         load_suite(tmp_path / "binary.toml")
 
 

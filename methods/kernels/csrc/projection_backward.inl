@@ -93,7 +93,9 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
         const vd d_drawn = widen(g[S_G] + l) / select(o > 0, o, one);
         const vd d_comp = model.antialiased ? d_drawn * e.o : zero;
         const maskd flat = e.sharp > 0;
-        const vd root = keep(flat, 1 / square_root(select(flat, e.sharp, one) * e.det));
+        // 1 / sqrt(sharp det): the product of two squared areas is beyond a double from scales of 1e37 on
+        const vd area = select(flat, e.sharp, one), both = area * e.det;
+        const vd root = keep(flat, select(both < 1e300, 1 / square_root(both), e.compensation / area));
         const vd ratio = e.compensation / e.det;
         for (int k = 0; k < 3; ++k) {
           dm[0][k] = 2 * (gxx * e.m[0][k] + gxy * e.m[1][k]) - d_comp * ratio * BLUR * e.m[0][k];

@@ -14,6 +14,9 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes, size_of
+from splatproof.base.memory import GROWTH, SMALL, check_growth, check_room
+from splatproof.base.numbers import finite
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -60,6 +63,7 @@ def read_packed(
     if header is None:
         (model,) = chunks
         return model, facts
+    check_room(path, 4 * header["primitives"] * (11 + 3 * header["bands"]))
     shapes = _shapes(header["primitives"], header["bands"])
     arrays = {name: torch.empty(shape) for name, shape in shapes.items()}
     start = 0
@@ -110,12 +114,15 @@ def _opened(
     path: Path, threads: int | None, most_bytes: int
 ) -> tuple[PackedFacts, dict[str, Any] | None, Iterator[Gaussians]]:
     """Facts, header (None for version 1) and chunks."""
+    size_of(path)
     version = version_of(path)
     if version == 1:
         try:
-            model = packing.unpack(container.decode(path.read_bytes(), most_bytes=most_bytes))
+            most = min(most_bytes, max(SMALL, GROWTH * path.stat().st_size))
+            model = packing.unpack(container.decode(read_bytes(path), most_bytes=most))
         except DataError as error:
             raise DataError(f"{path}: {error}") from None
+        _check_finite(path, model)
         return PackedFacts(), None, iter([model])
     if version != VERSION:
         raise DataError(
@@ -127,6 +134,7 @@ def _opened(
     count, bands, size = header["primitives"], header["bands"], header["chunk"]
     if -(-count // size) * 32 > path.stat().st_size:
         raise DataError(f"{path}: claims {count} primitives, more than it can hold")
+    check_growth(path, 4 * count * (11 + 3 * bands), path.stat().st_size)
     if 4 * count * (11 + 3 * bands) > most_bytes:
         raise DataError(f"{path}: claims {count} primitives; that is over {most_bytes} bytes")
     table = _table(path, next(stream, b""), 3 * (bands - 1))
@@ -153,8 +161,8 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
                 words = " or ".join(kind.__name__ for kind in types)
                 raise ValueError(f"{name} is {header[name]!r}, expected {words}")
         shift = header["shift"]
-        if len(shift) != 3 or not all(type(v) in (int, float) for v in shift):
-            raise ValueError(f"shift is {shift!r}, expected three numbers")
+        if len(shift) != 3 or any(finite(value) is None for value in shift):
+            raise ValueError(f"shift is {shift!r:.80}, expected three finite numbers")
         if header["mode"] not in ("classic", "antialiased"):
             raise ValueError(f"mode is {header['mode']!r}, expected 'classic' or 'antialiased'")
         if header["bands"] not in (1, 4, 9, 16) or header["primitives"] < 0:
@@ -162,7 +170,7 @@ def _header(path: Path, content: bytes) -> dict[str, Any]:
         if not 1 <= header["chunk"] <= LARGEST_CHUNK:
             raise ValueError(f"chunks of {header['chunk']}, expected up to {LARGEST_CHUNK}")
         return header
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path}: header of a packed model that is none ({error})") from None
 
 
@@ -205,11 +213,20 @@ def _chunks(
 
     def decode(item: tuple[int, bytes]) -> Gaussians:
         try:
-            return _gaussians(*item, header["bands"], table)
+            part = _gaussians(*item, header["bands"], table)
         except (DataError, struct.error) as error:
             raise DataError(f"{path}: a chunk that is none ({error})") from None
+        _check_finite(path, part)
+        return part
 
     return in_order(decode, numbered(), workers)
+
+
+def _check_finite(path: Path, part: Gaussians) -> None:
+    """Refuse numbers that no packed model has: none is written with one, and seals can be forged."""
+    for name, values in vars(part).items():
+        if not values.isfinite().all():
+            raise DataError(f"{path}: {name} that are not finite; pack the model again")
 
 
 def _gaussians(

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from splatproof.base.inside import allowing_outside, outside_is_allowed
 from splatproof.datasets.catalogue import opening
 from splatproof.metrics.protocol_files import load_protocol, resized
 from splatproof.reference.types.protocol import Protocol
@@ -21,7 +22,11 @@ def rules_of(protocol: str | Path | Protocol, width: int | None) -> Protocol:
 
 
 def open_scene(
-    scene: str | Path, *, protocol: str | Path | Protocol = "default", width: int | None = None
+    scene: str | Path,
+    *,
+    protocol: str | Path | Protocol = "default",
+    width: int | None = None,
+    allow_outside: bool = False,
 ) -> Scene:
     """Open a scene: views, their split, sparse points. No image is read yet.
 
@@ -34,9 +39,12 @@ def open_scene(
             existing folder goes first.
         protocol: Name of `bench protocols`, path of a .toml file, or the rules: sizes and split.
         width: Width of the images in pixels; None: the protocol's own.
+        allow_outside: Read photos and masks that the scene's files name outside its folder, or that
+            links lead to; only for scenes that you trust.
     Returns: The scene, its views sorted by name.
     Raises: DataError, naming the file, for a folder that is no scene or is damaged; UsageError for
         an unknown name; MissingError for a registered scene that has to be fetched first.
     Source: ours; layouts in docs/data_sets.md.
     """
-    return opening.open_scene(scene, rules_of(protocol, width))
+    with allowing_outside(allow_outside or outside_is_allowed()):
+        return opening.open_scene(scene, rules_of(protocol, width))

@@ -1,10 +1,28 @@
 """Errors that a user can cause and mend. Each message is one line: what, found, expected, what to do."""
 
+import re
+
+LONGEST = 2000
+"""Characters of a message. Values from files go into it as they are, and a file may hold any."""
+END = 500
+"""Of them, those that its end has, which says what to do; the beginning names the file."""
+
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+"""What ends a line or moves a console's cursor; names in files may have it."""
+
 
 class SplatproofError(Exception):
     """Base of every error that is told to the user in one line, without a traceback."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        """The message on one line; one that is longer than LONGEST without its middle."""
+        text = CONTROL.sub(lambda found: ascii(found[0])[1:-1], super().__str__())
+        if len(text) <= LONGEST:
+            return text
+        left_out = f" ... ({len(text) - LONGEST} characters left out) ... "
+        return text[: LONGEST - END] + left_out + text[-END:]
 
 
 class DataError(SplatproofError):

@@ -1,11 +1,20 @@
-"""What memory this process has used and how much the machine has left."""
+"""What memory this process has used, how much the machine has left, and what a file may take of it."""
 
 import os
 import resource
 import sys
 from pathlib import Path
 
+from splatproof.base.errors import DataError, MissingError
+
 MEBIBYTE = 2**20
+SHARE = 0.9
+"""What one file may take when it is read, of the memory that is free."""
+GROWTH = 1400
+"""Times its own size that a file unpacks to at most. Deflate reaches 1032 (zlib's documentation); LZW
+as in TIFF 7.36 MB out of the 5.6 kB that fill its table once, 1323."""
+SMALL = 64 * MEBIBYTE
+"""Bytes up to which nobody asks how a file grew: what repeats itself for ever packs better yet."""
 
 
 def peak_memory_mb() -> float:
@@ -33,3 +42,35 @@ def available_mb() -> float:
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) / 1024
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / MEBIBYTE
+
+
+def check_room(what: object, needed: int) -> None:
+    """Refuse what would push this machine into swapping, before it is allocated.
+
+    Args:
+        what: File that is read, for the error.
+        needed: Bytes that it takes at its peak.
+    Raises: MissingError where that is more than SHARE of the memory that is free.
+    """
+    free = available_mb()
+    if needed > SHARE * free * MEBIBYTE:
+        raise MissingError(
+            f"{what}: takes {needed / MEBIBYTE:.0f} MB to read, more than {SHARE:.0%} of the memory "
+            f"that is free ({free:.0f} MB); take a smaller file or a machine with more memory"
+        )
+
+
+def check_growth(what: object, unpacked: int, stored: int) -> None:
+    """Refuse a file that says it holds more than a file of its size can.
+
+    Args:
+        what: File that is read, for the error.
+        unpacked: Bytes that it says it holds.
+        stored: Bytes that it has.
+    Raises: DataError where it would grow more than GROWTH times and to more than SMALL.
+    """
+    if unpacked > max(SMALL, GROWTH * stored):
+        raise DataError(
+            f"{what}: says that its {stored} bytes hold {unpacked / MEBIBYTE:.0f} MB, more than "
+            f"{GROWTH} times as much; it is damaged or made to fill the memory, get it again"
+        )

@@ -1,5 +1,7 @@
 """Processes that work for this one: they end with it, and what became of them in words."""
 
+import contextlib
+import fcntl
 import multiprocessing
 import os
 import signal
@@ -14,9 +16,43 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, final
 
+from splatproof.base.inside import allowing_outside, outside_is_allowed
 from splatproof.base.plugin_files import Brought
 from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
+
+
+class _Leash:
+    """Sent to a worker before all else: the kernel kills it once the other end of a pipe is closed.
+
+    That is as soon as its parent has died, however that died, while a thread that waits for it may
+    itself have to wait for native code or an import. A parent-death signal would not do: it comes when
+    the thread ends that started the worker. Linux alone has this; elsewhere the thread is left.
+    """
+
+    def __init__(self, end: Connection) -> None:
+        self._end = end
+
+    def __reduce__(self) -> tuple[Callable[[Connection], "_Leash"], tuple[Connection]]:
+        return _leashed, (self._end,)
+
+
+def _leashed(end: Connection) -> _Leash:
+    """In a worker: die with the pipe."""
+    if hasattr(fcntl, "F_SETSIG"):
+        with contextlib.suppress(OSError):
+            fcntl.fcntl(end.fileno(), fcntl.F_SETOWN, os.getpid())
+            fcntl.fcntl(end.fileno(), fcntl.F_SETSIG, signal.SIGKILL)
+            flags = fcntl.fcntl(end.fileno(), fcntl.F_GETFL)
+            fcntl.fcntl(end.fileno(), fcntl.F_SETFL, flags | os.O_ASYNC)
+    if end.poll():  # closed already
+        os._exit(1)
+    _leashes.append(end)
+    return _Leash(end)
+
+
+_leashes: list[Connection] = []
+"""The ends that this process holds, so that they stay open."""
 
 
 @final
@@ -48,11 +84,13 @@ class Worker:
             context = multiprocessing.get_context("spawn")
             environment = None
         self._says, theirs = context.Pipe()
+        pipe, held = context.Pipe(duplex=False)
         # plug-ins come first: what follows may be made of their classes
-        given = (Brought(), work, theirs, arguments, is_quiet(), environment)
+        told = (is_quiet(), outside_is_allowed())
+        given = (_Leash(pipe), Brought(), work, theirs, arguments, told, environment)
         self._process = context.Process(target=_serve, args=given)
         # also when this process ends, before multiprocessing waits for its children
-        self._end = weakref.finalize(self, _end, self._process, self._says)
+        self._end = weakref.finalize(self, _end, self._process, self._says, held)
         try:
             resource_tracker.ensure_running()  # unblocks ctrl-C, so not inside `start`
             with held_back(), _without_main():
@@ -62,6 +100,7 @@ class Worker:
             raise
         finally:
             theirs.close()
+            pipe.close()
 
     @property
     def pid(self) -> int:
@@ -125,10 +164,11 @@ def listening(workers: Sequence[Worker]) -> list[Worker]:
     return [one for one in workers if ready & {one._says, one._process.sentinel}]
 
 
-def _end(process: BaseProcess, says: Connection) -> None:
+def _end(process: BaseProcess, says: Connection, held: Connection) -> None:
     if process.pid is not None:
         process.kill()
         process.join()
+    held.close()
     says.close()  # not before: the worker would say that nobody listens
 
 
@@ -148,19 +188,22 @@ def _without_main() -> Iterator[None]:
 
 
 def _serve(
-    _: Brought,
+    _: _Leash,
+    __: Brought,
     work: Callable[..., object],
     connection: Connection,
     arguments: tuple[Any, ...],
-    quiet: bool,
+    told: tuple[bool, bool],
     environment: dict[str, str] | None,
 ) -> None:
-    """What a worker's process does; it knows the plug-ins of who started it, and is as quiet."""
+    """What a worker's process does; it knows the plug-ins of who started it, is as quiet and trusts
+    the scenes that it trusts."""
+    quiet, trusting = told
     serve_parent()
     if environment is not None:
         os.environ.clear()
         os.environ.update(environment)
-    with connection, silenced(quiet):
+    with connection, silenced(quiet), allowing_outside(trusting):
         work(connection, *arguments)
 
 

@@ -12,7 +12,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import whole_file
+from splatproof.base.files import size_of, whole_file
+from splatproof.base.memory import check_room
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = None) -> None:
@@ -41,12 +42,11 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], Any]:
 
     Raises: DataError if the file is missing, cut short or not of this kind.
     """
+    check_room(path, size_of(path))
     try:
         with safe_open(path, framework="pt") as file:
             facts = json.loads((file.metadata() or {}).get("facts", "null"))
             return {name: file.get_tensor(name) for name in file.keys()}, facts  # noqa: SIM118
-    except FileNotFoundError:
-        raise DataError(f"{path}: no such file") from None
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         found = str(error).splitlines()[0]
         raise DataError(f"{path}: not a whole safetensors file ({found})") from None

@@ -1,6 +1,7 @@
 """TOML tables as dataclasses: strict types, unknown keys refused with the nearest name."""
 
 import dataclasses
+import functools
 import json
 import tomllib
 import typing
@@ -12,7 +13,9 @@ from typing import Any, TypeVar
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.files import read_text
 from splatproof.base.names import unknown
+from splatproof.base.numbers import check_numbers
 
 T = TypeVar("T")
 STRICT = ConfigDict(extra="forbid", strict=True)
@@ -24,14 +27,15 @@ def read_toml(path: Path, fault: type[SplatproofError] = UsageError) -> dict[str
     Args:
         path: The file, in UTF-8.
         fault: Type of the error that is raised: DataError for a file that belongs to data.
-    Raises: `fault` naming the file when it is missing, not text or not TOML.
+    Raises: `fault` naming the file when it is missing, not text or not TOML, or has a number that
+        nothing can mean.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise fault(f"{path}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
+        tables = tomllib.loads(read_text(path, fault))
+    except (ValueError, RecursionError) as error:
         raise fault(f"{path}: not a TOML file: {error}") from None
+    check_numbers(tables, f"{path}: ", fault)
+    return tables
 
 
 def build(
@@ -53,8 +57,7 @@ def build(
         # Strict JSON lets an array be a tuple but neither 1 be true nor "1" be 1. A tuple around
         # `kind`, because pydantic lets only what is not a dataclass itself take a configuration.
         text = json.dumps([table], default=str)
-        around: Any = GenericAlias(tuple, (kind,))
-        return TypeAdapter(around, config=STRICT).validate_json(text)[0]
+        return _adapter(kind).validate_json(text)[0]
     except ValidationError as error:
         found = error.errors(include_url=False)
         # a key that is not known says more than the one that is therefore missing
@@ -62,6 +65,15 @@ def build(
         raise fault(_told(kind, first["loc"][1:], dict(first), where)) from None
     except SplatproofError as error:  # the dataclass checks its own values
         raise fault(f"{where}: {error}") from None
+    except (ValueError, RecursionError) as error:  # text with half a letter in it, or deep nesting
+        raise fault(f"{where}: cannot be read ({error})") from None
+
+
+@functools.cache
+def _adapter(kind: type) -> TypeAdapter:
+    """What checks tables of one kind; making it takes longer than a thousand checks."""
+    around: Any = GenericAlias(tuple, (kind,))
+    return TypeAdapter(around, config=STRICT)
 
 
 def _told(kind: type, place: tuple[int | str, ...], fault: Mapping[str, Any], where: str) -> str:

@@ -8,6 +8,7 @@ imported only when it is chosen, and imports what is heavy (torch, mlflow, pycol
 import errno
 import importlib
 import inspect
+import io
 import os
 import signal
 import sys
@@ -41,6 +42,8 @@ class Command:
     help: str
     plugins: bool = False
     """Whether it takes `--plugin`: it looks up methods, metrics or kinds of scene folders by name."""
+    scenes: bool = False
+    """Whether it takes `--allow-outside`: it opens scenes that users name."""
 
 
 COMMANDS = {
@@ -60,42 +63,49 @@ COMMANDS = {
         functions={},
         help="Train one method on one scene and score the held-out views.",
         plugins=True,
+        scenes=True,
     ),
     "render": Command(
         module="render",
         functions={"": "render"},
         help="Render a trained model's views as images.",
         plugins=True,
+        scenes=True,
     ),
     "view": Command(
         module="view",
         functions={"": "view"},
         help="Look at trained models in the browser, from anywhere.",
         plugins=True,
+        scenes=True,
     ),
     "turntable": Command(
         module="turntable",
         functions={"": "turntable"},
         help="Write a film of a trained model: round the scene, or along its cameras.",
         plugins=True,
+        scenes=True,
     ),
     "score": Command(
         module="score",
         functions={"": "score"},
         help="Score a folder of renders, made by anything, against a folder of truths.",
         plugins=True,
+        scenes=True,
     ),
     "export": Command(
         module="export",
         functions={"": "export"},
         help="Write a trained model as a .ply file.",
         plugins=True,
+        scenes=True,
     ),
     "run": Command(
         module="run",
         functions={"": "run"},
         help="Run a suite: every scene x method x protocol x seed, resumable at any moment.",
         plugins=True,
+        scenes=True,
     ),
     "protocols": Command(
         module="protocols",
@@ -167,6 +177,9 @@ COMMANDS = {
 def main(args: Sequence[str] | None = None) -> int:
     """Run `bench` with these arguments (default: the process's) and return the exit code."""
     arguments = list(sys.argv[1:] if args is None else args)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names and consoles may have any encoding
+            stream.reconfigure(errors="backslashreplace")
     # Threads that spin while they wait make training ten times slower on a machine that is shared;
     # read when torch is first imported, here or in a worker.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -186,6 +199,16 @@ OF_THE_MACHINE = {
     errno.EACCES: _RIGHTS, errno.EPERM: _RIGHTS, errno.EROFS: _RIGHTS,
 }  # fmt: skip
 """What a disk can have against a command, and what to do about it."""
+OF_THE_NAME = (
+    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP,
+    errno.EINVAL, errno.ENOTEMPTY,
+)  # fmt: skip
+"""What is wrong with a path that a user gave, or that was taken away meanwhile."""
+_WHERE = "SPLATPROOF_DEBUG=1 shows where"
+
+
+NO_MEMORY = "can't allocate memory"
+"""Words of torch's error for it, which has no type of its own."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -219,13 +242,18 @@ def _told(action: Callable[[], int]) -> int:
         print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
         return error.exit_code
     except OSError as error:
-        if error.errno not in OF_THE_MACHINE:
+        if isinstance(error, BrokenPipeError):
             raise
         if os.environ.get("SPLATPROOF_DEBUG"):
             traceback.print_exc()
-        where = f"{error.filename2 or error.filename}: " if error.filename else ""
-        said, advice = os.strerror(error.errno), OF_THE_MACHINE[error.errno]
-        print(f"bench: {where}{said}; {advice}", file=sys.stderr)
+        print(f"bench: {_of_the_system(error)}", file=sys.stderr)
+        return (UsageError if error.errno in OF_THE_NAME else MissingError).exit_code
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and NO_MEMORY not in str(error):
+            raise
+        if os.environ.get("SPLATPROOF_DEBUG"):
+            traceback.print_exc()
+        print(f"bench: out of memory; take fewer or smaller images; {_WHERE}", file=sys.stderr)
         return MissingError.exit_code
     except KeyboardInterrupt as ended:
         told = isinstance(ended, Terminated)
@@ -234,6 +262,14 @@ def _told(action: Callable[[], int]) -> int:
         return 128 + (signal.SIGTERM if told else signal.SIGINT)
     except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
         return exit_.code if isinstance(exit_.code, int) else 2
+
+
+def _of_the_system(error: OSError) -> str:
+    """What the system has against a command, in one line."""
+    where = f"{error.filename2 or error.filename}: " if error.filename else ""
+    said = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
+    advice = "check the path, or choose another" if error.errno in OF_THE_NAME else _WHERE
+    return f"{where}{said or type(error).__name__}; {OF_THE_MACHINE.get(error.errno or 0, advice)}"
 
 
 def _run(arguments: list[str]) -> int:
@@ -265,7 +301,10 @@ def _join(app: SubcommandApp, name: str, command: Command, below: str) -> None:
     module = importlib.import_module(f"splatproof.cli.{command.module}")
     named = {key: getattr(module, f) for key, f in command.functions.items()}
     given = named or module.subcommands()
-    functions = {key: flags.with_flags(f, plugins=command.plugins) for key, f in given.items()}
+    functions = {
+        key: flags.with_flags(f, plugins=command.plugins, scenes=command.scenes)
+        for key, f in given.items()
+    }
     if "" in functions:
         app.command(name=name)(functions[""])
         return

@@ -66,6 +66,8 @@ def export(
         seen: The one view that the model is written at.
     """
     from splatproof.base.errors import UsageError
+    from splatproof.base.files import check_target, remove_stale
+    from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
     from splatproof.methods.storage.packed.writer import PackedFacts
@@ -80,8 +82,14 @@ def export(
     ):
         if path is not None and path.suffix.lower() != suffix:
             raise UsageError(f"--{option} {path}: expected a name that ends in {suffix}")
+    for path in (ply, spz, gltf, packed):
+        if path is not None:
+            check_target(path)
+            remove_stale(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
+    if gate is not None:
+        in_range(gate, "--gate")
     if ply is None and local:
         raise UsageError("--local is for --ply FILE; add it or leave --local out")
     loaded = load_reconstruction(model_path(model))

@@ -1,12 +1,15 @@
-"""Options that commands share: how they speak, and the user's own plug-in files."""
+"""Options that commands share: how they speak, whom they trust, the user's own plug-in files."""
 
 import inspect
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import tyro
 
+from splatproof.base.inside import allowing_outside
+from splatproof.base.numbers import check_numbers, in_range
 from splatproof.cli import output
 
 JsonFlag = Annotated[
@@ -19,6 +22,16 @@ QuietFlag = Annotated[
     tyro.conf.FlagCreatePairsOff,
     tyro.conf.arg(help="No logs and no progress on stderr."),
 ]
+AllowOutside = Annotated[
+    bool,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.arg(
+        help="Read photos and masks that a scene's files name outside its folder, or that links lead "
+        "to. Only for scenes that you trust: what is read is shown in results."
+    ),
+]
+LEAST = {"seed": 0, "threads": 1, "workers": 1, "width": 1, "height": 1}
+"""Smallest value of options that mean the same in every command."""
 
 
 PluginFiles = Annotated[
@@ -31,24 +44,43 @@ PluginFiles = Annotated[
 ]
 
 
-def with_flags(function: Callable[..., Any], *, plugins: bool) -> Callable[..., Any]:
-    """The command with `--json`, `--quiet` and `--plugin` added.
+def with_flags(
+    function: Callable[..., Any], *, plugins: bool, scenes: bool = False
+) -> Callable[..., Any]:
+    """The command with `--json`, `--quiet`, `--allow-outside` and `--plugin` added.
 
     The first two say how splatproof.cli.output speaks; plug-ins were loaded before parsing.
 
     Args:
         function: The command.
         plugins: Whether it takes `--plugin`.
+        scenes: Whether it takes `--allow-outside`, since it opens scenes that users name.
     Returns: The command with the signature that tyro reads.
     """
 
-    def command(*args: Any, json: bool, quiet: bool, plugin: object = (), **named: Any) -> Any:
-        with output.speaking(output.Style(json=json, quiet=quiet)):
+    def command(
+        *args: Any,
+        json: bool,
+        quiet: bool,
+        allow_outside: bool = False,
+        plugin: object = (),
+        **named: Any,
+    ) -> Any:
+        for name, value in named.items():
+            # fields of a dataclass are options of their own
+            option = "--" if is_dataclass(value) else f"--{name.replace('_', '-')}"
+            check_numbers(value, option)
+            if name in LEAST and value is not None:
+                in_range(value, option, LEAST[name])
+        style = output.Style(json=json, quiet=quiet)
+        with output.speaking(style), allowing_outside(allow_outside):
             return function(*args, **named)
 
     # Tests wrap every function to check its types; tyro would read the wrapper's signature.
     command = inspect.unwrap(command)
     added: dict[str, Any] = {"json": (JsonFlag, False), "quiet": (QuietFlag, False)}
+    if scenes:
+        added["allow_outside"] = (AllowOutside, False)
     if plugins:
         added["plugin"] = (PluginFiles, ())
     parameters = [

@@ -61,7 +61,9 @@ def wants_json() -> bool:
 
 def print_record(record: Mapping[str, object]) -> None:
     """Print one result for a machine: a JSON object on a line of stdout, nan and inf as null."""
-    print(json.dumps(finite(record), allow_nan=False, ensure_ascii=False), flush=True)
+    # what a console cannot show is escaped as JSON has it, not as Python has it
+    plain = "utf" not in (sys.stdout.encoding or "").lower()
+    print(json.dumps(finite(record), allow_nan=False, ensure_ascii=plain), flush=True)
 
 
 def print_text(text: str) -> None:

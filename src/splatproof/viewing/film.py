@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from splatproof.base.errors import MissingError, UsageError
-from splatproof.base.files import whole_file
+from splatproof.base.files import remove_stale, whole_file
 
 CODECS = {
     ".mp4": ("mp4", "libx264", {"crf": "18", "preset": "medium", "movflags": "+faststart"}),
@@ -85,6 +85,7 @@ def writing(out: Path, *, width: int, height: int, fps: float) -> Iterator[Film]
     check_film(out, width, height)
     av = importlib.import_module("av")
     kind, codec, options = CODECS[out.suffix]
+    remove_stale(out)
     with whole_file(out) as path, av.open(str(path), "w", format=kind) as container:
         stream = container.add_stream(codec, rate=Fraction(fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"

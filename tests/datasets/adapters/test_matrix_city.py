@@ -68,7 +68,7 @@ def test_faults_are_named(tmp_path):
     path = split / "transforms_train.json"
     whole = path.read_text()
     path.write_text(whole.replace("../../train/block_1", "../../../elsewhere"))
-    refused(split, "file_path is outside")
+    refused(split, "leads out of")
     path.write_text(whole.replace('"fl_x"', '"fl"'))
     refused(split, "fl_x is None")
     path = tmp_path / "train/block_1/transforms.json"

@@ -1,10 +1,6 @@
 """`ingest_photos` on self-made photos of known places, and every way photos can be unfit."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -25,6 +21,8 @@ from splatproof.base.errors import DataError
 from splatproof.cli.ingest import ingest
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.ingesting.ingest import Ingested, ingest_photos
+from splatproof.datasets.ingesting.structure import Structure, extract
+from splatproof.datasets.ingesting.survey import survey_photos
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 
@@ -191,42 +189,21 @@ def pose_table(folder: Path) -> dict[str, np.ndarray]:
     return {image.name: image.cam_from_world().matrix() for image in model.images.values()}
 
 
-COMMAND = """
-import sys
-from pathlib import Path
-from splatproof.cli.ingest import ingest
-ingest(Path(sys.argv[1]), Path(sys.argv[2]), threads=2)
-"""
+def test_photos_have_numbers_by_name_before_their_features(tmp_path):
+    """With several threads features are found in any order, and a scene depends on the numbers."""
+    folder = write_flight(tmp_path / "photos", size=(120, 90))
+    photos = survey_photos(folder, lambda done, total: None).photos
+    work = Structure(
+        database=tmp_path / "database.db", photos=folder, max_image_size=1600, threads=2, seed=0
+    )
+    seen = []
 
+    def look(step: str, done: int, total: int) -> None:
+        with pycolmap.Database.open(work.database) as database:
+            seen.append({image.image_id: image.name for image in database.read_all_images()})
 
-@pytest.mark.slow
-def test_killed_runs_go_on_and_give_the_same_scene(tmp_path, flown):
-    """SIGKILL at several moments, then once to the end: equal poses, facts and photos."""
-    photos = write_flight(tmp_path / "photos")
-    undisturbed = run(photos, tmp_path / "undisturbed")
-    out = tmp_path / "out"
-    command = [sys.executable, "-c", COMMAND, str(photos), str(out)]
-    kills = 0
-    for seconds in (2.0, 3.0, 4.0, 4.5, 5.0, 6.0):
-        started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        time.sleep(seconds)
-        if started.poll() is None:
-            os.kill(started.pid, signal.SIGKILL)
-            kills += 1
-        started.communicate()
-        if out.exists():
-            break
-    assert kills >= 2
-    if not out.exists():
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        assert "going on with the unfinished work" in done.stderr
-        assert done.stdout.startswith(f"{out}: 6 of 6 photos registered, units: metres")
-    first, second = pose_table(undisturbed.folder), pose_table(out)
-    assert first.keys() == second.keys()
-    for name in first:
-        assert np.array_equal(first[name], second[name])
-    assert (out / "scene.toml").read_text() == (undisturbed.folder / "scene.toml").read_text()
-    assert not (tmp_path / ".out.ingest").exists()
+    extract(work, photos, look)
+    assert seen == [dict(enumerate(sorted(photo.name for photo in photos), start=1))] * 2
 
 
 @pytest.mark.slow

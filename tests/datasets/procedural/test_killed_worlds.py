@@ -10,6 +10,7 @@ import pytest
 
 from splatproof.datasets.procedural import exporting
 
+pytestmark = pytest.mark.slow
 KILLED_AT = {"courtyard": 4, "city": 5, "aerial-sparse": 7, "tunnel": 30, "street": 9}
 """Steps done when the process dies: views for most, all of them and some points for the tunnel."""
 CHILD = """

@@ -7,6 +7,7 @@ import torch
 
 from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
+from splatproof.reference.rasterizer import rasterize as reference
 from splatproof.suites.hard_cases.gaussian_scenes import camera_at, random_scene
 from splatproof.suites.hard_cases.gaussians import CASES, LONG, judge, put, render
 
@@ -98,3 +99,37 @@ def test_strides_do_not_matter():
     assert not strided[0].is_contiguous()
     again = native.rasterize(scene.camera, *strided[:4], sh=strided[4])
     assert torch.equal(plain.colour, again.colour)
+
+
+EXTREMES = {"scales": (1e10, 1e20, 1e30, 3e38), "sh": (1e10, 1e30)}
+LARGEST = torch.finfo(torch.float32).max
+
+
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+@pytest.mark.parametrize(
+    ("name", "value"), [(name, value) for name, values in EXTREMES.items() for value in values]
+)
+def test_numbers_near_the_end_of_float32(name, value, mode):
+    scene = put(random_scene(30, 13), name, 4, value)
+    weights = torch.ones(scene.camera.height, scene.camera.width, 3)
+    want, slopes = render(reference.rasterize, scene, torch.float64, weights, mode)
+    got, found = render(native.rasterize, scene, torch.float32, weights, mode)
+    pairs = [(got.colour.detach(), want.colour.detach()), *zip(found, slopes, strict=True)]
+    for one, other in pairs:
+        # seen here: 8e-7 of the largest; 30 contributions of float32 at 1.2e-7 each
+        budget = 30 * torch.finfo(torch.float32).eps * float(other.abs().max())
+        assert float((one.double() - other).abs().max()) <= budget
+
+
+def test_what_float32_cannot_hold_is_not_finite_rather_than_wrong():
+    scene = put(random_scene(30, 13), "sh", 4, 3e38)
+    weights = torch.ones(scene.camera.height, scene.camera.width, 3)
+    want, slopes = render(reference.rasterize, scene, torch.float64, weights, "classic")
+    got, found = render(native.rasterize, scene, torch.float32, weights, "classic")
+    assert any(float(slope.abs().max()) > LARGEST for slope in slopes)
+    pairs = [(got.colour.detach(), want.colour.detach()), *zip(found, slopes, strict=True)]
+    for one, true in pairs:
+        finite = one.isfinite()
+        assert finite[true.abs() > LARGEST].sum() == 0
+        off = (one.double() - true)[finite].abs()
+        assert float(off.max()) < 1e-5 * float(true[finite].abs().max())

@@ -22,7 +22,7 @@ def brute_force(scene: GaussianScene) -> tuple[int, int]:
     )
     pixels = torch.stack([columns, rows], dim=-1).reshape(-1, 2).double() + 0.5
     alpha = compositing.alphas(
-        pixels[:, None] - flat.means[order], flat.covariances[order], opacities[order]
+        pixels[:, None] - flat.means[order], flat.conics[order], opacities[order]
     )
     after = (1 - alpha).cumprod(dim=1)
     contributing = int(((alpha > 0) & (after >= compositing.T_MIN)).sum())

@@ -99,7 +99,7 @@ SPOILERS = {
     "version 2, this splatproof reads 1": lambda f: edit(f, version=2),
     "kind 'anchors', this installation loads city, .*explicit": lambda f: edit(f, kind="anchors"),
     "origin is None": lambda f: edit(f, origin=None),
-    "shift has shape": lambda f: edit(f, shift=[1.0]),
+    "shift is .1.0., expected 3 finite numbers": lambda f: edit(f, shift=[1.0]),
     "mode 'blurred'": lambda f: edit(f, mode="blurred"),
     "sha256 is not the one": flip_a_byte,
     "not a whole safetensors file": cut,

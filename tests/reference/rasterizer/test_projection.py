@@ -1,3 +1,5 @@
+from fractions import Fraction
+
 import pytest
 import torch
 from hypothesis import given
@@ -5,6 +7,7 @@ from hypothesis import strategies as st
 from torch.testing import assert_close
 
 from splatproof.reference.rasterizer import projection, rotation
+from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera, project_points, transform_points
 
 D = torch.float64
@@ -149,3 +152,57 @@ def test_compensation_keeps_its_digits_for_a_needle():
         rotation.half_covariance(turn.float(), scales.float()),
     )
     assert_close(rough.compensation.double(), exact, atol=1e-6, rtol=1e-3)
+
+
+@pytest.mark.parametrize("length", [1.0, 1e4, 1e8, 1e14, 1e20, 1e30])
+def test_the_inverse_of_a_needle_keeps_its_digits(length):
+    """Against whole numbers' arithmetic; torch.linalg.inv is off by more than 1 from 1e8 on."""
+    view = camera(2)
+    generator = torch.Generator().manual_seed(int(length) % 2**31)
+    n = 20
+    scales = torch.full((n, 3), 0.1, dtype=D)
+    scales[torch.arange(n), torch.arange(n) % 3] = length
+    halves = rotation.half_covariance(torch.randn(n, 4, generator=generator, dtype=D), scales)
+    means = in_view(view, n, 5)
+    flat = projection.project(view, means, halves)
+    factors = (
+        projection.jacobian(view, transform_points(view, means)) @ view.rotation.to(D) @ halves
+    )
+    blur = Fraction(projection.BLUR)
+    for i in range(n):
+        first, second = ([Fraction(v) for v in row] for row in factors[i].tolist())
+        a, b, c = (
+            sum(x * y for x, y in zip(p, q, strict=True))
+            for p, q in ((first, first), (first, second), (second, second))
+        )
+        a, c = a + blur, c + blur
+        det = a * c - b * b
+        want = [[c / det, -b / det], [-b / det, a / det]]
+        scale = float(max(abs(v) for row in want for v in row))
+        got = flat.conics[i].tolist()
+        for row, exact in zip(got, want, strict=True):
+            for value, true in zip(row, exact, strict=True):
+                # products of three rounded numbers, their sums, a quotient
+                assert abs(value - float(true)) <= 16 * torch.finfo(D).eps * scale
+
+
+@pytest.mark.parametrize("length", [1e8, 1e20])
+def test_an_endless_needle_is_a_line(length):
+    """Its picture, and its gradients but for its length's, are those of one that is long enough."""
+    view = camera(2)
+    means = in_view(view, 1, 5)
+
+    def seen(size: float) -> tuple[torch.Tensor, ...]:
+        tip = torch.tensor([[size, 0.1, 0.1]], dtype=D)
+        inputs = [means.clone().requires_grad_(), torch.tensor([[0.3, 0.5, -0.2, 0.7]], dtype=D),
+                  tip, torch.tensor([0.8], dtype=D).requires_grad_()]  # fmt: skip
+        colours = torch.ones(1, 3, dtype=D)
+        drawn = rasterize(view, *inputs, colours=colours).colour
+        drawn.sum().backward()
+        assert inputs[0].grad is not None
+        assert inputs[3].grad is not None
+        return drawn.detach(), inputs[0].grad, inputs[3].grad
+
+    for got, want in zip(seen(length), seen(1e5), strict=True):
+        # the longer one's density falls along the image by (100 px / 1e6 px)^2
+        assert_close(got, want, atol=1e-6, rtol=1e-6)

@@ -1,0 +1,80 @@
+"""Readers with a fault each, to see that the fuzzer sees it; a program like fuzz.targets."""
+
+import functools
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from fuzz.layout import Layout
+from fuzz.serving import serve
+from fuzz.target import Target
+from splatproof.base.errors import DataError
+
+INTACT = b"intact"
+
+
+def _raises(path: Path) -> object:
+    return int("three")
+
+
+def _long(path: Path) -> object:
+    while True:
+        pass
+
+
+def _large(path: Path) -> object:
+    return len(b"x" * 400 * 2**20)
+
+
+def _huge(path: Path) -> object:
+    return len(bytearray(2**40))
+
+
+def _nan(path: Path) -> object:
+    return {"a": [0.0, float("nan")]}
+
+
+def _nameless(path: Path) -> object:
+    raise DataError("not what it should be")
+
+
+def _lines(path: Path) -> object:
+    raise DataError(f"{path}: two\nlines")
+
+
+def _dies(path: Path) -> object:
+    os.abort()
+
+
+def _hangs(path: Path) -> object:
+    while True:
+        time.sleep(1)
+
+
+def _sound(path: Path) -> object:
+    raise DataError(f"{path}: not intact")
+
+
+READERS: dict[str, Callable[[Path], object]] = {
+    "raises": _raises, "long": _long, "large": _large, "huge": _huge, "nan": _nan, "nameless": _nameless,
+    "lines": _lines, "dies": _dies, "hangs": _hangs, "sound": _sound,
+}  # fmt: skip
+
+
+OTHER = Layout(lambda data: [(lambda *_: b"damaged", data)], b"".join)
+"""Nothing stays as it was."""
+
+
+def _build(read: Callable[[Path], object], folder: Path) -> Target:
+    def guarded(path: Path) -> object:
+        return None if path.read_bytes() == INTACT else read(path)
+
+    return Target(path=folder / "x.bin", samples=[INTACT], layout=OTHER, read=guarded)
+
+
+if __name__ == "__main__":
+    serve(
+        Path(sys.argv[1]), {name: functools.partial(_build, read) for name, read in READERS.items()}
+    )

@@ -1,0 +1,173 @@
+"""Files of models that are bombs, of wrong types, or none."""
+
+import gzip
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.tiny_scene import camera, random_gaussians
+from splatproof.base import memory
+from splatproof.base.errors import DataError, MissingError
+from splatproof.base.memory import peak_memory_mb
+from splatproof.datasets.adapters.ply_points import read_ply_points
+from splatproof.datasets.array_files import read_arrays
+from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.storage.camera_files import read_cameras
+from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
+from splatproof.methods.storage.packed.records import RecordWriter, records
+from splatproof.methods.storage.packed.writer import write_packed
+from splatproof.methods.storage.ply import read_ply
+from splatproof.methods.storage.spz import read_spz, write_spz
+
+
+def claiming(path: Path, primitives: int) -> None:
+    """A packed file, sealed again, whose header says that it has so many Gaussians."""
+    write_packed(path, random_gaussians(40, degree=3))
+    header, *others = records(path)
+    told = json.dumps(json.loads(header) | {"primitives": primitives}).encode()
+    with path.open("wb") as file:
+        writer = RecordWriter(file)
+        for content in (told, *others):
+            writer.add(content)
+
+
+HEADERS = [
+    b"[" * 100_000,
+    b'{"format": ' + b"[" * 100_000,
+    b"null",
+    b"[]",
+    b"\xff",
+    {"shift": [10**400, 0, 0]},
+    {"shift": [None, 0, 0]},
+    {"shift": [1e999, 0, 0]},
+    {"primitives": 10**400},
+    {"primitives": -1},
+    {"bands": 10**400},
+    {"chunk": 0},
+    {"format": {}},
+    {"mode": []},
+]
+
+
+@pytest.mark.parametrize("changed", HEADERS, ids=lambda one: str(one)[:40])
+def test_headers_of_packed_files(tmp_path, changed):
+    path = tmp_path / "model.spgs"
+    write_packed(path, random_gaussians(40))
+    header, *others = records(path)
+    told = (
+        json.dumps(json.loads(header) | changed).encode() if isinstance(changed, dict) else changed
+    )
+    with path.open("wb") as file:
+        writer = RecordWriter(file)
+        for content in (told, *others):
+            writer.add(content)
+    with pytest.raises(DataError, match=r"model\.spgs: ") as caught:
+        read_packed(path)
+    assert "\n" not in str(caught.value)
+
+
+def entry(**changed) -> dict:
+    where = camera(0)
+    return {"name": "0.png", "width": where.width, "height": where.height,
+            "K": where.K.tolist(), "world_to_camera": where.world_to_camera.tolist()} | changed  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"name": name} for name in ("..", ".", "/", "", "a\0", "\ud800", "../../a", "n" * 300)]
+    + [
+        {side: size}
+        for side in ("width", "height")
+        for size in (10**5, 2**40, 2**80, 10**400, 1e300)
+    ]
+    + [{"width": 2**16, "height": 2**16}, {"K": [[10**400] * 3] * 3}, {"time": 10**400}],
+    ids=lambda one: str(one)[:50],
+)
+def test_cameras_that_nothing_can_be_rendered_from(tmp_path, changed, monkeypatch):
+    monkeypatch.setattr(memory, "available_mb", lambda: 64_000.0)
+    (tmp_path / "cameras.json").write_text(json.dumps([entry(**changed)]))
+    with pytest.raises((DataError, MissingError), match=r"cameras\.json: camera 0") as caught:
+        read_cameras(tmp_path / "cameras.json")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+def test_a_small_packed_file_that_claims_many_gaussians(tmp_path):
+    path = tmp_path / "model.spgs"
+    claiming(path, 15_000_000)
+    before = peak_memory_mb()
+    for read in (read_packed, lambda path: unpack_packed(path, tmp_path / "out")):
+        with pytest.raises(DataError, match=r"model\.spgs: says that its \d+ bytes hold 3376 MB"):
+            read(path)
+    assert peak_memory_mb() - before < 100
+
+
+def ply(path: Path, kind: str, count: int) -> None:
+    path.write_text(
+        f"ply\nformat {kind} 1.0\nelement vertex {count}\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n1 2 3\n"
+    )
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("count", [10**12, 2**62, 10**400, -1])
+def test_points_that_are_more_than_there_can_be(tmp_path, kind, count):
+    ply(tmp_path / "a.ply", kind, count)
+    for read in (read_ply_points, read_ply):
+        with pytest.raises(DataError, match=r"a\.ply: not a (PLY|whole \.ply) file"):
+            read(tmp_path / "a.ply")
+
+
+def test_an_array_that_is_larger_than_its_archive(tmp_path):
+    path = tmp_path / "a.npz"
+    np.savez(path, depth=np.zeros((9, 9), np.float32))
+    whole = path.read_bytes()
+    claim = whole.replace(b"(9, 9)", b"(9999999, 999999999)"[:6].ljust(6), 1)
+    assert claim == whole or len(claim) == len(whole)
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999999, 99999999), }"
+    start = whole.index(b"{'descr'")
+    end = whole.index(b"\n", start)
+    path.write_bytes(whole[:start] + header.ljust(end - start) + whole[end:])
+    with pytest.raises(DataError, match=r"a\.npz: no array 'depth' to read"):
+        read_arrays(path, "depth")
+
+
+def test_an_spz_that_unpacks_to_more_than_its_gaussians(tmp_path):
+    path = tmp_path / "a.spz"
+    write_spz(path, random_gaussians(9), version=3)
+    whole = gzip.decompress(path.read_bytes())
+    assert len(read_spz(path)) == 9
+    path.write_bytes(gzip.compress(whole + bytes(60 * 2**20), compresslevel=1))
+    before = peak_memory_mb()
+    with pytest.raises(DataError, match=r"a\.spz: unpacks to more than its 9 Gaussians"):
+        read_spz(path)
+    assert peak_memory_mb() - before < 40
+    for size in range(0, len(whole), 37):
+        path.write_bytes(gzip.compress(whole)[:size])
+        with pytest.raises(DataError, match=r"a\.spz: "):
+            read_spz(path)
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.glb", "a.spgs", "folder"])
+def test_a_model_that_is_a_pipe_is_not_waited_for(tmp_path, name):
+    path = tmp_path / name
+    if name == "folder":
+        path.mkdir()
+        os.mkfifo(path / "model.json")
+    else:
+        os.mkfifo(path)
+    with pytest.raises(DataError, match=f"{name}.* (is a pipe, expected a file|no such file)"):
+        load_reconstruction(path)
+
+
+def test_deep_nesting_in_a_binary_gltf(tmp_path):
+    text = b"[" * 100_000
+    text += b" " * (-len(text) % 4)
+    body = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", 0, b"BIN\0")
+    (tmp_path / "a.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
+    with pytest.raises(DataError, match=r"a\.glb: not a whole \.glb file"):
+        load_reconstruction(tmp_path / "a.glb")

@@ -1,0 +1,130 @@
+"""Photos that are bombs, of formats that would lose bits or colours, or damaged."""
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatproof.base import memory
+from splatproof.base.errors import DataError, MissingError
+from splatproof.base.memory import peak_memory_mb
+from splatproof.datasets.photos import check_photo, photo_size, read_photo
+
+
+def png(width: int, height: int, depth: int, colours: int, pixels: bytes) -> bytes:
+    """A PNG with that header around pixels that may be of another size."""
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        whole = kind + content
+        return struct.pack(">I", len(content)) + whole + struct.pack(">I", zlib.crc32(whole))
+
+    header = struct.pack(">IIBBBBB", width, height, depth, colours, 0, 0, 0)
+    parts = (chunk(b"IHDR", header), chunk(b"IDAT", zlib.compress(pixels, 9)), chunk(b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def test_a_header_that_says_more_than_its_file_can_hold(tmp_path):
+    path = tmp_path / "small.png"
+    path.write_bytes(png(30_000, 30_000, 8, 2, bytes(1000)))
+    before = peak_memory_mb()
+    for read in (photo_size, read_photo, check_photo):
+        with pytest.raises(DataError, match=r"small\.png: says that its \d+ bytes hold 2575 MB"):
+            read(path)
+    assert peak_memory_mb() - before < 100
+
+
+def test_a_photo_that_the_memory_does_not_hold(tmp_path, monkeypatch):
+    path = tmp_path / "large.png"
+    Image.new("RGB", (2000, 1000)).save(path)
+    read_photo(path)
+    monkeypatch.setattr(memory, "available_mb", lambda: 60.0)
+    assert photo_size(path) == (2000, 1000)
+    for read in (read_photo, check_photo):
+        with pytest.raises(MissingError, match=r"large\.png: takes 61 MB to read, more than 90%"):
+            read(path)
+
+
+def tiff_16(path: Path) -> None:
+    cv2.imwrite(str(path), np.full((3, 4, 3), 700, np.uint16))
+
+
+def png_16_transparent(path: Path) -> None:
+    cv2.imwrite(str(path), np.full((3, 4, 4), 700, np.uint16))
+
+
+def grey_and_alpha_16(path: Path) -> None:
+    path.write_bytes(png(4, 3, 16, 4, (b"\0" + b"\x02\x01\xff\xff" * 4) * 3))
+
+
+def in_mode(mode: str):
+    def write(path: Path) -> None:
+        Image.new(mode, (4, 3)).save(path)
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "found"),
+    [
+        (tiff_16, "a.tif", "RGB of 16 bits"),
+        (png_16_transparent, "a.png", "RGBA of 16 bits"),
+        (grey_and_alpha_16, "a.png", "(LA|RGBA) of 16 bits"),
+        (in_mode("CMYK"), "a.jpg", "CMYK,"),
+        (in_mode("CMYK"), "a.tif", "CMYK,"),
+        (in_mode("LAB"), "a.tif", "LAB,"),
+        (in_mode("F"), "a.tif", "F of 32 bits"),
+        (in_mode("I;16"), "a.png", "I;16 of 16 bits"),
+    ],
+)
+def test_formats_that_would_lose_bits_or_colours_are_refused(tmp_path, write, name, found):
+    write(tmp_path / name)
+    for read in (read_photo, check_photo, lambda path: read_photo(path, (1.0, 1.0, 1.0))):
+        with pytest.raises(
+            DataError, match=rf"pixel format is {found}.* expected 8-bit RGB or grey"
+        ):
+            read(tmp_path / name)
+
+
+def test_formats_of_8_bits_and_16_bit_rgb_are_read_as_stored(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 256, (3, 4, 3)).astype(np.uint8)
+    for name in ("a.png", "a.tif"):
+        Image.fromarray(pixels).save(tmp_path / name)
+        assert torch.equal(read_photo(tmp_path / name) * 255, torch.from_numpy(pixels).float())
+    Image.fromarray(pixels[..., 0] > 99).save(tmp_path / "bits.png")
+    assert read_photo(tmp_path / "bits.png").unique().tolist() == [0, 1]
+    cv2.imwrite(str(tmp_path / "b.png"), pixels.astype(np.uint16)[..., ::-1] * 257)
+    assert torch.equal(read_photo(tmp_path / "b.png"), read_photo(tmp_path / "a.png"))
+
+
+def test_damaged_16_bit_png(tmp_path):
+    path = tmp_path / "b.png"
+    cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 2**16, (30, 40, 3), np.uint16))
+    whole = path.read_bytes()
+    rng = np.random.default_rng(1)
+    for at in rng.integers(8, len(whole), 40):
+        broken = bytearray(whole)
+        broken[at] ^= 0xFF
+        path.write_bytes(broken)
+        try:
+            assert read_photo(path).shape == (30, 40, 3)
+        except DataError as error:
+            assert str(error).startswith(f"{path}: ")  # noqa: PT017
+    for size in range(0, len(whole), 997):
+        path.write_bytes(whole[:size])
+        with pytest.raises(DataError, match="not a readable image"):
+            read_photo(path)
+
+
+def test_photos_that_are_no_files(tmp_path):
+    os.mkfifo(tmp_path / "pipe.png")
+    (tmp_path / "folder.png").mkdir()
+    for name, kind in (("pipe.png", "a pipe"), ("folder.png", "a folder")):
+        for read in (photo_size, read_photo, check_photo):
+            with pytest.raises(DataError, match=f"{name}: is {kind}, expected a file"):
+                read(tmp_path / name)
