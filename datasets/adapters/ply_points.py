@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from plyfile import PlyData, PlyParseError
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import size_of
+from splatproof.base.ply import read_vertices
 from splatproof.datasets.layout import plain_points
 from splatproof.reference.types.scene import SparsePoints
 
@@ -16,13 +15,11 @@ def read_ply_points(path: Path) -> SparsePoints:
 
     Raises: DataError naming the file and the fault.
     """
-    size_of(path)
-    try:
-        vertices = PlyData.read(path)["vertex"].data
-        positions = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
-    except (PlyParseError, KeyError, ValueError, OSError, MemoryError, OverflowError) as error:
-        said = (str(error).splitlines() or [type(error).__name__])[0][:120]
-        raise DataError(f"{path}: not a PLY file with vertices x, y, z ({said})") from None
+    vertices = read_vertices(path).rows
+    missing = [axis for axis in "xyz" if axis not in (vertices.dtype.names or ())]
+    if missing:
+        raise DataError(f"{path}: vertices have no property {missing[0]!r}, expected x, y, z")
+    positions = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(np.float64)
     if not np.isfinite(positions).all():
         raise DataError(f"{path}: a vertex is not finite; expected numbers")
     colours = np.full((len(positions), 3), 128, np.uint8)

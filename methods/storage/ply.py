@@ -1,17 +1,16 @@
 """Gaussians as .ply files with the property names and order of the original 3DGS release."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import cast, get_args
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import size_of, whole_file
+from splatproof.base.ply import read_vertices, write_vertices
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
@@ -83,9 +82,7 @@ def write_ply(
         rows[name] = column.detach().numpy()
     comments = [f"{SHIFT} {' '.join(repr(v) for v in offset.tolist())}"] if moved else []
     comments += [f"{MODE} {mode}"] if mode != "classic" else []
-    data = PlyData([PlyElement.describe(rows, "vertex")], byte_order="<", comments=comments)
-    with whole_file(path) as partial:
-        data.write(partial)
+    write_vertices(path, rows, comments)
 
 
 def read_ply(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
@@ -102,19 +99,19 @@ def read_ply(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
     Raises: DataError, in one line, naming the file and the fault.
     """
     path = Path(path)
-    vertex, comments = _vertices(path)
-    found = {prop.name for prop in vertex.properties}
-    rest = sum(name.startswith("f_rest_") for name in found)
+    found = read_vertices(path)
+    vertex = found.rows
+    rest = sum(name.startswith("f_rest_") for name in found.names)
     if rest not in HIGHER_BANDS:
         raise DataError(f"{path}: {rest} f_rest properties, expected 0, 9, 24 or 45")
     needed = [p for p in properties(HIGHER_BANDS[rest]) if p not in ("nx", "ny", "nz")]
-    missing = [name for name in needed if name not in found]
+    missing = [name for name in needed if name not in found.names]
     if missing:
         raise DataError(
             f"{path}: no property {missing[0]!r} ({len(missing)} missing). "
             "Expected a .ply of Gaussians, with the property names of the 3DGS release"
         )
-    if vertex.count == 0:
+    if not len(vertex):
         raise DataError(f"{path}: 0 vertices. Expected at least one Gaussian")
     for name in needed:
         bad = np.flatnonzero(~np.isfinite(vertex[name]))
@@ -129,7 +126,7 @@ def read_ply(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"]]:
         return torch.from_numpy(np.stack(columns, axis=1))
 
     positions = stack("x", "y", "z")
-    shift = _shift(path, comments)
+    shift = _shift(path, found.comments)
     if shift is None:
         far = positions.abs().max() > FAR
         shift = positions.mean(dim=0).round() if far else torch.zeros(3, dtype=torch.float64)
@@ -152,7 +149,7 @@ def read_mode(path: str | Path) -> Mode:
     Raises: DataError as `read_ply`, or for a mode that there is not.
     """
     path = Path(path)
-    for mode in _after(MODE, _vertices(path)[1]):
+    for mode in _after(MODE, read_vertices(path).comments):
         if mode not in get_args(Mode):
             raise DataError(
                 f"{path}: comment {MODE!r} says {mode!r}, expected one of {get_args(Mode)}"
@@ -165,20 +162,7 @@ def _numbered(prefix: str, values: Float[Tensor, "n k"]) -> dict[str, Tensor]:
     return {f"{prefix}_{i}": column for i, column in enumerate(values.unbind(dim=1))}
 
 
-def _vertices(path: Path) -> tuple[PlyElement, list[str]]:
-    """The vertex element and the header's comments."""
-    size_of(path)
-    try:
-        data = PlyData.read(path)  # memory-mapped: a count beyond the file's end is refused
-        if "vertex" not in data:
-            raise DataError(f"{path}: no element 'vertex'. Expected a .ply of Gaussians")
-        return data["vertex"], list(data.comments)
-    except (PlyParseError, OSError, ValueError, MemoryError, OverflowError) as error:
-        found = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"{path}: not a whole .ply file ({found})") from None
-
-
-def _shift(path: Path, comments: list[str]) -> Float[Tensor, "3"] | None:
+def _shift(path: Path, comments: Sequence[str]) -> Float[Tensor, "3"] | None:
     """The shift that a header comment names; None if none does."""
     for numbers in _after(SHIFT, comments):
         try:
@@ -191,5 +175,5 @@ def _shift(path: Path, comments: list[str]) -> Float[Tensor, "3"] | None:
     return None
 
 
-def _after(prefix: str, comments: list[str]) -> Iterator[str]:
+def _after(prefix: str, comments: Sequence[str]) -> Iterator[str]:
     return (line.removeprefix(prefix).strip() for line in comments if line.startswith(prefix))

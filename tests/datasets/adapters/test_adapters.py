@@ -144,7 +144,7 @@ def test_nerfstudio_points(tmp_path):
     nerfstudio(tmp_path)
     path, cloud = tmp_path / "transforms.json", tmp_path / "sparse_pc.ply"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"ply_file_path": cloud.name}))
-    refused(tmp_path, r"sparse_pc.ply: missing")
+    refused(tmp_path, r"sparse_pc.ply: no such file")
     rows = [(*xyz, 10 * i, 20, 30) for i, xyz in enumerate(POINTS)]
     kinds = [*((axis, "f4") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
     vertices = PlyElement.describe(np.array(rows, dtype=kinds), "vertex")
@@ -155,7 +155,7 @@ def test_nerfstudio_points(tmp_path):
     before = scene.facts["cameras_sha256"]
     flat = np.array([tuple(row[:2]) for row in rows], dtype=kinds[:2])
     PlyData([PlyElement.describe(flat, "vertex")]).write(cloud)
-    refused(tmp_path, r"sparse_pc.ply: not a PLY file with vertices x, y, z")
+    refused(tmp_path, r"sparse_pc.ply: vertices have no property 'z', expected x, y, z")
     white = np.array([(*xyz,) for xyz in POINTS], dtype=kinds[:3])
     PlyData([PlyElement.describe(white, "vertex")], text=True).write(cloud)
     scene = open_scene(tmp_path, protocol())
