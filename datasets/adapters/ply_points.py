@@ -15,6 +15,8 @@ def read_ply_points(path: Path) -> SparsePoints:
 
     Raises: DataError naming the file and the fault.
     """
+    if not path.exists():
+        raise DataError(f"{path}: missing; the scene's file of cameras names it")
     vertices = read_vertices(path).rows
     missing = [axis for axis in "xyz" if axis not in (vertices.dtype.names or ())]
     if missing:

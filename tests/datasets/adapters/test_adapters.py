@@ -144,7 +144,7 @@ def test_nerfstudio_points(tmp_path):
     nerfstudio(tmp_path)
     path, cloud = tmp_path / "transforms.json", tmp_path / "sparse_pc.ply"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"ply_file_path": cloud.name}))
-    refused(tmp_path, r"sparse_pc.ply: no such file")
+    refused(tmp_path, r"sparse_pc.ply: missing")
     rows = [(*xyz, 10 * i, 20, 30) for i, xyz in enumerate(POINTS)]
     kinds = [*((axis, "f4") for axis in "xyz"), *((c, "u1") for c in ("red", "green", "blue"))]
     vertices = PlyElement.describe(np.array(rows, dtype=kinds), "vertex")
@@ -162,7 +162,7 @@ def test_nerfstudio_points(tmp_path):
     assert scene.points.colours.unique().tolist() == [128]
     assert scene.facts["cameras_sha256"] != before
     cloud.write_bytes(b"ply\nrubbish")
-    refused(tmp_path, r"sparse_pc.ply: not a PLY file")
+    refused(tmp_path, r"sparse_pc.ply: not a whole .ply file")
 
 
 def test_nerfstudio_masks(tmp_path):
