@@ -22,8 +22,8 @@ def bounds_table() -> str:
         ),
         (
             "reading one damaged file: memory",
-            f"{bounds.BYTES_EACH} bytes a byte of the file + {bounds.BYTES_ALWAYS // MEBIBYTE} MiB; of a photo "
-            f"also {PEAK} bytes a pixel", "`tests/fuzz/bounds.py`",
+            f"{bounds.BYTES_EACH} bytes a byte of the file + {bounds.BYTES_ALWAYS // MEBIBYTE} MiB"
+            + f"; of a photo also {PEAK} bytes a pixel", "`tests/fuzz/bounds.py`",
         ),
         ("an error's length", f"one line of about {LONGEST} characters", "`tests/base/test_errors.py`"),
         (
