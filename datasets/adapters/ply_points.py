@@ -16,6 +16,8 @@ def read_ply_points(path: Path) -> SparsePoints:
 
     Raises: DataError naming the file and the fault.
     """
+    if not path.exists():
+        raise DataError(f"{path}: missing; the scene's file of cameras names it")
     size_of(path)
     try:
         vertices = PlyData.read(path)["vertex"].data

@@ -184,7 +184,7 @@ BAD_ARGUMENTS = {
     "no reduced form": (["brighton", "--quick"], "suite 'brighton' has no reduced form"),
     "no such file": (["nothing.toml"], "no such suite file"),
     "nothing chosen": (["mine.toml", "--only", "x/*"], "matches none"),
-    "no seeds": (["mine.toml", "--seeds", "0"], "expected 1 or more"),
+    "no seeds": (["mine.toml", "--seeds", "0"], "--seeds is 0, expected from 1 to"),
     "unknown backend": (["mine.toml", "--backend", "cpuu"], "did you mean 'cpu'"),
 }
 

@@ -93,7 +93,7 @@ def test_a_world_that_nobody_names_a_folder_for_says_where_it_went(capsys, tmp_p
         (("make", "village"), 2, "there are courtyard"),
         (("make", "village", "x"), 2, "there are courtyard"),
         (("make", "courtyard", "x", "--preset", "huge"), 2, "small, medium, large"),
-        (("make", "courtyard", "x", "--seed", "-1"), 2, "expected 0 or more"),
+        (("make", "courtyard", "x", "--seed", "-1"), 2, "--seed is -1, expected from 0"),
         (("make", "courtyard", "."), 2, "exists and is not this scene"),
     ],
 )

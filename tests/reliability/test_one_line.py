@@ -87,7 +87,7 @@ LINES = [
 ]
 
 
-SLOW = ("gallery", "ingest", "report", "run", "scenes")
+SLOW = ("compare", "gallery", "ingest", "report", "run", "scenes")
 """Commands that load much, or make a scene, before they look at a path."""
 
 

@@ -239,7 +239,7 @@ def test_select_by_pattern_and_seeds():
     assert [c.scene for c in both] == ["town", "village"]
     with pytest.raises(UsageError, match=r"--only 'x\*' matches none of the 2 cases"):
         select(whole, only="x*")
-    with pytest.raises(UsageError, match="--seeds 0: expected 1 or more"):
+    with pytest.raises(UsageError, match="--seeds is 0, expected from 1 to"):
         select(whole, seeds=0)
 
 

@@ -5,24 +5,20 @@ it returns (an int, or None for 0) is the exit code, and it prints through splat
 imported only when it is chosen, and imports what is heavy (torch, mlflow, pycolmap) when it is called.
 """
 
-import errno
 import importlib
 import inspect
 import io
 import os
-import signal
 import sys
-import threading
-import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 
 from tyro.extras import SubcommandApp
 
-from splatproof.base.errors import MissingError, SplatproofError, UsageError
+from splatproof.base.errors import UsageError
 from splatproof.cli import flags
+from splatproof.cli.ending import sigterm_told, told
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
@@ -184,92 +180,12 @@ def main(args: Sequence[str] | None = None) -> int:
     # read when torch is first imported, here or in a worker.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
-        with _sigterm_told():
-            return _told(lambda: _run(arguments))
+        with sigterm_told():
+            return told(lambda: _run(arguments))
     except BrokenPipeError:
         # Whoever read our output has left (`bench ... | head`); nobody is there to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-
-
-_ROOM = "make room or choose another folder; the same command continues where it stopped"
-_RIGHTS = "choose another folder, or change who may use it"
-OF_THE_MACHINE = {
-    errno.ENOSPC: _ROOM, errno.EDQUOT: _ROOM, errno.EFBIG: _ROOM,
-    errno.EACCES: _RIGHTS, errno.EPERM: _RIGHTS, errno.EROFS: _RIGHTS,
-}  # fmt: skip
-"""What a disk can have against a command, and what to do about it."""
-OF_THE_NAME = (
-    errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG, errno.ELOOP,
-    errno.EINVAL, errno.ENOTEMPTY,
-)  # fmt: skip
-"""What is wrong with a path that a user gave, or that was taken away meanwhile."""
-_WHERE = "SPLATPROOF_DEBUG=1 shows where"
-
-
-NO_MEMORY = "can't allocate memory"
-"""Words of torch's error for it, which has no type of its own."""
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM came: clean up as after ctrl-C."""
-
-
-@contextmanager
-def _sigterm_told() -> Iterator[None]:
-    """SIGTERM raises Terminated inside the block; only the main thread may ask for that."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(*_: object) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _told(action: Callable[[], int]) -> int:
-    """The exit code of `action`; errors that a user can mend become one line on stderr."""
-    try:
-        return action()
-    except SplatproofError as error:
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
-        return error.exit_code
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: {_of_the_system(error)}", file=sys.stderr)
-        return (UsageError if error.errno in OF_THE_NAME else MissingError).exit_code
-    except (MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and NO_MEMORY not in str(error):
-            raise
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: out of memory; take fewer or smaller images; {_WHERE}", file=sys.stderr)
-        return MissingError.exit_code
-    except KeyboardInterrupt as ended:
-        told = isinstance(ended, Terminated)
-        how = "terminated" if told else "interrupted"
-        print(f"bench: {how}; the same command continues where it stopped", file=sys.stderr)
-        return 128 + (signal.SIGTERM if told else signal.SIGINT)
-    except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
-        return exit_.code if isinstance(exit_.code, int) else 2
-
-
-def _of_the_system(error: OSError) -> str:
-    """What the system has against a command, in one line."""
-    where = f"{error.filename2 or error.filename}: " if error.filename else ""
-    said = os.strerror(error.errno) if error.errno else " ".join(str(error).split())
-    advice = "check the path, or choose another" if error.errno in OF_THE_NAME else _WHERE
-    return f"{where}{said or type(error).__name__}; {OF_THE_MACHINE.get(error.errno or 0, advice)}"
 
 
 def _run(arguments: list[str]) -> int:
