@@ -47,7 +47,7 @@ fuzz-inputs: setup-dev
 
 # commands killed at random moments, started again, and held against undisturbed ones
 torture: setup-dev
-	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python tests/torture/torture.py
+	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python tests/torture/rounds.py
 
 lint: setup-dev
 	$(BIN)/ruff check .

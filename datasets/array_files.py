@@ -31,6 +31,7 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
     except (
         OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError, RecursionError, SyntaxError, TypeError,
         tokenize.TokenError,  # numpy reads the header of an array as Python
+        RuntimeError,  # zipfile's word where a password is wanted
         NotImplementedError,  # zipfile's word for a compression that it does not know
     ) as error:  # fmt: skip
         said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__

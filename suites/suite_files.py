@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -305,7 +306,7 @@ def _scene(name: str, path: Path, where: str) -> str:
             (path.parent / name, f"./{name}"),
             (Path(name), str(Path(name).resolve())),
         ):
-            if folder.is_dir():
+            if os.path.isdir(folder):  # a name that no folder can have is none
                 raise UsageError(
                     f"{where}: {name!r} is a folder and no registered scene; a folder is written with "
                     f"'./', '../' or '/' in front, relative to the suite file: {meant!r}"

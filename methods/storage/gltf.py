@@ -122,7 +122,7 @@ def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
         )  # fmt: skip
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{path}: not a whole .glb of Gaussians ({error!r})") from None
-    if shift.shape != (3,) or mode not in ("classic", "antialiased"):
+    if shift.shape != (3,) or not shift.isfinite().all() or mode not in ("classic", "antialiased"):
         raise DataError(f"{path}: extras say shift {told.get('shift')!r} and mode {mode!r}")
     check_gaussians(model, path)
     return model, shift, mode

@@ -17,6 +17,8 @@ DIGITS = "1" + "0" * 400
 DEEP = "@deep@"
 """Stands in a JSON tree for lists inside lists, deeper than a recursive reader goes."""
 DEPTH = 20_000
+DEEPS = 10
+"""Such lists in one file: doubled a thousand times they would be a file of gigabytes."""
 WORDS = ("", "0", "-1", "1", "nan", "inf", "-inf", "1e400", "-1e-400", DIGITS, "0x10", "1_0", "٣",
          "1.5", "true", "null", "''", '"', "\\", "/", "..", "../../x", "/etc/passwd", ".", "\0",
          "\ufeff", "\u2028", "\x85", "#", "=", "[", "]]", "{", "}", ",", "[" * 500, "a.b=" * 200,
@@ -177,7 +179,7 @@ def changed_json(draw: random.Random, data: bytes, others: Sequence[bytes]) -> b
         return changed_text(draw, data, others)
     for _ in range(draw.choice((1, 1, 1, 2, 3))):
         tree = _changed_tree(draw, tree)
-    text = json.dumps(tree).replace(f'"{DEEP}"', "[" * DEPTH + "]" * DEPTH)
+    text = json.dumps(tree).replace(f'"{DEEP}"', "[" * DEPTH + "]" * DEPTH, DEEPS)
     return text.encode()
 
 

@@ -121,9 +121,8 @@ def _store(out: Path) -> dict[str, object]:
         result_from_json((out / "mlartifacts" / run / "artifacts/record.json").read_text(), run)
         for (run,) in rows
     ]
-    return {"rows": len(rows)} | {
-        f"row of {r.scene} {r.method} {r.seed}": essence(r) for r in results
-    }
+    found: dict[str, object] = {"rows": len(rows)}
+    return found | {f"row of {r.scene} {r.method} {r.seed}": essence(r) for r in results}
 
 
 def _rows(name: str) -> Callable[[Path], dict[str, object]]:

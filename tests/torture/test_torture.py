@@ -9,7 +9,7 @@ import pytest
 from torture import kills
 from torture.commands import COMMANDS, Command, contents
 from torture.kills import Kill
-from torture.torture import Torture
+from torture.rounds import Torture
 
 IN_THE_WORK = Kill(0.75, ("SIGKILL",), "process")
 """Imports take half the time of such small work; then it trains and writes."""

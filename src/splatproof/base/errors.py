@@ -5,7 +5,7 @@ import re
 LONGEST = 2000
 """Characters of a message. Values from files go into it as they are, and a file may hold any."""
 END = 500
-"""Of them, those that its end has, which says what to do; the beginning names the file."""
+"""Characters of it that are kept from its end, which says what to do; the beginning names the file."""
 
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 """What ends a line or moves a console's cursor; names in files may have it."""

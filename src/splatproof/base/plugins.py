@@ -1,6 +1,8 @@
 """What users add: methods, metrics and adapters, by entry points of packages or by plug-in files."""
 
-from collections.abc import Mapping
+import functools
+import sys
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
@@ -25,7 +27,7 @@ def with_plugins(built_in: Mapping[str, T], group: str, kind: type[T]) -> dict[s
         another type, or has a name that is taken.
     """
     table = dict(built_in)
-    for point in sorted(entry_points(group=group), key=lambda point: point.name):
+    for point in _installed(entry_points, group, tuple(sys.path)):
         where = f"{_package(point)}: entry point {point.name} = {point.value} in {group}"
         if point.name in table:
             raise UsageError(f"{where}: the name is taken; give it another one or uninstall it")
@@ -59,6 +61,18 @@ def offered(file: PluginFile, kind: type[T]) -> dict[str, T]:
     """
     values = vars(file.module).values()
     return {str(getattr(one, "name", "")): one for one in values if isinstance(one, kind)}
+
+
+@functools.cache
+def _installed(
+    look: Callable[..., Iterable[EntryPoint]], group: str, path: tuple[str, ...]
+) -> tuple[EntryPoint, ...]:
+    """Entry points of a group by name: every package's metadata is read for them, 50 ms each time.
+
+    What is installed while a process runs is seen by the next one.
+    """
+    del path
+    return tuple(sorted(look(group=group), key=lambda point: point.name))
 
 
 def _package(point: EntryPoint) -> str:

@@ -1,0 +1,102 @@
+"""Make docs/promises.md from the tests that hold the promises: PYTHONPATH=tests python docs/tools/make_promises_page.py"""
+
+from pathlib import Path
+
+from fuzz import bounds, inputs
+from fuzz.targets import TARGETS
+from load import test_load
+from splatproof.base.errors import LONGEST
+from splatproof.base.memory import MEBIBYTE
+from splatproof.datasets.photos import PEAK
+from torture import kills
+from torture.commands import COMMANDS
+
+PAGE = Path(__file__).parents[1] / "promises.md"
+
+
+def bounds_table() -> str:
+    """Every bound, with the number that its test asserts."""
+    rows = [
+        (
+            "reading one damaged file: processor time", f"{bounds.SECONDS:g} s", "`tests/fuzz/bounds.py`",
+        ),
+        (
+            "reading one damaged file: memory",
+            f"{bounds.BYTES_EACH} bytes a byte of the file + {bounds.BYTES_ALWAYS // MEBIBYTE} MiB"
+            + f"; of a photo also {PEAK} bytes a pixel", "`tests/fuzz/bounds.py`",
+        ),
+        ("an error's length", f"one line of about {LONGEST} characters", "`tests/base/test_errors.py`"),
+        (
+            "after a kill: no process is left", f"{kills.ORPHANS_END:g} s after the command's end",
+            "`tests/torture/kills.py`",
+        ),
+        (
+            "SIGINT or SIGTERM: the command ends", f"within {kills.ENDS:g} s", "`tests/torture/kills.py`",
+        ),
+        (
+            f"a suite of {test_load.CASES:,} cases: planned in", f"{test_load.SECONDS:g} s of processor time",
+            "`tests/load/test_load.py`",
+        ),
+    ]  # fmt: skip
+    lines = ["| what | bound | asserted in |", "| --- | --- | --- |"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def page() -> str:
+    """The page."""
+    commands = "\n".join(f"- `bench {' '.join(one.arguments)}`" for one in COMMANDS.values())
+    signals = ", ".join(
+        dict.fromkeys(" twice ".join((s[0], "")[: len(s)]).strip() for s in kills.SIGNALS)
+    )
+    files = ", ".join(sorted(TARGETS))
+    return f"""# Promises
+
+What splatproof promises of durability, of sameness and of bounds, how each promise is tested, and what is not
+promised. The numbers are those that the tests assert; this page is made from them by
+`docs/tools/make_promises_page.py`.
+
+## Durability
+
+A command that is killed at any moment is started again with the same words and ends as if nothing had happened:
+records (apart from what clocks and machines say), model bytes, pictures and the store's rows equal those of an
+undisturbed run. A file under its final name is whole, and nothing half-made is left at the end.
+
+`make torture` holds these commands against it, with {signals} to the process, its group or one of its workers,
+at moments drawn from a seed:
+
+{commands}
+
+Two kills are part of `make test` (`tests/torture/test_torture.py`), which also plants a fault of each kind and sees
+that it is found.
+
+## Sameness
+
+The same seed on the same machine gives the same bits on the CPU, for any number of threads
+(`tests/methods/test_same_bytes.py`, `tests/datasets/ingesting/test_ingest.py`).
+
+## Damaged files
+
+Every reader answers a damaged file with an error of one line that names it, or with numbers that are finite; never
+with a traceback. `make fuzz-inputs` feeds {inputs.WHOLE:,} damaged files to the readers of {files}: bytes, text
+and trees are changed, and lengths and checksums are made right again, so that what lies behind them is tried too.
+`make test` feeds the first 20,000 and all that ever failed (`tests/fuzz/corpus`, with the reasons). `make fuzz` calls
+the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSanitizer.
+
+## Bounds
+
+{bounds_table()}
+
+## Not promised
+
+- The same bits on another machine, another version of torch or another SIMD level: results then agree within the
+  budgets of [performance](performance.md).
+- Resuming a study: its rows are measured side by side, so it starts over; what was measured is kept.
+- That a worker of a fork server ends within {kills.ORPHANS_END:g} s where its command was killed by SIGKILL during
+  the imports: it ends when they are done.
+- What a full disk, a broken memory or a network file system without locks does to files.
+- Safety against plug-ins: they are Python that you run.
+"""
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
