@@ -91,7 +91,7 @@ def _split_block(city: Path, path: Path, side: Literal["train", "test"]) -> list
     width, height, fx, fy, cx, cy = (
         positive(data.get(key), str(path), key) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy")
     )
-    camera = pinhole_camera(width, height, fx, fy, cx, cy, str(path))
+    camera = pinhole_camera(width, height, fx, fy, cx, cy, where=str(path))
     photos = []
     for frame in frames:
         where = f"{path}: frame {frame['file_path']}"

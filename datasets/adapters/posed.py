@@ -24,6 +24,7 @@ def pinhole_camera(
     fy: float,
     cx: float,
     cy: float,
+    *,
     where: str = "camera",
 ) -> pycolmap.Camera:
     """An undistorted camera; everything in pixels, pixel centres at .5.

@@ -214,7 +214,7 @@ def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
     elif k4:
         raise DataError(f"{where}: k4 is {k4}, which only {FISHEYE} has; expected 0")
     elif not any(bend.values()):
-        return pinhole_camera(width, height, fx, fy, cx, cy, where)
+        return pinhole_camera(width, height, fx, fy, cx, cy, where=where)
     else:
         kind, params = "FULL_OPENCV", [fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]
     return pycolmap.Camera(model=kind, width=width, height=height, params=params)

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from splatproof.base.errors import SplatproofError
 from splatproof.reference.checks.agreement import compare_gradients
-from splatproof.suites.hard_cases import blocks, components, gaussians, images, ladders
+from splatproof.suites.hard_cases import blocks, components, gaussians, images
 from splatproof.suites.hard_cases.case import HardCase
+from splatproof.suites.studies import ladders
 
 
 def rows(*, quick: bool) -> Iterator[dict[str, Any]]:

@@ -44,7 +44,7 @@ def activated_scene(scene: GaussianScene, gradient: Tensor) -> Problem:
 
     Args:
         scene: Gaussians and their camera.
-        gradient: By the colour, height x width x 3.
+        gradient: Gradient by the colour, height x width x 3.
     """
     leaves = {name: getattr(scene, name) for name in ACTIVATED}
     return _problem(scene.camera, leaves, gradient, lambda: [leaves[n] for n in ACTIVATED[:4]])

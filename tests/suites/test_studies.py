@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from splatproof.suites.hard_cases import blocks, components, images, ladders
+from splatproof.suites.hard_cases import blocks, components, images
 from splatproof.suites.hard_cases.case import HardCase, drawn, fixed
-from splatproof.suites.studies import memory, stability, stability_plot
+from splatproof.suites.studies import ladders, memory, stability, stability_plot
 from splatproof.suites.studies.study import STUDIES
 
 CASES = (*components.CASES, *blocks.CASES, *images.CASES)

@@ -34,7 +34,7 @@ class Vertices:
     rows: np.ndarray
     """A row a vertex, a field a property, in the file's types."""
     comments: tuple[str, ...]
-    """Of the header, without the word."""
+    """The header's comments, without the word."""
 
     @property
     def names(self) -> tuple[str, ...]:
