@@ -260,7 +260,7 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
                     name=name,
                     path=file,
                     camera=pinhole_camera(
-                        width, height, focal, focal, width / 2, height / 2, str(path)
+                        width, height, focal, focal, width / 2, height / 2, where=str(path)
                     ),
                     camera_to_world=opengl_pose(frame, f"{path}: frame {name}"),
                     split="train" if split == "train" else "test",
