@@ -74,9 +74,10 @@ def licence(name: str) -> str | None:
         return None
     if name in READ:
         return READ[name]
-    classes = [line.split("::")[-1].strip() for line in told.get_all("Classifier") or []
-               if line.startswith("License")]  # fmt: skip
-    return told.get("License-Expression") or " / ".join(classes) or told.get("License") or "unknown"
+    fields = told.json
+    lines = [line for line in fields.get("classifier", []) if line.startswith("License")]
+    classes = " / ".join(line.split("::")[-1].strip() for line in lines)
+    return str(fields.get("license_expression") or classes or fields.get("license") or "unknown")
 
 
 def page() -> str:
