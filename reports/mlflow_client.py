@@ -8,7 +8,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from splatproof.base.errors import MissingError, UsageError
+from splatproof.base.errors import MissingError, UsageError, without_passwords
 from splatproof.base.files import check_target
 from splatproof.base.locks import locked
 
@@ -89,9 +89,7 @@ def check_uri(uri: str) -> None:
 
 def shown_uri(uri: str) -> str:
     """The URI without user name and password, for messages and pages."""
-    scheme, mark, rest = uri.partition("://")
-    server, slash, path = rest.partition("/")
-    return scheme + mark + server.rpartition("@")[2] + slash + path
+    return without_passwords(uri)
 
 
 def sqlite_file(uri: str) -> Path | None:
@@ -175,6 +173,9 @@ def _prepare() -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """The first line of an error's text, at most 200 characters; its type where it has none."""
-    lines = str(error).strip().splitlines()
+    """The first line of an error's text, at most 200 characters; its type where it has none.
+
+    Passwords in addresses are left out: MLflow's own errors quote the whole of them.
+    """
+    lines = without_passwords(str(error)).strip().splitlines()
     return lines[0][:200] if lines else type(error).__name__

@@ -366,6 +366,18 @@ def test_passwords_are_not_shown():
     assert shown_uri("sqlite:////runs/a@b/mlflow.db") == "sqlite:////runs/a@b/mlflow.db"
 
 
+@pytest.mark.parametrize(
+    "uri",
+    ["http://me:s3cret@127.0.0.1:9/x", "nosuch://me:s3cret@x", "http://me:s3cret@[::1",
+     "postgresql://me:s3cret@127.0.0.1:9/db", "file://me:s3cret@host/x"],
+)  # fmt: skip
+def test_no_error_tells_a_password(uri, monkeypatch):
+    monkeypatch.setenv("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "0")
+    with pytest.raises((MissingError, UsageError)) as caught:
+        open_client(uri)
+    assert "s3cret" not in str(caught.value)
+
+
 def test_the_key_of_a_case_sees_settings_and_rules_but_not_scores():
     case = case_folders.result()
     same = dataclasses.replace(case, metrics={}, settings=dict(reversed(case.settings.items())))

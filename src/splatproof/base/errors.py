@@ -10,6 +10,18 @@ END = 500
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 """What ends a line or moves a console's cursor; names in files may have it."""
 
+USER = re.compile(r"(?<=://)[^/\s]*@")
+"""User name and password in an address."""
+
+
+def without_passwords(text: str) -> str:
+    """A text whose addresses name no user and no password.
+
+    >>> without_passwords("http://me:secret@host:5000/p does not answer")
+    'http://host:5000/p does not answer'
+    """
+    return USER.sub("", text)
+
 
 class SplatproofError(Exception):
     """Base of every error that is told to the user in one line, without a traceback."""
@@ -17,8 +29,9 @@ class SplatproofError(Exception):
     exit_code = 1
 
     def __str__(self) -> str:
-        """The message on one line; one that is longer than LONGEST without its middle."""
-        text = CONTROL.sub(lambda found: ascii(found[0])[1:-1], super().__str__())
+        """The message on one line, without passwords; one longer than LONGEST without its middle."""
+        told = without_passwords(super().__str__())
+        text = CONTROL.sub(lambda found: ascii(found[0])[1:-1], told)
         if len(text) <= LONGEST:
             return text
         left_out = f" ... ({len(text) - LONGEST} characters left out) ... "
