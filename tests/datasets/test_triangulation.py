@@ -1,6 +1,7 @@
 """Points under given poses lie on the true surface, and know nothing of held-out views."""
 
 from dataclasses import replace
+from unittest import mock
 
 import numpy as np
 import pycolmap
@@ -34,9 +35,8 @@ def own_cache(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """One of the small aerial scenes, made with fewer samples a pixel."""
-    whole = aerial.plan(0, aerial.PRESETS["small"])
-    shots = tuple(shot for shot in whole.shots if shot.group == KIND)
-    plan = replace(whole, shots=shots, samples=2)
+    with mock.patch.dict(aerial.SCENES, {KIND: aerial.SCENES[KIND]}, clear=True):
+        plan = replace(aerial.plan(0, aerial.PRESETS["small"]), samples=2)
     return exporting.make_scene(plan, tmp_path_factory.mktemp("aerial") / "scene") / KIND
 
 
