@@ -89,7 +89,7 @@ COMPONENTS = (
         title="Anchors and the HDGS hierarchy",
         modules=("reference/anchors/scaffold", "reference/anchors/vibration", "reference/anchors/motion_hierarchy",
                  "reference/anchors/sparse_convolution", "reference/anchors/support_network",
-                 "reference/anchors/control", "reference/types/mlp"),
+                 "reference/anchors/control", "reference/types/mlp", "reference/types/cells"),
         source="Scaffold-GS; PVG; HDGS, Sec. 3.2, 3.3 and 3.5, Eqs. 1 to 8",
         pictures=(
             Picture(file="hierarchy", draw=anchoring.draw_hierarchy,

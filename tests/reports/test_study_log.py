@@ -30,8 +30,7 @@ def test_numbers_machine_and_files_arrive(tmp_path):
     assert [file.path for file in client.list_artifacts(run.info.run_id)] == ["speed.jsonl"]
 
 
-def test_a_store_that_is_away_is_told_in_one_line(tmp_path):
-    (tmp_path / "file").write_text("")
-    said = log_study("speed", {}, [ROW], [], f"sqlite:///{tmp_path / 'file' / 'mlflow.db'}")
+def test_a_store_that_is_away_is_told_in_one_line():
+    said = log_study("speed", {}, [ROW], [], "nosuch://x")
     assert said
     assert "\n" not in said

@@ -157,7 +157,7 @@ def test_a_row_of_the_study_of_sizes(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_what_a_machine_lacks_is_told_and_stops_nothing(monkeypatch: pytest.MonkeyPatch):
     def lacking(reduced: bool, folder: Path):
-        raise MissingError("no such library:\n  install it")
+        raise MissingError("no such library:   install it")
 
     monkeypatch.setitem(registry.CHECKS, "same_seed", CHECKS["same_seed"].__class__(
         measure=lacking, unit="bytes", seconds=(1.0, 1.0)))  # fmt: skip

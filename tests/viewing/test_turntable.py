@@ -98,7 +98,7 @@ def test_a_film_that_is_broken_off_is_not_there(tmp_path: Path):
         ("film.gif", [], "expected .mp4 or .webm"),
         ("film.mp4", ["--width", "97"], "expected even numbers"),
         ("film.mp4", ["--fps", "0"], "both more than 0"),
-        ("film.mp4", ["--seconds", "nan"], "both more than 0"),
+        ("film.mp4", ["--seconds", "nan"], "expected a finite number"),
         ("film.mp4", ["--path", "cameras"], "name a --scene"),
         ("film.mp4", ["--mode", "error"], "--mode error: there is no scene"),
     ],
