@@ -11,7 +11,7 @@ from torture.commands import COMMANDS, Command, contents
 from torture.kills import Kill
 from torture.rounds import Torture
 
-IN_THE_WORK = Kill(0.75, ("SIGKILL",), "process")
+IN_THE_WORK = Kill(0.85, ("SIGKILL",), "process")
 """Imports take half the time of such small work; then it trains and writes."""
 
 
