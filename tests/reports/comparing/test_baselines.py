@@ -70,6 +70,7 @@ def edited(text: str, before: str, after: str) -> str:
     [
         (lambda text: text[: len(text) // 2], "not JSON"),
         (lambda text: edited(text, '"seed":2', '"seed":7'), "edited or badly merged"),
+        (lambda text: edited(text, '"seed":2', '"seed":1e999'), "a number that is not finite"),
         (
             lambda text: edited(text, '"version": 1', '"version": 9'),
             "version 9, this release reads 1",
