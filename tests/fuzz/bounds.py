@@ -71,6 +71,18 @@ def _clock() -> Iterator[None]:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
 
+def put(target: Target, data: bytes) -> None:
+    """Write an input where its reader will look.
+
+    Args:
+        target: Whose reader it is.
+        data: The input.
+    """
+    target.path.write_bytes(data)
+    if target.prepare is not None:
+        target.prepare(target.path)
+
+
 def tried(target: Target, data: bytes, held: float) -> Answer:
     """Write an input, read it, and judge: an error of the project's in one line, or sound values.
 
@@ -79,9 +91,7 @@ def tried(target: Target, data: bytes, held: float) -> Answer:
         data: The input.
         held: Resident bytes before, from which growth is counted.
     """
-    target.path.write_bytes(data)
-    if target.prepare is not None:
-        target.prepare(target.path)
+    put(target, data)
     if peak_memory_mb() * MEBIBYTE - held > BYTES_ALWAYS / 2:
         forget_peak()  # of making the input, or of one before
     begun, accepted, fault = time.process_time(), False, ""

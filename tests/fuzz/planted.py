@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from fuzz.bounds import SECONDS
 from fuzz.layout import Layout
 from fuzz.serving import serve
 from fuzz.target import Target
@@ -81,7 +82,21 @@ def _build(read: Callable[[Path], object], folder: Path) -> Target:
     return Target(path=folder / "x.bin", samples=[INTACT], layout=OTHER, read=guarded)
 
 
+def _build_late(folder: Path) -> Target:
+    """A sound reader that imports modules, which a fresh checkout compiles, when it first reads."""
+    imported = False
+
+    def late(path: Path) -> object:
+        nonlocal imported
+        until = 0 if imported else time.process_time() + SECONDS + 0.1
+        while time.process_time() < until:
+            pass
+        imported = True
+        return path.read_bytes()
+
+    return Target(path=folder / "x.bin", samples=[INTACT], layout=OTHER, read=late)
+
+
 if __name__ == "__main__":
-    serve(
-        Path(sys.argv[1]), {name: functools.partial(_build, read) for name, read in READERS.items()}
-    )
+    readers = {name: functools.partial(_build, read) for name, read in READERS.items()}
+    serve(Path(sys.argv[1]), readers | {"late": _build_late})

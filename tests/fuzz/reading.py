@@ -106,9 +106,11 @@ class Reader:
                     [sys.executable, "-P", str(self._program), str(self._note)], env=environment, text=True,
                     stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words,
                 )  # fmt: skip
-            if self._line(self._process, STARTS) != "ready\n":
+            answer = self._line(self._process, STARTS)
+            if answer != "ready\n":
+                why = "hangs" if answer is None else f"ends with code {self._process.wait()}"
                 self._end()
-                raise RuntimeError(f"the reading process does not start; see {self._words}")
+                raise RuntimeError(f"the reading process {why} before it reads; see {self._words}")
         return self._process
 
     def _end(self) -> None:

@@ -29,10 +29,10 @@ def made_targets(folder: Path, builders: Mapping[str, Build]) -> dict[str, Targe
     for index, (name, build) in enumerate(builders.items()):
         place = folder / str(index)
         place.mkdir()
-        made[name] = build(place)
-        answer = bounds.tried(made[name], made[name].input(name, 0), 2**62)
-        if not answer.accepted:
-            raise AssertionError(f"{name}: its own intact file is refused: {answer.fault}")
+        target = made[name] = build(place)
+        # without a bound on time: a fresh checkout's modules are compiled when they are first imported
+        bounds.put(target, target.input(name, 0))
+        target.read(target.path)
     return made
 
 

@@ -46,7 +46,7 @@ def test_an_input_is_made_from_its_name_and_number(tmp_path):
 FAULTS = {
     "raises": "ValueError: invalid literal", "long": "took more than 1 s", "large": "MiB for", "huge": "MemoryError",
     "nan": "not finite: value.a.1", "nameless": "does not name the file", "lines": "not one line",
-    "dies": "ends the process with code -6", "hangs": "hangs for 3 s", "sound": "",
+    "dies": "ends the process with code -6", "hangs": "hangs for 3 s", "sound": "", "late": "",
 }  # fmt: skip
 
 

@@ -15,7 +15,7 @@
   const GO = { b: "board", r: "runs", i: "images", p: "plots", h: "history", c: "compare", v: "claims" };
   let going = 0;
   S.help = () => {
-    const old = document.querySelector("dialog");
+    const old = document.querySelector("dialog[open]");
     if (old) { old.close(); return; }
     const list = (rows) => S.h("dl.keys", {}, rows.map(([k, what]) => [S.h("dt", {}, S.h("kbd", {}, k)), S.h("dd", {}, what)]));
     const dialog = S.h("dialog", { "aria-labelledby": "help-title", onclose: () => dialog.remove() },
@@ -26,7 +26,7 @@
     dialog.showModal();
   };
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog")) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
     const { key } = event;
     if (key === "Escape") {
       if (typing(event.target)) event.target.blur();
