@@ -14,6 +14,7 @@ import torch
 import splatproof as sp
 from helpers.tiny_scene import camera, random_gaussians
 from splatproof import metrics
+from splatproof.base.plugin_files import plugin_files
 from splatproof.metrics.registry import BUILT_IN
 from splatproof.reference.rasterizer.rasterize import rasterize as reference
 
@@ -92,9 +93,17 @@ def test_errors_are_those_of_the_command_line(tmp_path):
         sp.load(str(tmp_path))
     with pytest.raises(sp.DataError, match="no finished case"):
         sp.results_frame(str(tmp_path))
+    loaded = plugin_files()
     (tmp_path / "empty.py").write_text("x = 1\n")
     with pytest.raises(sp.UsageError, match="no Method, Metric or Adapter at its top level"):
         sp.use_plugin(tmp_path / "empty.py")
+    (tmp_path / "taken.py").write_text(
+        "from dataclasses import replace\nfrom splatproof.metrics.registry import BUILT_IN\n"
+        "mine = replace(BUILT_IN['psnr'])\n"
+    )
+    with pytest.raises(sp.UsageError, match="its Metric is called 'psnr', and that name is taken"):
+        sp.use_plugin(tmp_path / "taken.py")
+    assert plugin_files() == loaded  # what was refused stands in nobody's way
 
 
 @pytest.mark.parametrize(

@@ -25,11 +25,13 @@ ONE = Thing("one")
 
 @pytest.fixture(autouse=True)
 def alone(monkeypatch: pytest.MonkeyPatch):
-    """No file is loaded before or after."""
+    """No file is loaded; what others had loaded is there afterwards."""
     monkeypatch.setattr(plugin_files, "_loaded", {})
+    before = set(sys.modules)
     yield
-    for name in [name for name in sys.modules if name.startswith(plugin_files.PREFIX)]:
-        del sys.modules[name]
+    for name in set(sys.modules) - before:
+        if name.startswith(plugin_files.PREFIX):
+            del sys.modules[name]
 
 
 def written(folder: Path, text: str = SOURCE, name: str = "mine.py") -> Path:

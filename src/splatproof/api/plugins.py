@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from splatproof.base.errors import UsageError
-from splatproof.base.plugin_files import load_plugin_file
+from splatproof.base.plugin_files import forget_plugin_file, load_plugin_file
 from splatproof.base.plugins import offered
 from splatproof.datasets.catalogue.opening import Adapter, all_adapters
 from splatproof.methods.contracts.method import Method
@@ -28,11 +28,16 @@ def use_plugin(path: str | Path) -> tuple[str, ...]:
     """
     file = load_plugin_file(path)
     added = [*offered(file, Method), *offered(file, Metric), *offered(file, Adapter)]
-    if not added:
-        raise UsageError(
-            f"plugin {path}: has no Method, Metric or Adapter at its top level; give one a name there"
-        )
-    methods()
-    all_metrics()
-    all_adapters()
+    try:
+        if not added:
+            raise UsageError(
+                f"plugin {path}: has no Method, Metric or Adapter at its top level; give one a name "
+                "there"
+            )
+        methods()
+        all_metrics()
+        all_adapters()
+    except UsageError:
+        forget_plugin_file(file)
+        raise
     return tuple(added)

@@ -78,6 +78,15 @@ def load_plugin_file(path: str | Path, *, expected: str = "") -> PluginFile:
     return found
 
 
+def forget_plugin_file(file: PluginFile) -> None:
+    """Have a file count as never loaded: what is refused must not stand in the way of what follows.
+
+    Args:
+        file: A file that is loaded.
+    """
+    del _loaded[PREFIX + file.path.stem], sys.modules[PREFIX + file.path.stem]
+
+
 def _run(file: Path, source: bytes, name: str) -> None:
     """Run the source as the module of that name; one that fails leaves what was there before."""
     module, before = ModuleType(name), sys.modules.get(name)
