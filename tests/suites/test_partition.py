@@ -112,7 +112,7 @@ def test_narrowed_cameras_see_the_same():
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("k", [4, 8])
+@pytest.mark.parametrize("k", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_odbp_balances_seneca_to_one_percent(k):
     """Std / mean at most 1 %, for at most 15 % more cut than as many METIS runs at 5 %."""
     scene = open_scene(real_scene("seneca"), Protocol(name="p", source="ours"))

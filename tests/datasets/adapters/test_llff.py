@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from helpers.adapter_checks import hard_links, opens_in_bounds, protocol, refused, without
 from helpers.posed_scenes import POINTS, SIZE, blob, opengl_rays, opengl_to_world, worst_error
@@ -59,6 +60,7 @@ def test_faults_are_named(tmp_path):
     refused(tmp_path, "looked for the folder images_9", images="images_9")
 
 
+@pytest.mark.slow
 def test_five_thousand_views(tmp_path):
     llff(tmp_path, views=5000, paint=False)
     blob(tmp_path / "one.png", np.array([5.0, 5.0]))

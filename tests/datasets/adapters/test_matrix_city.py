@@ -76,6 +76,7 @@ def test_faults_are_named(tmp_path):
     refused(tmp_path, "frame 0 has frame_index '0', expected a value of type int")
 
 
+@pytest.mark.slow
 def test_five_thousand_views(tmp_path):
     city(tmp_path)
     path = tmp_path / "train/block_1/transforms.json"

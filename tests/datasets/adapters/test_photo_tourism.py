@@ -71,6 +71,7 @@ def test_missing_and_extra_files(tmp_path):
     refused(tmp_path, "expected one .tsv with the split, found none")
 
 
+@pytest.mark.slow
 def test_five_thousand_views(tmp_path):
     flight = Flight(model="PINHOLE", params=FLIGHT.params, views=5000, points=20)
     (tmp_path / "dense/sparse").mkdir(parents=True)

@@ -75,6 +75,7 @@ def busy_workers() -> list[int]:
     return sorted(found)
 
 
+@pytest.mark.slow  # tests/methods/city/test_executor.py kills those of our own processes
 def test_a_block_whose_worker_is_killed_goes_on_elsewhere_from_its_checkpoint(tmp_path, cluster):
     straight, killed = jobs(tmp_path / "straight"), jobs(tmp_path / "killed")
     run_blocks(straight, engine="inline", threads=1, report=nothing)

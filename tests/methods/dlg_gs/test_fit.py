@@ -127,7 +127,7 @@ def test_anchors_grew_went_and_moved(trained):
     assert 0 < float(apart.max()) < 0.1
 
 
-@pytest.mark.parametrize("step", [30, 47])
+@pytest.mark.parametrize("step", [30, pytest.param(47, marks=pytest.mark.slow)])
 def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:

@@ -88,7 +88,9 @@ def test_what_moves_is_learnt_better_in_motion_than_standing_still(scene, monkey
     assert moves < 0.8 * stays  # 1 dB; 1.8 were seen
 
 
-@pytest.mark.parametrize("step", [1, 17, 45, 59])
+@pytest.mark.parametrize(
+    "step", [17, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 45, 59))]
+)
 def test_killed_and_continued_is_the_same_to_the_bit(scene, trained, tmp_path, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:
@@ -116,7 +118,15 @@ def test_other_settings_do_not_continue(scene, tmp_path):
         fit(scene, replace(SHORT, iterations=2, motion=Motion(period=0.3)), run)
 
 
-@pytest.mark.parametrize("more", [{}, {"antialiased": True, "sky": SkySettings(resolution=0)}])
+@pytest.mark.parametrize(
+    "more",
+    [
+        {},
+        pytest.param(
+            {"antialiased": True, "sky": SkySettings(resolution=0)}, marks=pytest.mark.slow
+        ),
+    ],
+)
 def test_saved_and_rendered_in_another_process(scene, tmp_path, more):
     model = fit(scene, replace(SHORT, iterations=12, **more), RUN)
     save_model(model, tmp_path / "model", Origin())

@@ -75,7 +75,9 @@ def test_anchors_grew_and_went(trained):
     assert len(torch.unique(centres, dim=0)) == len(centres)
 
 
-@pytest.mark.parametrize("step", [1, 17, 30, 59])
+@pytest.mark.parametrize(
+    "step", [17, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 30, 59))]
+)
 def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:
@@ -97,7 +99,10 @@ def test_other_settings_do_not_continue(tmp_path):
         fit(tiny_scene(), replace(SHORT, iterations=2, volume=0.1), run)
 
 
-@pytest.mark.parametrize("more", [{}, {"feature_bank": True, "distance": True}])
+@pytest.mark.parametrize(
+    "more",
+    [pytest.param({}, marks=pytest.mark.slow), {"feature_bank": True, "distance": True}],
+)
 def test_saved_and_rendered_in_another_process(tmp_path, more):
     model = fit(tiny_scene(), replace(SHORT, iterations=15, **more), RUN)
     save_model(model, tmp_path / "model", Origin())

@@ -32,7 +32,7 @@ class Killed(Exception):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("step", [10, 21])
+@pytest.mark.parametrize("step", [10, pytest.param(21, marks=pytest.mark.slow)])
 def test_killed_and_continued_is_the_same_to_the_bit(tmp_path, name, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:

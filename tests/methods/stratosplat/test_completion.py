@@ -104,8 +104,8 @@ def test_a_true_prior_completes_what_few_points_do_not_show():
 
 
 def test_the_memory_merges_what_views_share():
-    layered = cloud(aerial_scene(prior=True), merge=0.02)
-    kept = cloud(aerial_scene(prior=True), memory="accumulate")
+    layered = cloud(aerial_scene(prior=True), merge=0.02, guidance_steps=5)
+    kept = cloud(aerial_scene(prior=True), memory="accumulate", guidance_steps=5)
     # a sparse point may be where a pixel's sample is
     assert 3 * 24 * 18 <= len(kept.positions) <= 3 * 24 * 18 + 30
     assert len(layered.positions) < 0.7 * len(kept.positions)
@@ -174,6 +174,7 @@ def test_samples_beyond_the_memory_are_told():
 
 
 def test_large_photos_are_completed_small():
-    full, small = (cloud(aerial_scene(), side=s, memory="accumulate") for s in (24, 12))
+    few = {"memory": "accumulate", "guidance_steps": 1}
+    full, small = (cloud(aerial_scene(), side=s, **few) for s in (24, 12))
     assert 3 * 24 * 18 <= len(full.positions) <= 3 * 24 * 18 + 30
     assert 3 * 12 * 9 <= len(small.positions) <= 3 * 12 * 9 + 30

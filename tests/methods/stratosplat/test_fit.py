@@ -89,7 +89,7 @@ def test_training_lowers_the_loss(scene):
     assert told[-1] < 0.5 * told[0]
 
 
-@pytest.mark.parametrize("step", [1, 17, 39])
+@pytest.mark.parametrize("step", [17, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 39))])
 def test_killed_and_continued_is_the_same_to_the_bit(scene, trained, tmp_path, step, monkeypatch):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:

@@ -72,7 +72,9 @@ def test_density_changes_while_training():
 
 
 @pytest.mark.parametrize("backend", ["reference", "cpu"])
-@pytest.mark.parametrize("step", [10, 20, 30, 50])
+@pytest.mark.parametrize(
+    "step", [20, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 30, 50))]
+)
 def test_continuation_is_bit_equal(tmp_path, step, backend):
     on = replace(ON_REFERENCE, backend=backend)
     straight = fit(tiny_scene(), SHORT, replace(on, folder=tmp_path / "straight"))

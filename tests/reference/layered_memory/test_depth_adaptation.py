@@ -307,7 +307,7 @@ def test_what_guidance_finds_at_one_step_reaches_the_next():
     assert sorted(moved.nonzero().tolist()) == [[2, 3], [8, 10]]
 
 
-@pytest.mark.parametrize("scale", [0.01, 100.0])
+@pytest.mark.parametrize("scale", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
 def test_depth_does_not_depend_on_scene_units(scale):
     """Sparse points and guide in other units give the same depth in these units."""
     image, truth = two_surfaces()
