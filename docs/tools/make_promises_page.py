@@ -91,8 +91,6 @@ the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSan
 - The same bits on another machine, another version of torch or another SIMD level: results then agree within the
   budgets of [performance](performance.md).
 - Resuming a study: its rows are measured side by side, so it starts over; what was measured is kept.
-- That a worker of a fork server ends within {kills.ORPHANS_END:g} s where its command was killed by SIGKILL during
-  the imports: it ends when they are done.
 - What a full disk, a broken memory or a network file system without locks does to files.
 - Safety against plug-ins: they are Python that you run.
 """
