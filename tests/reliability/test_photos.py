@@ -39,6 +39,20 @@ def test_a_header_that_says_more_than_its_file_can_hold(tmp_path):
     assert peak_memory_mb() - before < 100
 
 
+def test_a_png_whose_rows_are_not_there(tmp_path):
+    path = tmp_path / "tall.png"
+    path.write_bytes(png(16, 1_000_000, 8, 3, bytes(200)))  # Pillow gives it black, in a second
+    with pytest.raises(DataError, match=r"tall\.png: says that its \d+ bytes hold 16 MB"):
+        read_photo(path)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "LA", "RGBA"])
+def test_a_png_that_packs_as_well_as_any_is_read(tmp_path, mode):
+    path = tmp_path / "flat.png"
+    Image.new(mode, (4000, 3000)).save(path, optimize=True)
+    assert photo_size(path) == (4000, 3000)
+
+
 def test_a_photo_that_the_memory_does_not_hold(tmp_path, monkeypatch):
     path = tmp_path / "large.png"
     Image.new("RGB", (2000, 1000)).save(path)

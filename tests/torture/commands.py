@@ -1,6 +1,5 @@
 """The commands that are killed, what they need, and what they must leave behind in the end."""
 
-import gzip
 import json
 import sqlite3
 from collections.abc import Callable
@@ -70,14 +69,6 @@ def contents(*names: str) -> Callable[[Path], dict[str, object]]:
         return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
     return outcome
-
-
-def _exported(folder: Path) -> dict[str, object]:
-    """Bytes of exported files; an .spz is unpacked, since gzip notes when it was written."""
-    found = contents(*EXPORTED)(folder)
-    if "a.spz" in found:
-        found["a.spz"] = gzip.decompress((folder / "a.spz").read_bytes())
-    return found
 
 
 def essence(result: Result) -> Result:
@@ -155,7 +146,7 @@ COMMANDS: dict[str, Command] = {
     ),
     "export": Command(
         arguments=("export", "model", "--ply", "a.ply", "--packed", "a.spgs", "--gltf", "a.glb", "--spz", "a.spz"),
-        prepare=_model, outcome=_exported, whole=EXPORTED,
+        prepare=_model, outcome=contents(*EXPORTED), whole=EXPORTED,
     ),
     "study": Command(
         arguments=("study", "memory", "--quick", "--out", "out"), prepare=lambda folder: None,
