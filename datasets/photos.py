@@ -141,6 +141,7 @@ def _bits(path: Path, image: Image.Image) -> int:
 def check_photo(path: Path) -> None:
     """Raise what `read_photo` would raise; JPEGs are decoded at an eighth of the size."""
     with _opened(path) as image:
+        check_room(path, image.width * image.height * PEAK)
         image.draft("RGB", (max(image.width // 8, 1), max(image.height // 8, 1)))
         _check(path, image)
 

@@ -72,6 +72,6 @@ def check_growth(what: object, unpacked: int, stored: int, *, small: int = SMALL
     """
     if unpacked > max(small, GROWTH * stored):
         raise DataError(
-            f"{what}: says that its {stored} bytes hold {-(-unpacked // MEBIBYTE)} MB, more than "
+            f"{what}: says that its {stored} bytes hold {max(round(unpacked / MEBIBYTE), 1)} MB, more than "
             f"{GROWTH} times as much; it is damaged or made to fill the memory, get it again"
         )
