@@ -9,8 +9,8 @@ BUILD = {"cmake", "ninja"}
 
 
 def versions(text: str) -> dict[str, str]:
-    """Versions by the packages' normalised names (PEP 503)."""
-    pins = re.findall(r"^([\w.-]+)==([^\s;\\]+)", text, re.MULTILINE)
+    """Versions, less what a build adds ("+cpu"), by the packages' normalised names (PEP 503)."""
+    pins = re.findall(r"^([\w.-]+)==([^\s;\\+]+)", text, re.MULTILINE)
     return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pins}
 
 
