@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev bench docs test test-slow baseline fuzz fuzz-inputs torture lint types clean
+.PHONY: setup setup-dev setup-locked audit bench docs test test-slow baseline fuzz fuzz-inputs torture lint types clean
 
 bench: setup
 	$(BIN)/bench run start > /dev/null # the report prints the leaderboard
@@ -58,6 +58,17 @@ types: setup-dev
 
 setup: $(VENV)/.installed
 setup-dev: $(VENV)/.installed-dev
+
+# as setup-dev, but every file must have a hash of hashes.txt; for Linux, Python 3.11 and torch's CPU build alone
+setup-locked: | $(VENV)/bin/pip
+	$(BIN)/pip install -q --no-deps --require-hashes -r hashes.txt
+	$(BIN)/pip install -q --no-deps --no-build-isolation -e .
+	@touch $(VENV)/.installed $(VENV)/.installed-docs $(VENV)/.installed-dev
+
+# what is known against the pinned versions; needs a network, and fails where anything could not be asked
+audit:
+	@test -x build/audit/bin/pip-audit || ($(PYTHON) -m venv build/audit && build/audit/bin/pip install -q pip-audit)
+	build/audit/bin/pip-audit --strict --no-deps --disable-pip -r constraints.txt
 
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt $(wildcard methods/kernels/csrc/* methods/kernels/CMakeLists.txt)
 

@@ -16,6 +16,8 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from splatproof.base.errors import DataError, UsageError
+from splatproof.base.files import read_bytes
+from splatproof.base.inside import check_link
 from splatproof.datasets.depth_maps import depth_loader, depth_path
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.datasets.layout import Layout, PosedPhoto
@@ -56,6 +58,9 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     Raises: DataError naming file and fault; UsageError for a protocol that does not fit.
     """
     layout = chosen_part(folder, layout, protocol)
+    sources = _sources(folder, layout)
+    for path in (*sources, *layout.description):
+        check_link(path, folder)
     photos = sorted(layout.photos, key=lambda photo: photo.name)
     names = [photo.name for photo in photos]
     twice = sorted({a for a, b in pairwise(names) if a == b})
@@ -92,7 +97,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
         units=layout.units,
         shift=torch.from_numpy(shift),
         left_out=layout.left_out,
-        sources=_sources(folder, layout),
+        sources=sources,
         facts=layout.facts
         | ({"cameras_sha256": _hash(folder, layout.description)} if layout.description else {})
         | {
@@ -266,7 +271,7 @@ def _sources(folder: Path, layout: Layout) -> tuple[Path, ...]:
 def _hash(folder: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for path in files:
-        data = path.read_bytes()
+        data = read_bytes(path)
         name = Path(os.path.relpath(path, folder)).as_posix()
         digest.update(f"{name} {len(data)}\n".encode())
         digest.update(data)

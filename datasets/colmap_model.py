@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes
 from splatproof.datasets import colmap_binary, colmap_text
 from splatproof.datasets.colmap_index import (
     MODEL_FILES,
@@ -153,5 +154,5 @@ def _hash(folder: Path, suffix: str) -> str:
         path = folder / f"{name}{suffix}"
         if path.is_file():
             digest.update(f"{path.name} {path.stat().st_size}\n".encode())
-            digest.update(path.read_bytes())
+            digest.update(read_bytes(path))
     return digest.hexdigest()

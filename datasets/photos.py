@@ -21,9 +21,14 @@ from splatproof.base.memory import check_growth, check_room
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 PEAK = 32
-"""Bytes a pixel while a photo is read: 4 in Pillow, 3 as an array, 12 as floats and 12 divided."""
+"""Bytes a pixel while a photo is read, at the most. RGB takes 23: twice 4 in Pillow, 3 as an array, 12 as floats;
+what is transparent takes more."""
 BITS = {"1": 1, "RGB": 24, "YCbCr": 24, "LAB": 24, "RGBA": 32, "CMYK": 32, "I": 32, "F": 32}
 """Bits a pixel in a file of each of Pillow's modes; 8 of the others, or more."""
+CHANNELS = {2: 3, 4: 2, 6: 4}
+"""Channels of a PNG by its header's colour type; 1 of the others."""
+SMALL_PNG = 2**16
+"""Bytes of pixels up to which a PNG is not asked whether it can hold them."""
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "La", "RGBa")
 """Pillow's modes that are RGB or grey of 8 bits: they are shown as they are stored."""
 BITS_PER_SAMPLE = 258
@@ -52,6 +57,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with Image.open(path) as image:
             # a damaged header may say any size; what decodes it would allocate that first
+            if image.format == "PNG":
+                _check_png(path, image.width * image.height, size)
             check_growth(path, image.width * image.height * BITS.get(image.mode, 8) // 8, size)
             yield image
     except (
@@ -65,6 +72,13 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     ) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not a readable image ({said}); replace the file") from None
+
+
+def _check_png(path: Path, pixels: int, size: int) -> None:
+    """Refuse a PNG whose file cannot hold its pixels: Pillow leaves those black that are not there."""
+    with path.open("rb") as file:
+        depth, colours = file.read(26)[24:]
+    check_growth(path, pixels * depth * CHANNELS.get(colours, 1) // 8, size, small=SMALL_PNG)
 
 
 def photo_size(path: Path) -> tuple[int, int]:
@@ -103,9 +117,9 @@ def read_photo(
             stored = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
             if stored is None or stored.shape != (image.height, image.width, 3):
                 raise DataError(f"{path}: not a readable image (16-bit PNG); replace the file")
-            return torch.from_numpy(stored[..., ::-1].astype(np.float32)) / 65535
+            return torch.from_numpy(stored[..., ::-1].astype(np.float32)).div_(65535)
         pixels = np.array(image.convert("RGB"))
-    return torch.from_numpy(pixels).float() / 255
+    return torch.from_numpy(pixels).float().div_(255)
 
 
 def _is_16_bit(path: Path) -> bool:
@@ -128,6 +142,7 @@ def _bits(path: Path, image: Image.Image) -> int:
 def check_photo(path: Path) -> None:
     """Raise what `read_photo` would raise; JPEGs are decoded at an eighth of the size."""
     with _opened(path) as image:
+        check_room(path, image.width * image.height * PEAK)
         image.draft("RGB", (max(image.width // 8, 1), max(image.height // 8, 1)))
         _check(path, image)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.files import read_bytes, read_text, size_of
 from splatproof.base.locks import lock
 from splatproof.reference.types.result import Result, picture_name
 from splatproof.reference.types.result_json import result_from_json
@@ -216,17 +217,14 @@ def read_file(files: str, uri: str, path: str) -> bytes | None:
         return _artifact(files, uri, path)
     root = Path(urllib.parse.unquote(parts.path)).resolve()
     file = (root / path).resolve()
-    return file.read_bytes() if file.is_relative_to(root) and file.is_file() else None
+    return read_bytes(file) if file.is_relative_to(root) and file.is_file() else None
 
 
 @contextmanager
 def _locked(record: Path) -> Iterator[bytes]:
     """The record's bytes, held so that no other process logs this case meanwhile."""
-    try:
-        file = record.open("rb")
-    except FileNotFoundError as error:
-        raise DataError(f"{record}: no such record; run the case first") from error
-    with file:
+    size_of(record)
+    with record.open("rb") as file:
         lock(file)
         yield file.read()
 
@@ -323,8 +321,8 @@ def _cases_of(execution: Execution) -> list[tuple[Result, int]]:
     for folder in find_cases(execution.root):
         record = folder / "record.json"
         try:
-            result = result_from_json(record.read_text(encoding="utf-8"), str(record))
-        except (DataError, UnicodeDecodeError):
+            result = result_from_json(read_text(record), str(record))
+        except DataError:
             continue  # told where it is synced
         if execution_of(folder, result) == execution:
             found.append((result, _end(record)))

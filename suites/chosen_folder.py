@@ -1,13 +1,13 @@
 """The folder that a user named for one case: what lies there is never replaced unasked."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from splatproof.base.differing import differences
-from splatproof.base.errors import UsageError
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.files import read_json
 from splatproof.suites.run_case import CASE_NAME, OURS, Job
 
 
@@ -47,6 +47,6 @@ def _which(found: Mapping[str, Any], job: Job) -> str:
 def made_of(folder: Path) -> dict[str, Any]:
     """What an earlier run says that the case in this folder is made of; {} where there is none."""
     try:
-        return dict(json.loads((folder / CASE_NAME).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError):
+        return dict(read_json(folder / CASE_NAME))
+    except (DataError, ValueError, TypeError):
         return {}

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import write_text
+from splatproof.base.files import read_text, write_text
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.result_json import result_from_json, result_to_json
 
@@ -28,15 +28,9 @@ def read_record(folder: str | Path) -> Result:
     """
     folder = Path(folder)
     path = folder / RECORD_NAME
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DataError(
-            f"{path}: no record. Expected the folder of a case that has ended"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read: {error}") from None
-    return result_from_json(text, str(path))
+    if not path.exists():
+        raise DataError(f"{path}: no record. Expected the folder of a case that has ended")
+    return result_from_json(read_text(path), str(path))
 
 
 def read_finished(folder: Path) -> list[Result]:

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import torch
 
 from splatproof.base.errors import SplatproofError
-from splatproof.base.files import write_text
+from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb
 from splatproof.datasets.catalogue.opening import open_scene
@@ -180,7 +180,7 @@ def _prepare(job: Job) -> None:
     job.folder.mkdir(parents=True, exist_ok=True)
     path = job.folder / CASE_NAME
     made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
-    before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    before = read_json(path) if path.exists() else {}
     same = {name: before.get(name) for name in made_of} == made_of
     if not (same and job.resume):
         clear(job.folder)
@@ -210,7 +210,7 @@ def _run(job: Job, tell: Tell) -> None:
         _train(job, given, curve, spent, tell)
         spent.cpu_seconds, spent.peak_memory_mb = curve.spent()
         write_text(done, json.dumps(asdict(spent)))
-    before = Spent(**json.loads(done.read_text(encoding="utf-8")))
+    before = Spent(**json.loads(read_text(done)))
     shutil.rmtree(job.folder / "checkpoint", ignore_errors=True)
     tell("score", 0, 0, {})
     started = measure.cpu_seconds()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from splatproof.base.files import write_text
+from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import new_folder
 from splatproof.methods.contracts.reconstruction import Origin, describe, write_description
 from splatproof.suites.case_keys import case_key
@@ -50,7 +50,7 @@ def take_model(
     for other in others:
         if not (other / TRAINED).is_file():
             continue
-        made_of = json.loads((other / CASE_NAME).read_text(encoding="utf-8"))
+        made_of = read_json(other / CASE_NAME)
         if made_of["data"] != data:
             continue
         with new_folder(folder / "model") as copy:
@@ -59,7 +59,7 @@ def take_model(
             facts = {name: told[name] for name in told.keys() - SAID_AGAIN}
             write_description(copy, told["kind"], origin, facts)
         shutil.copyfile(other / CURVE, folder / CURVE)
-        spent = json.loads((other / TRAINED).read_text(encoding="utf-8"))
+        spent = json.loads(read_text(other / TRAINED))
         spent["facts"]["trained in"] = made_of["case"]
         write_text(folder / TRAINED, json.dumps(spent))
         return True

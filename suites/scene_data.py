@@ -5,7 +5,8 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from splatproof.base.files import write_text
+from splatproof.base.errors import DataError
+from splatproof.base.files import read_json, write_text
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.fingerprint import Known, files_sha256
 from splatproof.methods.priors.kinds import WEIGHTS
@@ -92,9 +93,9 @@ def _plain(name: str) -> str:
 def _read(path: Path) -> Known:
     """What the file remembers; nothing where it is missing or damaged."""
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = read_json(path)
         return {
             name: (int(size), int(time), str(sha)) for name, (size, time, sha) in stored.items()
         }
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (DataError, ValueError, TypeError, AttributeError):
         return {}

@@ -4,7 +4,7 @@ import json
 import time
 from pathlib import Path
 
-from splatproof.base.files import write_text
+from splatproof.base.files import read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.suites.case_costs import cpu_seconds
 
@@ -82,5 +82,5 @@ def _whole_lines(path: Path) -> list[dict]:
     """The lines of the file; a last one that a kill cut short is dropped."""
     if not path.exists():
         return []
-    lines = path.read_text(encoding="utf-8").split("\n")[:-1]
+    lines = read_text(path).split("\n")[:-1]
     return [json.loads(line) for line in lines]

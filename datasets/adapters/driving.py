@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_bytes, read_text
 from splatproof.datasets.layout import Hits, SweepFile
 
 FRAME_SECONDS = 0.1
@@ -74,16 +75,6 @@ def entry(
     raise DataError(f"{path}: has no {' or '.join(names)}")
 
 
-def read_text(path: Path) -> str:
-    """A text file. Raises: DataError if it is missing or is not text."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise DataError(f"{path}: missing; this layout has one") from None
-    except (UnicodeDecodeError, OSError) as error:
-        raise DataError(f"{path}: not a text file ({error})") from None
-
-
 def homogeneous(matrix: Float64[np.ndarray, "3 4"]) -> Float64[np.ndarray, "4 4"]:
     """A 3 x 4 motion as 4 x 4."""
     return np.concatenate([matrix, [[0.0, 0.0, 0.0, 1.0]]])
@@ -120,13 +111,11 @@ def _hits(
     first: int,
     sensor: int | tuple[float, float, float],
 ) -> Hits:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
+    if not path.is_file():
         raise DataError(
-            f"{path}: LiDAR sweep cannot be read: {error.strerror}; put it back, or open the scene "
-            "again to go without"
-        ) from None
+            f"{path}: LiDAR sweep is missing; put it back, or open the scene again to go without"
+        )
+    data = read_bytes(path)
     size = len(data)
     if not size or size % (4 * columns):
         raise DataError(

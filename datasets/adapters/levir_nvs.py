@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_text
 from splatproof.datasets.adapters.posed import checked_pose, pinhole_camera, positive
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.layout import Layout, PosedPhoto
@@ -48,7 +49,7 @@ def open_levir_nvs(folder: Path, protocol: Protocol) -> Scene:
 
 
 def _photo(folder: Path, path: Path) -> PosedPhoto:
-    words = re.split(r"[,\s]+", path.read_text(errors="replace").strip())
+    words = re.split(r"[,\s]+", read_text(path).strip())
     try:
         if (words[0], words[17]) != ("extrinsic", "intrinsic"):
             raise ValueError

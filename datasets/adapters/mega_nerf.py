@@ -12,6 +12,8 @@ import torch
 from jaxtyping import Float64
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_text, size_of
+from splatproof.base.memory import check_room
 from splatproof.base.numbers import image_size
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
@@ -110,10 +112,9 @@ def _plain(value: object) -> object:
 
 def _load(path: Path) -> dict[str, object]:
     """The table of a .pt file; only plain values and tensors are unpickled."""
+    check_room(path, size_of(path))
     try:
         table = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise DataError(f"{path}: missing; Mega-NeRF's layout has one") from None
     except Exception as error:  # noqa: BLE001 - a damaged pickle raises whatever its bytes lead to
         said = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise DataError(f"{path}: not a file of torch.save with plain values ({said})") from None
@@ -126,7 +127,7 @@ def _check_mappings(path: Path, known: set[str]) -> None:
     """Every camera that mappings.txt lists must be there; the file itself may be missing."""
     if not path.is_file():
         return
-    lines = path.read_text(errors="replace").splitlines()
+    lines = read_text(path).splitlines()
     if not any(line.strip() for line in lines):
         raise DataError(f"{path}: lists no camera; unpack it again, or remove it")
     for number, line in enumerate(lines, 1):

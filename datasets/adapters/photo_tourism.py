@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import read_text
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap import NOT_REGISTERED, photo_folder, posed_photos
 from splatproof.datasets.colmap_model import find_model, read_model
@@ -76,8 +77,8 @@ def _with_split(photo: PosedPhoto, split: str) -> PosedPhoto:
 def read_split(path: Path) -> dict[str, str]:
     """ "train" or "test" of each photo that has an id. Raises: DataError naming file and line."""
     try:
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines(), delimiter="\t"))
-    except (UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.reader(read_text(path).splitlines(), delimiter="\t"))
+    except csv.Error as error:
         raise DataError(f"{path}: not a table ({error})") from None
     header = [name.strip() for name in rows[0]] if rows else []
     if not set(COLUMNS) <= set(header):

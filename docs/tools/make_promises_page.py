@@ -4,13 +4,14 @@ from pathlib import Path
 
 from fuzz import bounds, inputs
 from fuzz.targets import TARGETS
-from load import test_load
+from load import children, test_large, test_load
 from splatproof.base.errors import LONGEST
 from splatproof.base.memory import MEBIBYTE
 from splatproof.datasets.photos import PEAK
 from torture import kills
 from torture.commands import COMMANDS
 
+LARGE = "`tests/load/test_large.py`, slow"
 PAGE = Path(__file__).parents[1] / "promises.md"
 
 
@@ -37,6 +38,24 @@ def bounds_table() -> str:
             f"a suite of {test_load.CASES:,} cases: planned in", f"{test_load.SECONDS:g} s of processor time",
             "`tests/load/test_load.py`",
         ),
+        (
+            f"{test_large.VIEWS:,} photos of 4000 x 3000: opened, and {test_large.STEPS} steps at a width of "
+            + f"{children.WIDTH}", f"{test_large.VIEWS_MB} MiB", LARGE,
+        ),
+        (
+            f"{test_large.BLOCK * test_large.BLOCKS:,} Gaussians of degree 3 in {test_large.BLOCKS} blocks: merged and "
+            + "packed", f"{test_large.MERGED_MB} MiB", LARGE,
+        ),
+        (
+            f"`bench report` of a store with {test_large.RESULTS:,} results", f"{test_large.RESULTS_MB} MiB",
+            LARGE,
+        ),
+        (
+            "training, saving, loading and drawing again and again for 20 minutes",
+            f"grows by less than {test_large.GROWTH_MB:g} MiB in the second half", LARGE,
+        ),
+        ("what listens: pages, workers, a Ray cluster that we start", "the loopback address",
+         "`tests/reliability/test_listening.py`"),
     ]  # fmt: skip
     lines = ["| what | bound | asserted in |", "| --- | --- | --- |"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
@@ -91,8 +110,6 @@ the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSan
 - The same bits on another machine, another version of torch or another SIMD level: results then agree within the
   budgets of [performance](performance.md).
 - Resuming a study: its rows are measured side by side, so it starts over; what was measured is kept.
-- That a worker of a fork server ends within {kills.ORPHANS_END:g} s where its command was killed by SIGKILL during
-  the imports: it ends when they are done.
 - What a full disk, a broken memory or a network file system without locks does to files.
 - Safety against plug-ins: they are Python that you run.
 """

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import sha256, write_bytes
+from splatproof.base.files import read_bytes, sha256, write_bytes
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.regions import AnyRegion, load_regions, save_regions
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
@@ -97,7 +97,7 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         path = folder / CONTAINER
         if not path.is_file() or sha256(path) != container["sha256"]:
             raise DataError(f"{path}: missing, or not the file of {DESCRIPTION}; copy it again")
-        packed = path.read_bytes()
+        packed = read_bytes(path)
         arrays |= vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:

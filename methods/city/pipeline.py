@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from splatproof.base.files import read_bytes
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.block_facts import BlockFacts
@@ -113,7 +114,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             if settings.pack.sort:
                 merged = merged.take(morton_order(merged.model.means))
             small = stages.run("compress", partial(_compress, merged, settings, path, scene))
-            packed, parts = path.read_bytes(), small["parts"]
+            packed, parts = read_bytes(path), small["parts"]
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
     return CityModel(

@@ -14,6 +14,8 @@ from splatproof.methods.training.threads import threads as torch_threads
 
 RETRIES = 3
 """How often a block whose worker died is given to another one."""
+MANY_MACHINES = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Ray's variable for whether a cluster may have a second machine; it counts on Linux too."""
 POLL_SECONDS = 0.5
 """Time between two looks at what the workers report."""
 
@@ -23,7 +25,7 @@ def run_on_ray(
 ) -> list[BlockFacts]:
     """Train each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
 
-    A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
+    One that is started here listens to this machine alone. A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
     must lie where all machines read and write it. A task asks for its share of the threads as CPUs.
 
     Args:
@@ -36,11 +38,12 @@ def run_on_ray(
     Raises: MissingError without the package ray; SplatproofError naming a block that lost its worker
         more than RETRIES times, or what a block itself raised.
     """
-    ray = _ray()
+    named = os.environ.get("RAY_ADDRESS")
+    ray = _ray(alone=not named)
     each = max(1, (threads or os.cpu_count() or 1) // workers)
     started = not ray.is_initialized()
     if started:
-        ray.init(address=os.environ.get("RAY_ADDRESS"), include_dashboard=False,
+        ray.init(address=named or "local", include_dashboard=False,
                  log_to_driver=False, configure_logging=False)  # fmt: skip
     reports = ray.remote(num_cpus=0)(Reports).remote()
     train = ray.remote(num_cpus=each, max_retries=RETRIES)(train_remotely)
@@ -121,7 +124,15 @@ def _facts(ray: Any, one: Any, job: BlockJob) -> BlockFacts:
         ) from None
 
 
-def _ray() -> Any:
+def _ray(*, alone: bool) -> Any:
+    """The package.
+
+    Args:
+        alone: Whether what it starts is to listen to this machine alone. Ray looks at the variable
+            when it is first imported; by itself it listens to all the world.
+    """
+    if alone:
+        os.environ.setdefault(MANY_MACHINES, "0")
     try:
         import ray
         import ray.exceptions

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.base.errors import UsageError
-from splatproof.base.files import write_text
+from splatproof.base.files import read_text, write_text
 from splatproof.methods.training.run_keys import what_differs
 
 
@@ -27,7 +27,7 @@ class Stages:
         self.path, self.key, self.on_stage = folder / "city.json", key, on_stage
         self.done: dict[str, dict[str, Any]] = {}
         if self.path.exists():
-            stored = json.loads(self.path.read_text(encoding="utf-8"))
+            stored = json.loads(read_text(self.path))
             if stored["key"] != key:
                 raise UsageError(
                     f"{self.path}: belongs to a run that differs: {what_differs(stored['key'], key)}; "

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int8
 from torch import Tensor
 
-from splatproof.base.files import write_text
+from splatproof.base.files import read_bytes, read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
@@ -77,7 +77,7 @@ class BlockJob:
         digest.update(self.roles.numpy().tobytes() + self.centre.numpy().tobytes())
         digest.update(self.frame.numpy().tobytes())
         if self.start is not None:
-            digest.update(self.start.read_bytes())
+            digest.update(read_bytes(self.start))
         facts = [self.scene.name, asdict(self.settings), self.sampling and asdict(self.sampling),
                  self.follow, self.seed, self.backend, self.background]  # fmt: skip
         digest.update(json.dumps(facts).encode())
@@ -155,7 +155,7 @@ def trained(job: BlockJob) -> BlockFacts | None:
     """Facts of a block that was trained before; None if there is none, or of another key."""
     if not job.record.exists():
         return None
-    stored = json.loads(job.record.read_text(encoding="utf-8"))
+    stored = json.loads(read_text(job.record))
     return BlockFacts(**stored["facts"]) if stored["key"] == job.key else None
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import read_bytes, whole_file
+from splatproof.base.files import read_bytes, size_of, whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
@@ -160,12 +160,12 @@ def _tensor(values: Float32[np.ndarray, "..."]) -> Tensor:
 def _chunks(path: Path) -> tuple[dict[str, Any], bytes]:
     """The JSON and the binary chunk of a .glb file."""
     try:
+        stored = size_of(path)
+        with path.open("rb") as file:
+            magic, version, length = HEAD.unpack(file.read(HEAD.size))
+        if magic != b"glTF" or version != 2 or length != stored:
+            raise ValueError(f"{stored} bytes that begin {magic!r}, expected a whole .glb")
         content = read_bytes(path)
-        magic, version, length = HEAD.unpack_from(content)
-        if magic != b"glTF" or version != 2 or length != len(content):
-            raise ValueError(
-                f"{len(content)} bytes that begin {content[:4]!r}, expected a whole .glb"
-            )
         size, kind = CHUNK.unpack_from(content, HEAD.size)
         start = HEAD.size + CHUNK.size
         document = json.loads(content[start : start + size])

@@ -19,6 +19,8 @@ from splatproof.reference.types.gaussians import Gaussians
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
 GZIP = b"\x1f\x8b"
+GZIP_TIME = range(4, 8)
+"""Bytes of gzip's header that say when it was written (RFC 1952, Section 2.3.1); 0: not said."""
 HEAD = struct.Struct("<III4x")
 """Magic, version and number of Gaussians, and 4 bytes of flags, of an unpacked file."""
 MOST_EACH = 100
@@ -56,6 +58,15 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: Version = 3) -
     )  # fmt: skip
     with whole_file(path) as partial:
         gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
+        if version == 3:
+            _forget_time(partial)
+
+
+def _forget_time(path: Path) -> None:
+    """Take the time of writing out of a gzip header: the same model gives the same bytes."""
+    with path.open("r+b") as file:
+        file.seek(GZIP_TIME.start)
+        file.write(bytes(len(GZIP_TIME)))
 
 
 def read_spz(path: str | Path) -> Gaussians:

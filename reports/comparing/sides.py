@@ -4,7 +4,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from splatproof.base.errors import DataError, UsageError
+from splatproof.base.errors import UsageError
+from splatproof.base.files import read_bytes, read_text
 from splatproof.base.names import unknown
 from splatproof.reference.types.result import Result, picture_name
 from splatproof.reference.types.result_json import result_from_json
@@ -76,11 +77,8 @@ def from_folder(folder: Path, label: str) -> Side:
     records = []
     for case in find_cases(folder):
         path = case / "record.json"
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise DataError(f"{path}: cannot be read: {error}; run the case again") from None
-        records.append(case_record(result_from_json(text, str(path)), PicturesOnDisk(case)))
+        result = result_from_json(read_text(path), str(path))
+        records.append(case_record(result, PicturesOnDisk(case)))
     return newest(label, records)
 
 
@@ -98,7 +96,7 @@ class PicturesOnDisk:
             image: Name of the view.
         """
         path = self.folder / FOLDERS[kind] / picture_name(image)
-        return path.read_bytes() if path.is_file() else None
+        return read_bytes(path) if path.is_file() else None
 
 
 def from_store(uri: str, label: str, commit: str = "") -> Side:

@@ -97,7 +97,7 @@ def test_a_spoilt_change_leaves_what_was_there(tmp_path):
 def test_a_file_that_cannot_be_one_is_named(tmp_path, name):
     if name != "missing.py":
         written(tmp_path, name=name)
-    with pytest.raises(UsageError, match=f"plugin .*{name}: "):
+    with pytest.raises(UsageError, match=f"{name}: "):
         load_plugin_file(tmp_path / name)
 
 

@@ -5,7 +5,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -119,6 +121,42 @@ def test_a_worker_that_is_busy_ends_with_its_parent_at_once(tmp_path, how):
     if left:
         os.kill(worker, signal.SIGKILL)
     assert not left
+
+
+LONG = """
+import os
+from pathlib import Path
+Path("server").write_text(str(os.getpid()))
+sum(range(10**10))  # as torch's import, which holds the interpreter too
+def work(says):
+    pass
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
+def test_a_fork_server_that_is_importing_ends_with_its_parent_at_once(tmp_path):
+    (tmp_path / "long.py").write_text(LONG)
+    start = "from splatproof.base.processes import Worker; Worker(print, preload=['long'])"
+    with subprocess.Popen(
+        [sys.executable, "-c", start], cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(tmp_path)}
+    ) as parent:
+        note = tmp_path / "server"
+        until(lambda: note.exists() and note.read_text() != "", 30)
+        server = int(note.read_text())
+        parent.kill()
+    try:
+        until(lambda: not Path(f"/proc/{server}").exists(), 2)
+    finally:
+        with suppress(ProcessLookupError):
+            os.kill(server, signal.SIGKILL)
+
+
+def until(holds: Callable[[], bool], seconds: float) -> None:
+    """Wait until something holds."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
 
 
 SLOW = """

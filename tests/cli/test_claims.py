@@ -117,7 +117,7 @@ def test_damaged_rows_are_told(tmp_path: Path, capsys):
     (tmp_path / CHECKS_NAME).write_text('[{"check": "a"}]')
     (tmp_path / "city.json").write_text("[")
     assert main(["claims", "--page", str(tmp_path / "claims.md")]) == 2
-    assert "cannot be read as rows" in capsys.readouterr().err
+    assert "not JSON" in capsys.readouterr().err
 
 
 def test_rows_of_pages_that_kept_less_are_read():

@@ -13,6 +13,7 @@ import pytest
 from helpers.aerial_photos import write_flight
 from helpers.colmap_scenes import Flight, write_scene
 from splatproof.base.processes import how_it_ended
+from splatproof.cli import ending
 
 BENCH = str(Path(sys.executable).with_name("bench"))
 SUITE = """
@@ -85,3 +86,47 @@ def test_one_line_and_the_usual_exit_code(tmp_path, command, number):
     left = {path.name for path in (tmp_path / "runs").rglob("*")}
     assert not left & {"record.json", "model", "model.partial"}
     assert not (tmp_path / "scene").exists()
+
+
+@pytest.mark.parametrize(
+    ("number", "how"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")]
+)
+def test_what_an_import_makes_of_a_signal_is_the_signals(number, how, capsys):
+    def imported() -> int:
+        try:
+            signal.raise_signal(number)
+        except KeyboardInterrupt:
+            raise RuntimeError("initialization failed") from None
+        return 0
+
+    before = [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)]
+    assert ending.ended(imported) == 128 + number
+    assert capsys.readouterr().err == f"bench: {how}; the same command continues where it stopped\n"
+    assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_our_own_faults_are_raised():
+    def wrong() -> int:
+        raise RuntimeError("of ours")
+
+    with pytest.raises(RuntimeError, match="of ours"):
+        ending.ended(wrong)
+
+
+PYCOLMAP = """
+import signal
+try:
+    signal.raise_signal(signal.SIGINT)
+except BaseException as error:
+    raise RuntimeError("Cannot import the C++ backend") from error
+"""
+"""Does what the real one does when ctrl-C comes while it is imported."""
+
+
+def test_ctrl_c_waits_for_the_import_of_pycolmap(tmp_path):
+    (tmp_path / "pycolmap.py").write_text(PYCOLMAP)
+    done = subprocess.run(
+        [sys.executable, "-c", "import splatproof.datasets.colmap_library"], text=True,
+        capture_output=True, check=False, env=os.environ | {"PYTHONPATH": str(tmp_path)},
+    )  # fmt: skip
+    assert done.stderr.splitlines()[-1] == "KeyboardInterrupt"

@@ -19,6 +19,8 @@ DEEP = "@deep@"
 DEPTH = 20_000
 DEEPS = 10
 """Such lists in one file: doubled a thousand times they would be a file of gigabytes."""
+LARGEST = 2**22
+"""Bytes of a changed file: one that was made 41 times as long four times was of gigabytes."""
 WORDS = ("", "0", "-1", "1", "nan", "inf", "-inf", "1e400", "-1e-400", DIGITS, "0x10", "1_0", "٣",
          "1.5", "true", "null", "''", '"', "\\", "/", "..", "../../x", "/etc/passwd", ".", "\0",
          "\ufeff", "\u2028", "\x85", "#", "=", "[", "]]", "{", "}", ",", "[" * 500, "a.b=" * 200,
@@ -41,7 +43,7 @@ def changed_bytes(draw: random.Random, data: bytes, others: Sequence[bytes]) -> 
         others: Whole files of the same kind, for spans.
     """
     for _ in range(draw.choice((1, 1, 1, 2, 4))):
-        data = draw.choice(_BYTE_CHANGES)(draw, data, others)
+        data = draw.choice(_BYTE_CHANGES)(draw, data, others)[:LARGEST]
     return data
 
 

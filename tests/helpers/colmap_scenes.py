@@ -49,6 +49,8 @@ class Flight:
     """Added to all positions."""
     paint: Callable[[np.ndarray], np.ndarray] = pattern
     seed: int = 0
+    lap: int = 1_000_000
+    """Views after which the flight begins again at its start."""
 
     @property
     def camera(self) -> pycolmap.Camera:
@@ -64,6 +66,7 @@ class Flight:
 
 def pose(flight: Flight, i: int) -> pycolmap.Rigid3d:
     """World to camera of view i: looks down from height 4 with a few degrees of tilt, x to x."""
+    i %= flight.lap
     rng = np.random.default_rng([flight.seed, i])
     centre = np.array([0.6 * (i % 3), 0.5 * (i // 3), 4.0]) + flight.offset
     small = pycolmap.Rotation3d(rng.normal(0, 0.04, 3))

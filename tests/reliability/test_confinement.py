@@ -11,8 +11,9 @@ import pytest
 
 from helpers.adapter_checks import fixtures, protocol
 from helpers.colmap_scenes import Flight, view_name, write_scene
+from splatproof.api import fitting
 from splatproof.api.scenes import open_scene as api_open_scene
-from splatproof.base.errors import DataError, UsageError
+from splatproof.base.errors import DataError, SplatproofError, UsageError
 from splatproof.base.inside import allowing_outside, outside_is_allowed
 from splatproof.cli import flags
 from splatproof.datasets.catalogue import registry
@@ -76,7 +77,7 @@ def colmap(folder: Path) -> None:
     write_scene(folder, Flight(views=3, points=30))
 
 
-ADAPTERS, CITY = fixtures("adapters"), fixtures("matrix_city")
+ADAPTERS, CITY, LLFF = fixtures("adapters"), fixtures("matrix_city"), fixtures("llff")
 TRAIN = "transforms_train.json"
 DOORS = {
     "colmap": Door(colmap, image_name, f"photos/{view_name(0)}", base="photos"),
@@ -129,6 +130,53 @@ def test_images_of_a_model_that_have_no_names_of_files(tmp_path, name):
     image_name(tmp_path / "scene", name)
     with pytest.raises(DataError, match="name of a file|leads out|folder itself"):
         open_scene(tmp_path / "scene", protocol(hold=2))
+
+
+LISTED = {
+    "photo": (LLFF.llff, "images/img_0001.JPG"),
+    "poses": (LLFF.llff, "poses_bounds.npy"),
+    "sky": (colmap, f"sky/{Path(view_name(0)).with_suffix('.png')}"),
+    "depth": (colmap, f"depth/{Path(view_name(0)).with_suffix('.npz')}"),
+}
+
+
+@pytest.mark.parametrize("kind", LISTED)
+def test_files_that_an_adapter_lists_are_no_links_out_of_the_scene(tmp_path, kind):
+    write, name = LISTED[kind]
+    write(tmp_path / "scene")
+    file, private = tmp_path / "scene" / name, tmp_path / "private"
+    if file.exists():
+        file.rename(private)
+    else:
+        private.write_bytes(b"")  # nobody reads it before it is asked for
+        file.parent.mkdir()
+    file.symlink_to(private)
+    with pytest.raises(DataError, match=rf"{file.name}: is a link that leads out of .*/scene;"):
+        open_scene(tmp_path / "scene", protocol(hold=2))
+    api_open_scene(tmp_path / "scene", protocol=protocol(hold=2), allow_outside=True)
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_a_fit_trusts_a_scene_when_it_is_asked(tmp_path, monkeypatch, trusted):
+    colmap(tmp_path / "scene")
+    photo = tmp_path / "scene/photos" / view_name(0)
+    photo.rename(tmp_path / "private.png")
+    photo.symlink_to(tmp_path / "private.png")
+
+    def run(*_: object, **__: object) -> None:
+        raise SplatproofError(f"trained, trusted: {outside_is_allowed()}")
+
+    monkeypatch.setattr(fitting, "run_alone", run)
+    said = "trained, trusted: True" if trusted else "leads out of"
+    with pytest.raises(SplatproofError, match=said):
+        fitting.fit("3dgs", tmp_path / "scene", out=tmp_path / "out", allow_outside=trusted)
+
+
+def test_folders_of_a_scene_may_be_links(tmp_path):
+    colmap(tmp_path / "scene")
+    (tmp_path / "scene/photos").rename(tmp_path / "photos")
+    (tmp_path / "scene/photos").symlink_to(tmp_path / "photos")
+    assert len(open_scene(tmp_path / "scene", protocol(hold=2)).views) == 3
 
 
 ENTRY = 'kind = "made"\nlicence = "x"\nsource = "x"\nabout = "x"\nworld = "courtyard"\n'

@@ -14,6 +14,7 @@ from PIL import Image
 from splatproof.base import memory
 from splatproof.base.errors import DataError, MissingError
 from splatproof.base.memory import peak_memory_mb
+from splatproof.datasets.ingesting.survey import survey_photos
 from splatproof.datasets.photos import check_photo, photo_size, read_photo
 
 
@@ -39,6 +40,20 @@ def test_a_header_that_says_more_than_its_file_can_hold(tmp_path):
     assert peak_memory_mb() - before < 100
 
 
+def test_a_png_whose_rows_are_not_there(tmp_path):
+    path = tmp_path / "tall.png"
+    path.write_bytes(png(16, 1_000_000, 8, 3, bytes(200)))  # Pillow gives it black, in a second
+    with pytest.raises(DataError, match=r"tall\.png: says that its \d+ bytes hold 15 MB"):
+        read_photo(path)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "LA", "RGBA"])
+def test_a_png_that_packs_as_well_as_any_is_read(tmp_path, mode):
+    path = tmp_path / "flat.png"
+    Image.new(mode, (4000, 3000)).save(path, optimize=True)
+    assert photo_size(path) == (4000, 3000)
+
+
 def test_a_photo_that_the_memory_does_not_hold(tmp_path, monkeypatch):
     path = tmp_path / "large.png"
     Image.new("RGB", (2000, 1000)).save(path)
@@ -48,6 +63,14 @@ def test_a_photo_that_the_memory_does_not_hold(tmp_path, monkeypatch):
     for read in (read_photo, check_photo):
         with pytest.raises(MissingError, match=r"large\.png: takes 61 MB to read, more than 90%"):
             read(path)
+
+
+def test_a_jpeg_that_the_memory_does_not_hold_is_not_ingested(tmp_path, monkeypatch):
+    for name in ("a.jpg", "b.jpg"):
+        Image.new("RGB", (2000, 1000)).save(tmp_path / name)
+    monkeypatch.setattr(memory, "available_mb", lambda: 60.0)  # an eighth of the size would fit
+    with pytest.raises(MissingError, match=r"a\.jpg: takes 61 MB to read, more than 90%"):
+        survey_photos(tmp_path, lambda done, total: None)
 
 
 def tiff_16(path: Path) -> None:

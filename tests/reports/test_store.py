@@ -272,7 +272,7 @@ def test_damaged_records_fail_alone(tmp_path: Path, uri: str):
     assert [one.folder for one in failures] == [damaged, binary, tmp_path / "gone"]
     assert "not a result record" in reasons[0]
     assert "not UTF-8" in reasons[1]
-    assert "no such record" in reasons[2]
+    assert "no such file" in reasons[2]
     assert all("record.json" in reason for reason in reasons)
     assert len(read_results(uri)) == 1
 

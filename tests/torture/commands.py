@@ -1,13 +1,14 @@
 """The commands that are killed, what they need, and what they must leave behind in the end."""
 
-import gzip
 import json
+import re
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from helpers import case_folders
 from helpers.aerial_photos import write_flight
 from helpers.colmap_scenes import Flight, write_scene
 from helpers.tiny_scene import random_gaussians
@@ -28,6 +29,8 @@ iterations = 150
 """
 CHECKPOINTS = ("--checkpoint-seconds", "0.3")
 EXPORTED = ("a.ply", "a.spgs", "a.glb", "a.spz")
+UNSTABLE = re.compile(r"\b[0-9a-f]{32}\b|\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d)?")
+"""Names of a store's runs, which it draws, and hours."""
 PICTURES = ("renders", "truth", "errors")
 
 
@@ -59,6 +62,10 @@ def _model(folder: Path) -> None:
     save_model(ExplicitModel(model=random_gaussians(60_000, degree=2)), folder / "model", Origin())
 
 
+def _cases(folder: Path) -> None:
+    list(case_folders.suite(folder / "out", seeds=2))
+
+
 def contents(*names: str) -> Callable[[Path], dict[str, object]]:
     """Bytes of files, and of all files of folders."""
 
@@ -70,14 +77,6 @@ def contents(*names: str) -> Callable[[Path], dict[str, object]]:
         return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
     return outcome
-
-
-def _exported(folder: Path) -> dict[str, object]:
-    """Bytes of exported files; an .spz is unpacked, since gzip notes when it was written."""
-    found = contents(*EXPORTED)(folder)
-    if "a.spz" in found:
-        found["a.spz"] = gzip.decompress((folder / "a.spz").read_bytes())
-    return found
 
 
 def essence(result: Result) -> Result:
@@ -125,6 +124,13 @@ def _store(out: Path) -> dict[str, object]:
     return found | {f"row of {r.scene} {r.method} {r.seed}": essence(r) for r in results}
 
 
+def _reported(folder: Path) -> dict[str, object]:
+    """The board, the page without its hour and its runs' names, and the rows of the store."""
+    out = folder / "out"
+    page = UNSTABLE.sub("", (out / "report.html").read_text())
+    return {"board": (folder / "board.md").read_text(), "page": page} | _store(out)
+
+
 def _rows(name: str) -> Callable[[Path], dict[str, object]]:
     """Rows of a study without what they took."""
 
@@ -155,7 +161,10 @@ COMMANDS: dict[str, Command] = {
     ),
     "export": Command(
         arguments=("export", "model", "--ply", "a.ply", "--packed", "a.spgs", "--gltf", "a.glb", "--spz", "a.spz"),
-        prepare=_model, outcome=_exported, whole=EXPORTED,
+        prepare=_model, outcome=contents(*EXPORTED), whole=EXPORTED,
+    ),
+    "report": Command(
+        arguments=("report", "--out", "out", "--markdown", "board.md"), prepare=_cases, outcome=_reported,
     ),
     "study": Command(
         arguments=("study", "memory", "--quick", "--out", "out"), prepare=lambda folder: None,

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from splatproof.api.models import load
 from splatproof.api.scenes import rules_of
 from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.inside import allowing_outside, outside_is_allowed
 from splatproof.base.typed_toml import build
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import Reconstruction
@@ -67,6 +68,7 @@ def fit(
     threads: int | None = None,
     resume: bool = True,
     checkpoint_seconds: float = CHECKPOINT_SECONDS,
+    allow_outside: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Fitted:
     """Train one method on one scene and score the held-out views, as `bench fit` does.
@@ -90,6 +92,8 @@ def fit(
         threads: Threads of torch and the kernels; None: as many as torch takes.
         resume: False removes what an earlier fit left in the folder.
         checkpoint_seconds: Seconds of training between two checkpoints, >= 0.
+        allow_outside: Read photos and masks that the scene's files name outside its folder, or that
+            links lead to; only for scenes that you trust.
         on_progress: Hears stage, step and the loss while it runs.
     Returns: The finished fit.
     Raises: UsageError for an unknown name or setting, or a folder that holds something else;
@@ -107,13 +111,14 @@ def fit(
         pose_noise=pose_noise, depth_prior=resolved(depth_prior, Path.cwd(), "depth_prior"),
         backend=backend, threads=threads, resume=resume, checkpoint_seconds=checkpoint_seconds,
     )  # fmt: skip
-    get_backend(backend)
-    check_scene(job.case.scene)
-    check_chosen(job)
-    load_weights(rules.metrics)
-    make_scenes(suite, lambda done, total: None)
-    check_opens(job.case)
-    outcome = run_alone(job, on_progress=on_progress)
+    with allowing_outside(allow_outside or outside_is_allowed()):
+        get_backend(backend)
+        check_scene(job.case.scene)
+        check_chosen(job)
+        load_weights(rules.metrics)
+        make_scenes(suite, lambda done, total: None)
+        check_opens(job.case)
+        outcome = run_alone(job, on_progress=on_progress)
     for failure in sync([out], uri):
         warnings.warn(f"{out}: not logged: {failure.reason}", stacklevel=2)
     if outcome.status == "failed":

@@ -85,6 +85,27 @@ def inside(root: Path, name: str, where: str, within: Path | None = None) -> Pat
     return path
 
 
+def check_link(path: Path, folder: Path) -> None:
+    """Refuse a scene's file that is a link to one elsewhere, whoever listed or named it.
+
+    A folder of a scene may be a link: what lies in it is in the scene.
+
+    Args:
+        path: A file that is in the scene's folder, or stands beside it, by its name.
+        folder: The scene's folder.
+    Raises: DataError where it leads out of the scene's folder and its own, while
+        `outside_is_allowed` is false.
+    """
+    if outside_is_allowed() or not path.is_symlink():
+        return
+    place = _place(path, path.name, str(path.parent))
+    if not any(place.is_relative_to(home.resolve()) for home in (folder, path.parent)):
+        raise DataError(
+            f"{path}: is a link that leads out of {folder}; put the file there, or trust the scene's "
+            "files with --allow-outside"
+        )
+
+
 def _plain(name: str) -> bool:
     """Whether no letter is a control letter or half of one (a lone surrogate)."""
     return not any(unicodedata.category(letter) in ("Cc", "Cs") for letter in name)

@@ -60,17 +60,18 @@ def check_room(what: object, needed: int) -> None:
         )
 
 
-def check_growth(what: object, unpacked: int, stored: int) -> None:
+def check_growth(what: object, unpacked: int, stored: int, *, small: int = SMALL) -> None:
     """Refuse a file that says it holds more than a file of its size can.
 
     Args:
         what: File that is read, for the error.
         unpacked: Bytes that it says it holds.
         stored: Bytes that it has.
-    Raises: DataError where it would grow more than GROWTH times and to more than SMALL.
+        small: Bytes up to which it is not refused, where they pack no better than GROWTH says.
+    Raises: DataError where it would grow more than GROWTH times and to more than `small`.
     """
-    if unpacked > max(SMALL, GROWTH * stored):
+    if unpacked > max(small, GROWTH * stored):
         raise DataError(
-            f"{what}: says that its {stored} bytes hold {unpacked / MEBIBYTE:.0f} MB, more than "
+            f"{what}: says that its {stored} bytes hold {max(round(unpacked / MEBIBYTE), 1)} MB, more than "
             f"{GROWTH} times as much; it is damaged or made to fill the memory, get it again"
         )

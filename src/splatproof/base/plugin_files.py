@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 from splatproof.base.errors import UsageError
+from splatproof.base.files import read_bytes
 
 PREFIX = "splatproof_plugin_"
 """What a file's module is called: this and the file's name without its suffix."""
@@ -60,10 +61,7 @@ def load_plugin_file(path: str | Path, *, expected: str = "") -> PluginFile:
             f"plugin {path}: expected a Python file with a name of letters, digits and '_', such as "
             "my_method.py"
         )
-    try:
-        source = file.read_bytes()
-    except OSError as error:
-        raise UsageError(f"plugin {path}: cannot be read ({error.strerror}); name a file") from None
+    source = read_bytes(file, UsageError)
     found = PluginFile(path=file, sha256=hashlib.sha256(source).hexdigest())
     if expected and found.sha256 != expected:
         raise UsageError(f"plugin {path}: changed while it was at work; run the command again")

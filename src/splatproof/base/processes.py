@@ -1,7 +1,5 @@
 """Processes that work for this one: they end with it, and what became of them in words."""
 
-import contextlib
-import fcntl
 import multiprocessing
 import os
 import signal
@@ -17,42 +15,13 @@ from types import ModuleType
 from typing import Any, final
 
 from splatproof.base.inside import allowing_outside, outside_is_allowed
+from splatproof.base.leash import Leash, offered
 from splatproof.base.plugin_files import Brought
 from splatproof.base.quiet import is_quiet, silenced
 from splatproof.base.signals import ENDING, held_back
 
-
-class _Leash:
-    """Sent to a worker before all else: the kernel kills it once the other end of a pipe is closed.
-
-    That is as soon as its parent has died, however that died, while a thread that waits for it may
-    itself have to wait for native code or an import. A parent-death signal would not do: it comes when
-    the thread ends that started the worker. Linux alone has this; elsewhere the thread is left.
-    """
-
-    def __init__(self, end: Connection) -> None:
-        self._end = end
-
-    def __reduce__(self) -> tuple[Callable[[Connection], "_Leash"], tuple[Connection]]:
-        return _leashed, (self._end,)
-
-
-def _leashed(end: Connection) -> _Leash:
-    """In a worker: die with the pipe."""
-    if hasattr(fcntl, "F_SETSIG"):
-        with contextlib.suppress(OSError):
-            fcntl.fcntl(end.fileno(), fcntl.F_SETOWN, os.getpid())
-            fcntl.fcntl(end.fileno(), fcntl.F_SETSIG, signal.SIGKILL)
-            flags = fcntl.fcntl(end.fileno(), fcntl.F_GETFL)
-            fcntl.fcntl(end.fileno(), fcntl.F_SETFL, flags | os.O_ASYNC)
-    if end.poll():  # closed already
-        os._exit(1)
-    _leashes.append(end)
-    return _Leash(end)
-
-
-_leashes: list[Connection] = []
-"""The ends that this process holds, so that they stay open."""
+FIRST = "splatproof.base.fork_server"
+"""What a fork server imports before all else."""
 
 
 @final
@@ -78,7 +47,7 @@ class Worker:
         """
         if preload:
             context = multiprocessing.get_context("forkserver")
-            context.set_forkserver_preload(list(preload))
+            context.set_forkserver_preload([FIRST, *preload])
             environment = dict(os.environ)  # its parent's is of the moment when that was started
         else:
             context = multiprocessing.get_context("spawn")
@@ -87,13 +56,13 @@ class Worker:
         pipe, held = context.Pipe(duplex=False)
         # plug-ins come first: what follows may be made of their classes
         told = (is_quiet(), outside_is_allowed())
-        given = (_Leash(pipe), Brought(), work, theirs, arguments, told, environment)
+        given = (Leash(pipe), Brought(), work, theirs, arguments, told, environment)
         self._process = context.Process(target=_serve, args=given)
         # also when this process ends, before multiprocessing waits for its children
         self._end = weakref.finalize(self, _end, self._process, self._says, held)
         try:
             resource_tracker.ensure_running()  # unblocks ctrl-C, so not inside `start`
-            with held_back(), _without_main():
+            with held_back(), _without_main(), offered():
                 self._process.start()
         except BaseException:
             self._end()
@@ -188,7 +157,7 @@ def _without_main() -> Iterator[None]:
 
 
 def _serve(
-    _: _Leash,
+    _: Leash,
     __: Brought,
     work: Callable[..., object],
     connection: Connection,

@@ -18,7 +18,7 @@ from tyro.extras import SubcommandApp
 
 from splatproof.base.errors import UsageError
 from splatproof.cli import flags
-from splatproof.cli.ending import sigterm_told, told
+from splatproof.cli.ending import ended
 
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
@@ -180,8 +180,7 @@ def main(args: Sequence[str] | None = None) -> int:
     # read when torch is first imported, here or in a worker.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
-        with sigterm_told():
-            return told(lambda: _run(arguments))
+        return ended(lambda: _run(arguments))
     except BrokenPipeError:
         # Whoever read our output has left (`bench ... | head`); nobody is there to be told.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,7 +8,7 @@ from typing import Any
 
 import splatproof
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.base.files import write_text
+from splatproof.base.files import read_json, write_text
 from splatproof.reference.types.checked import Checked
 from splatproof.reference.types.result import Result
 from splatproof.reports.claims.claim import CheckClaim, Claim
@@ -188,10 +188,7 @@ def write_checked(path: Path, checked: Mapping[str, Checked]) -> None:
 
 
 def _listing(path: Path) -> list[dict[str, Any]]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: cannot be read as rows: {error}") from None
+    found = read_json(path)
     if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
         raise DataError(f"{path}: expected a list of rows")
     return found

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import tyro
 
 from splatproof.base.errors import UsageError
+from splatproof.base.files import read_json
 from splatproof.base.names import unknown
 from splatproof.cli import output
 from splatproof.reports.verdicts import Verdict
@@ -213,7 +214,6 @@ CHARTS = {
 
 def _sources(folder: Path, evidence: "Evidence") -> "Sources":
     """What the page may link to."""
-    import json
 
     from splatproof.reports.findings.page import Shown, Sources
 
@@ -221,7 +221,7 @@ def _sources(folder: Path, evidence: "Evidence") -> "Sources":
     for name in evidence.runs:
         listing = folder / f"{name}_pictures.json"
         if listing.is_file():
-            shown = json.loads(listing.read_text(encoding="utf-8"))
+            shown = read_json(listing)
             pictures[name] = [Shown(path=one["path"], caption=one["caption"]) for one in shown]
     charts = [
         Shown(path=f"images/claims/{name}.png", caption=caption)

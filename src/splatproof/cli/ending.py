@@ -8,8 +8,10 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 from splatproof.base.errors import MissingError, SplatproofError, UsageError
+from splatproof.base.signals import ENDING
 
 _ROOM = "make room or choose another folder; the same command continues where it stopped"
 _RIGHTS = "choose another folder, or change who may use it"
@@ -28,63 +30,88 @@ NO_MEMORY = "can't allocate memory"
 """Words of torch's error for it, which has no type of its own."""
 
 
-class Terminated(KeyboardInterrupt):
-    """SIGTERM came: clean up as after ctrl-C."""
-
-
-@contextmanager
-def sigterm_told() -> Iterator[None]:
-    """SIGTERM raises Terminated inside the block; only the main thread may ask for that."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def end(*_: object) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def told(action: Callable[[], int]) -> int:
+def ended(action: Callable[[], int]) -> int:
     """The exit code of a command; what a user or a machine can cause becomes one line on stderr.
+
+    SIGTERM cleans up as ctrl-C does; in the main thread, where alone Python hears signals. An import
+    that is broken off may end in an error of its own, such as native code's "initialization failed":
+    whatever is raised after a signal is the signal's.
 
     With SPLATPROOF_DEBUG set the traceback is printed too. What is our own fault is raised.
 
     Args:
         action: Runs the command and gives its exit code.
     """
+    with _noted() as came:
+        try:
+            return _told(action, came)
+        except BaseException as error:
+            if not (came or isinstance(error, KeyboardInterrupt)):
+                raise
+            _show()
+    number = came[0] if came else signal.SIGINT
+    how = "terminated" if number == signal.SIGTERM else "interrupted"
+    print(f"bench: {how}; the same command continues where it stopped", file=sys.stderr)
+    return 128 + number
+
+
+@contextmanager
+def _noted() -> Iterator[list[int]]:
+    """Signals that ask for the end raise KeyboardInterrupt inside the block; those that came."""
+    came: list[int] = []
+
+    def note(number: int, _: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in ENDING} if main else {}
+    if before.get(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for work in the background
+        del before[signal.SIGINT]
+    for number in before:
+        signal.signal(number, note)
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _told(action: Callable[[], int], came: list[int]) -> int:
+    """The exit code, with errors told that no signal brought."""
     try:
         return action()
-    except SplatproofError as error:
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: {' '.join(str(error).split())}", file=sys.stderr)
-        return error.exit_code
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: {_of_the_system(error)}", file=sys.stderr)
-        return (UsageError if error.errno in OF_THE_NAME else MissingError).exit_code
-    except (MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and NO_MEMORY not in str(error):
-            raise
-        if os.environ.get("SPLATPROOF_DEBUG"):
-            traceback.print_exc()
-        print(f"bench: out of memory; take fewer or smaller images; {_WHERE}", file=sys.stderr)
-        return MissingError.exit_code
-    except KeyboardInterrupt as ended:
-        told = isinstance(ended, Terminated)
-        how = "terminated" if told else "interrupted"
-        print(f"bench: {how}; the same command continues where it stopped", file=sys.stderr)
-        return 128 + (signal.SIGTERM if told else signal.SIGINT)
     except SystemExit as exit_:  # tyro: 0 after --help, 2 after a usage error it has printed
+        if came:
+            raise
         return exit_.code if isinstance(exit_.code, int) else 2
+    except Exception as error:
+        if came or isinstance(error, BrokenPipeError):
+            raise
+        said, code = _of(error)
+        _show()
+        print(f"bench: {said}", file=sys.stderr)
+        return code
+
+
+def _show() -> None:
+    """The traceback of what is being handled, for those who ask for it."""
+    if os.environ.get("SPLATPROOF_DEBUG"):
+        traceback.print_exc()
+
+
+def _of(error: Exception) -> tuple[str, int]:
+    """What to say of an error, and its exit code. Raises: the error, where it is our own fault."""
+    if isinstance(error, SplatproofError):
+        return " ".join(str(error).split()), error.exit_code
+    if isinstance(error, OSError):
+        fault = UsageError if error.errno in OF_THE_NAME else MissingError
+        return _of_the_system(error), fault.exit_code
+    if isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError) and NO_MEMORY in str(error)
+    ):
+        return f"out of memory; take fewer or smaller images; {_WHERE}", MissingError.exit_code
+    raise error
 
 
 def _of_the_system(error: OSError) -> str:

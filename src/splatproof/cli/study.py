@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import tyro
 
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.base.files import write_text
+from splatproof.base.files import read_json, write_text
 from splatproof.cli import output
 from splatproof.cli.binding import bound
 from splatproof.methods.contracts.backends import get_backend
@@ -135,11 +135,11 @@ def read_rows(path: Path) -> tuple[dict[str, str], list[Row]]:
     Returns: Facts of the machine by name, and the rows.
     Raises: DataError for anything else; MissingError where there is no such file.
     """
+    if not path.exists():
+        raise MissingError(f"{path}: no such file; measure with --page first")
+    held = read_json(path)
     try:
-        held = json.loads(path.read_text())
         return dict(held["machine"]), list(held["rows"])
-    except FileNotFoundError:
-        raise MissingError(f"{path}: no such file; measure with --page first") from None
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(
             f"{path}: not the rows of a page ({error}); expected machine and rows"

@@ -199,7 +199,7 @@ def test_views_of_a_moment_without_a_sweep_have_none(tmp_path, write):
     scene = open_scene(tmp_path, protocol())
     bins[1].unlink()
     gone = next(view for view in scene.views if tenths(view) == 1)
-    with pytest.raises(DataError, match=rf"{bins[1].name}: LiDAR sweep cannot be read: No such"):
+    with pytest.raises(DataError, match=rf"{bins[1].name}: LiDAR sweep is missing"):
         sweep(gone)
     views = open_scene(tmp_path, protocol()).views
     assert {tenths(view) for view in views if view.load_sweep is None} == {1}
@@ -273,8 +273,8 @@ def test_drivestudio_faults(tmp_path):
     with pytest.raises(DataError, match=r"human/000_1\.png: not a readable image"):
         moving(open_scene(tmp_path, protocol()).views[1])
     mask.write_bytes(kept)
-    without(tmp_path / "intrinsics/0.txt", tmp_path, r"intrinsics/0\.txt: missing")
-    without(tmp_path / "extrinsics/1.txt", tmp_path, r"extrinsics/1\.txt: missing")
+    without(tmp_path / "intrinsics/0.txt", tmp_path, r"intrinsics/0\.txt: no such file")
+    without(tmp_path / "extrinsics/1.txt", tmp_path, r"extrinsics/1\.txt: no such file")
     without(tmp_path / "images/002_1.jpg", tmp_path, "images/002_1: photo is missing with any of")
     (tmp_path / "ego_pose/001.txt").write_text("1 2 3")
     refused(tmp_path, r"ego_pose/001\.txt: has 3 words, expected 16 finite numbers")
@@ -305,7 +305,7 @@ def test_pvg_faults(tmp_path):
     calib.write_text(whole.replace("P1: ", "P1: 1 "))
     refused(tmp_path, "P1 has 13 numbers, expected 12")
     calib.write_text(whole)
-    without(tmp_path / "pose/0145002.txt", tmp_path, r"pose/0145002\.txt: missing")
+    without(tmp_path / "pose/0145002.txt", tmp_path, r"pose/0145002\.txt: no such file")
     without(tmp_path / "image_1/0145000.png", tmp_path, "image_1/0145000: photo is missing")
     blob(tmp_path / "image_0/9.png", np.array([3.0, 3.0]))
     assert open_scene(tmp_path, protocol()).left_out[0][0] == "image_0/9.png"

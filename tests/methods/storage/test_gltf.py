@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError
+from splatproof.base.memory import peak_memory_mb
 from splatproof.methods.storage.gltf import EXTENSION, read_gltf, write_gltf
 
 EPS = torch.finfo(torch.float32).eps
@@ -106,6 +107,12 @@ def test_what_is_no_file_of_gaussians_is_refused_by_name(tmp_path):
         path.write_bytes(faulty)
         with pytest.raises(DataError, match=r"m\.glb: not a whole"):
             read_gltf(path)
+    with path.open("r+b") as file:  # as sparse a file as a disk has
+        file.truncate(8 * 2**30)
+    before = peak_memory_mb()
+    with pytest.raises(DataError, match=r"m\.glb: not a whole"):
+        read_gltf(path)
+    assert peak_memory_mb() - before < 100
     path.write_bytes(content)
     document, body = document_of(path)
     primitive = document["meshes"][0]["primitives"][0]

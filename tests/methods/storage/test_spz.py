@@ -1,6 +1,7 @@
 """The .spz adapter: what comes back is within the format's steps."""
 
 import builtins
+import time
 
 import pytest
 from hypothesis import given, settings
@@ -33,6 +34,16 @@ def test_what_comes_back_is_within_the_formats_steps(
     assert ((back.sh - whole.sh)[:, 1:].abs()[inside] <= 1 / 16 + 1e-6).all()
     turned = (back.unit_quaternions * whole.unit_quaternions).sum(dim=1).abs()
     assert (turned > 1 - 1e-4).all()
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_same_model_gives_the_same_bytes_at_any_time(tmp_path, monkeypatch, version):
+    written = []
+    for seconds in (1e9, 2e9):
+        monkeypatch.setattr(time, "time", lambda now=seconds: now)
+        spz.write_spz(tmp_path / "m.spz", random_gaussians(40), version=version)
+        written.append((tmp_path / "m.spz").read_bytes())
+    assert written[0] == written[1]
 
 
 def test_far_positions_missing_and_damaged_files_are_refused(tmp_path):
