@@ -81,9 +81,10 @@ $(VENV)/.installed: $(SOURCES) | $(VENV)/bin/pip
 	@touch $@
 	@echo 'ready: source $(VENV)/bin/activate; then bench --help'
 
-$(VENV)/.installed-dev: $(VENV)/.installed
+# one step: resolving and building once for the package and once for its extras would take longer
+$(VENV)/.installed-dev: $(SOURCES) | $(VENV)/bin/pip
 	$(BIN)/pip install -q -c constraints.txt -e '.[dev,distributed,docs]'
-	touch $@
+	@touch $(VENV)/.installed $(VENV)/.installed-docs $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
 	$(BIN)/pip install -q -c constraints.txt -e '.[docs]'

@@ -1,5 +1,9 @@
-"""Imported by a fork server before all else that it imports ahead: it ends with who started it."""
+"""Imported by a fork server before all else that it imports ahead: it ends with who started it, and its
+libraries' threads sleep while they wait."""
 
 from splatproof.base.leash import take_offered
+from splatproof.base.library_threads import wait_asleep
 
 take_offered()
+
+wait_asleep()

@@ -17,6 +17,7 @@ from difflib import get_close_matches
 from tyro.extras import SubcommandApp
 
 from splatproof.base.errors import UsageError
+from splatproof.base.library_threads import wait_asleep
 from splatproof.cli import flags
 from splatproof.cli.ending import ended
 
@@ -176,9 +177,7 @@ def main(args: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names and consoles may have any encoding
             stream.reconfigure(errors="backslashreplace")
-    # Threads that spin while they wait make training ten times slower on a machine that is shared;
-    # read when torch is first imported, here or in a worker.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    wait_asleep()
     try:
         return ended(lambda: _run(arguments))
     except BrokenPipeError:
