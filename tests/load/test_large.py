@@ -23,7 +23,7 @@ VIEWS, STEPS, VIEWS_MB = 5_000, 200, 2048
 """Photos of 4000 x 3000, steps of training on them at a width of 1600, and MiB that both take."""
 BLOCK, BLOCKS, MERGED_MB = 1_000_000, 50, 8192
 """Gaussians of a block, blocks that are merged and packed, and MiB that both take."""
-RESULTS, RESULTS_MB = 10_000, 2048
+RESULTS, RESULTS_MB = 10_000, 1536
 """Results in a store, and MiB that `bench report` takes."""
 SOAK = float(os.environ.get("SPLATPROOF_SOAK_SECONDS", "1200"))
 """Seconds of training, saving, loading and drawing again and again."""

@@ -2,6 +2,8 @@
 
 import json
 import mmap
+import os
+import weakref
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -45,6 +47,11 @@ class Rows(Protocol):
         ...
 
 
+MAPPED = 2**30
+"""Bytes of an array up to which rows in any order are read through the map. The system maps up to 2 MiB about
+each, so that a chunk's rows have all of an array resident; those of larger ones are read one by one."""
+
+
 class MemoryRows:
     """Rows of Gaussians in memory."""
 
@@ -84,16 +91,19 @@ class FolderRows:
         path = folder / ARRAYS
         if not path.exists() or sha256(path) != describe(folder).get("arrays_sha256"):
             raise DataError(f"{path}: its sha256 is not the one in model.json; copy it again")
-        with path.open("rb") as file:
-            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._file = path.open("rb")
+        weakref.finalize(self, self._file.close)
+        self._map = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
         start = 8 + int.from_bytes(self._map[:8], "little")
         self._arrays: dict[str, np.ndarray] = {}
+        self._starts: dict[str, int] = {}
         for name, entry in json.loads(self._map[8:start]).items():
             if name not in FIELDS:
                 continue
             if entry["dtype"] != "F32":
                 raise DataError(f"{path}: {name} is {entry['dtype']}, expected F32")
             low, high = entry["data_offsets"]
+            self._starts[name] = start + low
             flat = np.frombuffer(self._map, "<f4", (high - low) // 4, start + low)
             self._arrays[name] = flat.reshape(entry["shape"])
         missing = [name for name in FIELDS if name not in self._arrays]
@@ -118,7 +128,16 @@ class FolderRows:
             rows: Indices of the primitives, or a slice.
             names: Names of the parameters, among FIELDS.
         """
-        chosen = rows if isinstance(rows, slice) else rows.numpy()
-        found = {name: torch.from_numpy(self._arrays[name][chosen].copy()) for name in names}
+        found = {name: torch.from_numpy(self._taken(name, rows)) for name in names}
         self._map.madvise(mmap.MADV_DONTNEED)
         return found
+
+    def _taken(self, name: str, rows: Int64[Tensor, " m"] | slice) -> np.ndarray:
+        array = self._arrays[name]
+        if isinstance(rows, slice):
+            return array[rows].copy()
+        if array.nbytes <= MAPPED:
+            return array[rows.numpy()]
+        size, start, file = array[0].nbytes, self._starts[name], self._file.fileno()
+        data = b"".join([os.pread(file, size, start + size * row) for row in rows.tolist()])
+        return np.frombuffer(bytearray(data), array.dtype).reshape(len(rows), *array.shape[1:])

@@ -22,6 +22,7 @@ from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.packed import records as packing_records
+from splatproof.methods.storage.packed import rows as packing_rows
 from splatproof.methods.storage.packed import streams as packing_streams
 from splatproof.methods.storage.packed import writer as packing
 from splatproof.methods.storage.packed.morton import morton_codes, morton_order
@@ -370,3 +371,14 @@ def test_a_million_primitives_a_second_each_way_on_two_cores(tmp_path):
         start = time.process_time()
         work()
         assert time.process_time() - start < 4
+
+
+@pytest.mark.parametrize("mapped", [0, 2**30])
+def test_rows_in_any_order_are_those_of_the_model(tmp_path, monkeypatch, mapped):
+    monkeypatch.setattr(packing_rows, "MAPPED", mapped)
+    whole = model(50, 2, 0)
+    save_model(ExplicitModel(model=whole), tmp_path, Origin())
+    chosen = torch.tensor([49, 0, 7, 7, 30])
+    found = FolderRows(tmp_path).take(chosen, packing.NAMES)
+    for name in packing.NAMES:
+        assert torch.equal(found[name], getattr(whole, name)[chosen])
