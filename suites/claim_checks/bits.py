@@ -19,7 +19,7 @@ from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.claim_checks.check import Check, Measurement
 from splatproof.suites.claim_checks.trained import SETTINGS, fit, stored
 
-STEPS, QUICK_STEPS = 200, 60
+STEPS, QUICK_STEPS = 200, 30
 
 
 class Stopped(Exception):

@@ -1,6 +1,7 @@
 """Bytes of a trained model in our packed file against other formats, and what packing costs."""
 
 import functools
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +31,31 @@ def model(steps: int) -> ExplicitModel:
     return found
 
 
-def row(name: str, reduced: bool, folder: Path) -> dict[str, Any]:
+@functools.cache
+def quality(steps: int) -> float:
+    """PSNR of the model that every format stores, in dB on held-out views.
+
+    Args:
+        steps: Number of its training steps.
+    """
+    fitted = model(steps)
+    return size.quality(scene(), fitted, fitted.model, load_protocol(PROTOCOL))["psnr"]
+
+
+@functools.cache
+def row(name: str, reduced: bool) -> dict[str, Any]:
     """Bytes a Gaussian and PSNR lost of one format of the study of sizes.
 
     Args:
         name: Name of the format there.
         reduced: Whether the model is trained for fewer steps.
-        folder: Where it is written.
     Raises: MissingError for a format that this machine cannot write.
     """
     kind = next(one for one in size.formats() if one.name == name)
-    fitted, protocol = model(QUICK_STEPS if reduced else STEPS), load_protocol(PROTOCOL)
-    folder.mkdir(parents=True, exist_ok=True)
-    base = size.quality(scene(), fitted, fitted.model, protocol)["psnr"]
-    found = size.row(kind, scene(), fitted, base, protocol, folder / "model")
+    steps, protocol = QUICK_STEPS if reduced else STEPS, load_protocol(PROTOCOL)
+    with tempfile.TemporaryDirectory(prefix="splatproof-") as folder:
+        written = Path(folder) / "model"
+        found = size.row(kind, scene(), model(steps), quality(steps), protocol, written)
     if "bytes" not in found:
         raise MissingError(str(found["note"]))
     return found
@@ -55,9 +67,10 @@ def smaller(than: str, reduced: bool, folder: Path) -> Measurement:
     Args:
         than: Name of the other format in the study of sizes.
         reduced: See `row`.
-        folder: See `row`.
+        folder: Not looked at.
     """
-    ours, other = (row(name, reduced, folder) for name in (OURS, than))
+    del folder
+    ours, other = (row(name, reduced) for name in (OURS, than))
     return Measurement(
         values=(other["bytes_each"] / ours["bytes_each"],),
         compared=f"{than} {other['bytes_each']:.1f} over {ours['bytes_each']:.1f} bytes a Gaussian, "
@@ -70,9 +83,10 @@ def lost(reduced: bool, folder: Path) -> Measurement:
 
     Args:
         reduced: See `row`.
-        folder: See `row`.
+        folder: Not looked at.
     """
-    ours = row(OURS, reduced, folder)
+    del folder
+    ours = row(OURS, reduced)
     return Measurement(
         values=(-ours["psnr_change"],),
         compared=f"held-out views of {ours['primitives']:,} Gaussians, before and after packing",
@@ -85,9 +99,10 @@ def loss_beside(other: str, reduced: bool, folder: Path) -> Measurement:
     Args:
         other: Name of the other format in the study of sizes.
         reduced: See `row`.
-        folder: See `row`.
+        folder: Not looked at.
     """
-    ours, theirs = (row(name, reduced, folder) for name in (OURS, other))
+    del folder
+    ours, theirs = (row(name, reduced) for name in (OURS, other))
     return Measurement(
         values=(ours["psnr_change"] - theirs["psnr_change"],),
         compared=f"loss {ours['psnr_change']:+.2f} dB, {other} {theirs['psnr_change']:+.2f} dB",

@@ -11,7 +11,7 @@ SEAMS = ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage")
 @pytest.mark.needs_scene("brighton_beach")
 def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    rows = rows_of(["run", "city", "--quick", "--out", str(tmp_path)], capsys)
+    rows = rows_of(["run", "city", "--quick", "--engine", "inline", "--out", str(tmp_path)], capsys)
     assert len(rows) == len(load_suite("city-quick").cases)
     for row in rows:
         assert row["psnr"] > 10  # a grey image has less
