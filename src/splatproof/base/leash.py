@@ -83,8 +83,6 @@ def take_offered() -> None:
         held = os.open(end, os.O_RDONLY | os.O_NONBLOCK)
     except FileNotFoundError:  # it has died already
         os._exit(1)
-    except (
-        OSError
-    ):  # a system that shows no process's files: then it ends when its imports are done
-        return
+    except OSError:
+        return  # a system that shows no process's files: then it ends when its imports are done
     _taken(Connection(held, writable=False))
