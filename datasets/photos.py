@@ -29,6 +29,8 @@ CHANNELS = {2: 3, 4: 2, 6: 4}
 """Channels of a PNG by its header's colour type; 1 of the others."""
 SMALL_PNG = 2**16
 """Bytes of pixels up to which a PNG is not asked whether it can hold them."""
+MOST_JPEG = 512
+"""Pixels a byte of a JPEG at the most: a bit for each block of 8 x 8. What is not there libjpeg makes up."""
 MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "La", "RGBa")
 """Pillow's modes that are RGB or grey of 8 bits: they are shown as they are stored."""
 BITS_PER_SAMPLE = 258
@@ -59,6 +61,11 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             # a damaged header may say any size; what decodes it would allocate that first
             if image.format == "PNG":
                 _check_png(path, image.width * image.height, size)
+            if image.format == "JPEG" and image.width * image.height > MOST_JPEG * size:
+                raise DataError(
+                    f"{path}: {size} bytes are too few for a JPEG of {image.width} x {image.height} px; "
+                    "replace the file"
+                )
             check_growth(path, image.width * image.height * BITS.get(image.mode, 8) // 8, size)
             yield image
     except (

@@ -54,6 +54,25 @@ def test_a_png_that_packs_as_well_as_any_is_read(tmp_path, mode):
     assert photo_size(path) == (4000, 3000)
 
 
+def test_a_jpeg_whose_blocks_are_not_there(tmp_path):
+    path = tmp_path / "tall.jpg"
+    Image.new("L", (65_000, 8)).save(path, quality=30)
+    data = path.read_bytes()
+    frame = data.index(b"\xff\xc0") + 5  # height and width of the frame header
+    path.write_bytes(data[:frame] + struct.pack(">H", 255) + data[frame + 2 :])
+    with pytest.raises(DataError, match=r"tall\.jpg: \d+ bytes are too few for a JPEG of 65000 x 255"):
+        read_photo(path)
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_a_jpeg_that_packs_as_well_as_any_is_read(tmp_path, mode, progressive):
+    path = tmp_path / "flat.jpg"
+    flat = Image.new(mode, (2000, 1500))
+    flat.save(path, quality=1, optimize=True, progressive=progressive, subsampling=2)
+    assert photo_size(path) == (2000, 1500)
+
+
 def test_a_photo_that_the_memory_does_not_hold(tmp_path, monkeypatch):
     path = tmp_path / "large.png"
     Image.new("RGB", (2000, 1000)).save(path)
