@@ -60,7 +60,9 @@ def test_a_jpeg_whose_blocks_are_not_there(tmp_path):
     data = path.read_bytes()
     frame = data.index(b"\xff\xc0") + 5  # height and width of the frame header
     path.write_bytes(data[:frame] + struct.pack(">H", 255) + data[frame + 2 :])
-    with pytest.raises(DataError, match=r"tall\.jpg: \d+ bytes are too few for a JPEG of 65000 x 255"):
+    with pytest.raises(
+        DataError, match=r"tall\.jpg: \d+ bytes are too few for a JPEG of 65000 x 255"
+    ):
         read_photo(path)
 
 

@@ -129,9 +129,10 @@ def test_numbers_have_three_digits(value, text):
 def test_a_file_without_rows_is_refused(tmp_path):
     with pytest.raises(MissingError, match="no such file"):
         read_rows(tmp_path / "none.json")
-    for text in ("{", "[]", json.dumps({"rows": []})):
+    rows = "expected machine and rows"
+    for text, said in (("{", "not JSON"), ("[]", rows), (json.dumps({"rows": []}), rows)):
         (tmp_path / "a.json").write_text(text)
-        with pytest.raises(DataError, match="expected machine and rows"):
+        with pytest.raises(DataError, match=rf"a\.json: .*{said}"):
             read_rows(tmp_path / "a.json")
 
 
