@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from tyro.extras import SubcommandApp
 
 from splatproof.base.errors import UsageError
-from splatproof.base.library_threads import wait_asleep
+from splatproof.base.idle_threads import wait_asleep
 from splatproof.cli import flags
 from splatproof.cli.ending import ended
 

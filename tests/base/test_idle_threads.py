@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from splatproof.base.library_threads import ASLEEP
+from splatproof.base.idle_threads import ASLEEP
 
 SEEN = """
 import scipy.linalg, threadpoolctl
