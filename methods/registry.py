@@ -4,6 +4,7 @@ from functools import partial
 
 from splatproof.base.names import unknown
 from splatproof.base.plugins import with_plugins
+from splatproof.methods.auto.method import AUTO
 from splatproof.methods.city import settings as city
 from splatproof.methods.city.cost import city_cost
 from splatproof.methods.city.pipeline import fit as fit_city
@@ -36,6 +37,7 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         THREEDGS,
+        AUTO,
         ABSGS,
         MIP_SPLATTING,
         FSGS,

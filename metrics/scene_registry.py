@@ -39,6 +39,9 @@ peak memory."""
 DEPTH = "Eigen et al. 2014, rendered against true z-depth, mean over the scored views that have it"
 TRUTH = "depth of the training views, back-projected, against the true surface that they see"
 
+MARKS = (10, 30, 60)
+"""Seconds of training whose scores tables show; suites may keep models at others too."""
+
 _ALL = (
     _metric("seam_psnr", f"{SEAM}; per-channel mean", True, "dB"),
     _metric("seam_psnr_sum", f"{SEAM}; channels summed, as the paper reads literally", True, "dB"),
@@ -69,6 +72,16 @@ _ALL = (
     _metric("geometry_f_score", TRUTH, True, most=1.0),
     _metric("geometry_blind_completeness", "share found of the facades that only test views see",
             True, most=1.0),
+    *(
+        _metric(f"{name}_{mark}s", f"{name} of the model as it was {mark} s after its scene was opened",
+                better, unit, most=most)
+        for name, better, unit, most in (
+            ("psnr", True, "dB", math.inf), ("ssim_3dgs", True, "", 1.0), ("flip", False, "", 1.0),
+        )
+        for mark in MARKS
+    ),
+    _metric("seconds_to_95", "wall seconds after which 95 % of the gain in PSNR from the first to the last "
+            "mark is reached for good, linear between marks (suites/marks.py)", unit="s"),
     _metric(SEEN_SHARE, "share of the scored pixels that a training photo can have shown (docs/seen.md)",
             None, most=1.0),
 )  # fmt: skip

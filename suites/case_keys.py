@@ -26,6 +26,7 @@ def case_key(case: Case, backend: str) -> str:
         pose_noise=case.pose_noise,
         backend=backend,
         **prior_part(prior_name(case.depth_prior)),
+        **({"marks": case.marks} if case.marks else {}),
     )
 
 

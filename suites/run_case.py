@@ -32,6 +32,8 @@ from splatproof.suites import case_costs as measure
 from splatproof.suites.case_keys import case_key
 from splatproof.suites.environment import boot, environment, now
 from splatproof.suites.held_out import render_milliseconds, score_views, scored_views
+from splatproof.suites.marks import FOLDER as MARKS
+from splatproof.suites.marks import Marks, timed_metrics, timed_scores
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
@@ -44,7 +46,7 @@ CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
 OURS = (
     RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
-    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint",
+    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS,
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
 
@@ -218,6 +220,12 @@ def _run(job: Job, tell: Tell) -> None:
     model = load_reconstruction(job.folder / "model", backend=job.backend)
     with measure.timed(before.stages, "score"):
         images, means, render_ms, drawn = _scores(job, scene, model)
+        timed = ()
+        if job.case.marks and scene.test:
+            timed = timed_scores(
+                job.folder, job.case.marks, scene, job.case.protocol, job.backend, means
+            )
+            means |= timed_metrics(job.case.marks, timed)
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     identity["environment"] |= before.facts | {
@@ -237,6 +245,7 @@ def _run(job: Job, tell: Tell) -> None:
         model_sha256=measure.arrays_sha256(job.folder / "model"),
         curve=curve.points(),
         curve_seconds=curve.seconds(),
+        timed=timed,
         counters=before.counters | drawn,
         scene_facts=given.facts | job.data,
         left_out=scene.left_out,
@@ -273,6 +282,10 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
         tell("train", step, total, values)
 
     tell("init", 0, 0, {})
+    watch = show_nobody if job.snapshots is None else Snapshots(job.snapshots)
+    if job.case.marks:
+        before = max((spent.stages["load"], *curve.seconds()[-1:]))
+        watch = Marks(job.folder, job.case.marks, before, watch)
     spent.facts |= {BEGAN: now(), BOOT: boot()}
     model = method.fit(
         scene.for_training(),
@@ -292,7 +305,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             engine=job.engine,
             cache=job.cache,
             say=lambda line: tell("train", 0, 0, {}, line),
-            on_model=show_nobody if job.snapshots is None else Snapshots(job.snapshots),
+            on_model=watch,
         ),
     )
     spent.facts[ENDED] = now()

@@ -50,6 +50,9 @@ class CaseTable:
     """Depth priors of training views: "none", or kinds of `splatproof.methods.priors.kinds`, of
     which some take the path of their weights, relative to the suite file ("network:net.safetensors").
     Each has table rows of its own."""
+    marks: tuple[float, ...] = ()
+    """Wall seconds, rising, after which the model is kept as it is then and scored too: time to quality.
+    Seconds count from the opening of the scene. For methods that do not train in blocks."""
     width: int | None = None
     """Width of the images in pixels, in training and in scoring, as `bench run --width` has it; the
     protocols' names then say so. None: the protocols' own."""
@@ -91,6 +94,8 @@ class Case:
     """Level of the noise on the poses of training views."""
     depth_prior: str = NO_PRIOR
     """Depth prior of the training views; a path in it is absolute."""
+    marks: tuple[float, ...] = ()
+    """Wall seconds after which the model is scored as it is then, see CaseTable."""
 
     @property
     def scene_name(self) -> str:
@@ -217,12 +222,20 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         raise UsageError(f"{where}.seeds: expected whole numbers from 0, found {min(table.seeds)}")
     if table.width is not None and table.width < 1:
         raise UsageError(f"{where}.width: expected pixels, 1 or more, found {table.width}")
+    if list(table.marks) != sorted({mark for mark in table.marks if 0 < mark < math.inf}):
+        raise UsageError(f"{where}.marks: expected seconds above 0, rising, found {table.marks}")
     for level in table.pose_noise:
         if level not in LEVELS:
             raise unknown(f"{where}.pose_noise", level, LEVELS)
     priors = [resolved(name, path.parent, f"{where}.depth_prior") for name in table.depth_prior]
     parts = {row: _parts(row, f"{where}.methods") for row in table.methods}
     known = {*parts, *(method for method, _ in parts.values())}
+    for method, _ in parts.values() if table.marks else ():
+        if methods()[method].blocks:
+            raise UsageError(
+                f"{where}.marks: {method} trains blocks in processes of their own, which are one model "
+                "only at the end; leave marks out"
+            )
     for name in table.settings:
         if name not in known:
             raise unknown(f"{where}.settings", name, known)
@@ -243,7 +256,7 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
     return [
         Case(
             scene=scene, method=parts[row][0], settings=settings[row], variant=parts[row][1],
-            seed=seed, protocol=protocol, pose_noise=level, depth_prior=prior,
+            seed=seed, protocol=protocol, pose_noise=level, depth_prior=prior, marks=table.marks,
         )
         for scene, row, protocol, level, prior, seed in product
     ]  # fmt: skip

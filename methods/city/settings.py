@@ -73,6 +73,12 @@ class CitySettings(Settings):
         """Refuse settings that no run can follow."""
         super().__post_init__()
         require(self.blocks >= 1, "blocks", self.blocks, ">= 1")
+        require(
+            self.resolution.coarsest == 1,
+            "resolution.coarsest",
+            self.resolution.coarsest,
+            "1: blocks see photos in full size",
+        )
         require(self.coarse_iterations >= 0, "coarse_iterations", self.coarse_iterations, ">= 0")
         if self.coarse_iterations > 0:
             require(self.auxiliary == "none", "auxiliary", self.auxiliary,

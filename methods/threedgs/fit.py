@@ -77,6 +77,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         density=DensityControl(settings.density, iterations=settings.iterations, extent=size),
         key=run_key(scene, settings, run),
         views_per_step=settings.views_per_step,
+        resolution=settings.resolution,
         random_background=settings.random_background,
     )
 

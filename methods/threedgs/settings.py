@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Density
+from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import Rates, require, require_cell
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.supervision.dense_initialisation import DenseSettings
@@ -39,6 +40,8 @@ class Settings:
     antialiased: bool = False
     """Whether opacities are lowered by as much as the low-pass filter widens a Gaussian, in
     training and in every render of the model (the release's flag `antialiasing`, since 2024)."""
+    resolution: Resolution = field(default_factory=Resolution)
+    """How large photos are as training goes on."""
     random_background: bool = False
     """Whether every view of a step is trained over a colour drawn at random, so that nothing may
     stay transparent that a photo shows; scoring uses the protocol's background. False: training

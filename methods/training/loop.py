@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -19,6 +20,7 @@ from splatproof.methods.kernels.step import ViewGradients
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.resolution import shrunk
 from splatproof.methods.training.run_keys import what_differs
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled
@@ -40,7 +42,8 @@ class Trainer:
             plan: What is minimised, on which views, and how the model changes.
             run: Seed, backend, checkpoints and who is told.
 
-        Raises: ValueError if two terms have one name.
+        Raises: ValueError if two terms have one name; UsageError if photos are to be shrunk for a
+            method that compares more than photos.
         """
         names = [term.name for term in plan.terms]
         if len(set(names)) < len(names):
@@ -52,6 +55,11 @@ class Trainer:
         self.optimizer = plan.optimizer(model.parameters)
         self.image_terms = [t for t in plan.terms if not isinstance(t, ParameterTerm)]
         self.parameter_terms = [t for t in plan.terms if isinstance(t, ParameterTerm)]
+        if plan.resolution.levels and len(self.image_terms) > 1:
+            raise UsageError(
+                f"setting resolution.coarsest is {plan.resolution.coarsest}, expected 1: this method "
+                "compares more than photos, which have one size"
+            )
         self.images = TensorCache(run.image_bytes)
         self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
@@ -147,11 +155,12 @@ class Trainer:
         Returns: The loss and each term by its name; what density control is told, valid until the
             next call, None where it does not watch this step.
         """
-        truth = self.images.get((view.name, "image"), lambda: view.load().to(self.device))
-        load_mask = view.load_mask
-        mask = load_mask and self.images.get(
-            (view.name, "mask"), lambda: load_mask().to(self.device)
-        )
+        view = self.sized(view)
+        truth, mask = self.photo(view), None
+        if load_mask := view.load_mask:
+            mask = self.images.get(
+                (view.name, view.size, "mask"), lambda: load_mask().to(self.device)
+            )
         moment = Moment(step=self.step, total=self.plan.steps, generator=self.generator)
         native = self.model.native(view, moment) if self.native else None
         if native is not None:
@@ -166,6 +175,25 @@ class Trainer:
         for term in self.parameter_terms:
             values[term.name] = term.add(self.model.parameters)
         return values, seen
+
+    def sized(self, view: View) -> View:
+        """The view as large as this step takes it.
+
+        Args:
+            view: One to train on.
+        """
+        factor = self.plan.resolution.factor(self.step, self.plan.steps)
+        if factor == 1:
+            return view
+        return shrunk(replace(view, load=lambda: self.photo(view).cpu()), factor)
+
+    def photo(self, view: View) -> Tensor:
+        """A view's photo on the device, from memory where it is kept; not to be written into.
+
+        Args:
+            view: One to train on, of any size.
+        """
+        return self.images.get((view.name, view.size, "image"), lambda: view.load().to(self.device))
 
     def by_kernels(
         self, view: View, native: NativeTensors, truth: Tensor, mask: Tensor | None

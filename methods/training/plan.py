@@ -9,6 +9,7 @@ from torch import Tensor
 from splatproof.methods.contracts.density_strategy import DensityStrategy
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.terms import ImageTerm, ParameterTerm
 from splatproof.methods.training.view_order import ViewOrder
 from splatproof.reference.types.scene import View
@@ -29,6 +30,8 @@ class Plan:
     """Everything that the result depends on, as text: a checkpoint of another key is refused."""
     views_per_step: int = 1
     """Views whose mean gradient one step follows."""
+    resolution: Resolution = Resolution()
+    """How large photos are at which step; smaller ones only where the photo's is the one image term."""
     random_background: bool = False
     """Train every view of a step over a background of its own, drawn at random."""
     order: ViewOrder | None = None

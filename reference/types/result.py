@@ -112,6 +112,9 @@ class Result:
     """Pairs (step, values by name) that were logged while training."""
     curve_seconds: tuple[float, ...] = ()
     """Wall seconds since the fit began at each point of the curve, over all attempts; empty: not known."""
+    timed: tuple[tuple[float, dict[str, float]], ...] = ()
+    """Pairs (wall seconds, mean of each metric) of the model as it was at the case's marks; seconds count
+    from the opening of the scene. () where it has none."""
     counters: dict[str, int] = field(default_factory=dict)
     """Work that was done, by name: steps, pairs (of Gaussian and tile, all views of the training),
     densifications, rows_added, rows_removed, resets, see `splatproof.methods.training.counts`; and

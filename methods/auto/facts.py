@@ -1,0 +1,224 @@
+"""What a planner knows of a scene before it trains: counted on cameras, points and training photos."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from splatproof.datasets.image_cache import ImageCache
+from splatproof.datasets.resize import resample
+from splatproof.methods.training.initialise import require_points
+from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.scene import Scene, View
+
+SAMPLES = 24
+"""Photos that are read for what only photos say, spread evenly."""
+CELL = 16
+"""Side in pixels of the cells of a photo that are looked through for points."""
+SHARED = 0.1
+"""Share of a view's points that another view must see too to be a neighbour."""
+SOUND = 8
+"""Fewest observations by which a photo's exposure is compared with the others'."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneFacts:
+    """What was measured on the training views. Photos in the size that they are trained in."""
+
+    views: int
+    """Number of training views."""
+    width: int
+    """Median width in pixels."""
+    height: int
+    """Median height in pixels."""
+    points: int
+    """Number of sparse points."""
+    track: float
+    """Mean number of training views that see a point; nan where tracks are not known."""
+    coverage: float
+    """Mean number of training views whose image a point falls into, hidden or not."""
+    neighbours: float
+    """Median number of other training views that see at least a tenth of a view's points."""
+    angle: float
+    """Median over points of the largest angle between two of its rays, degrees; nan: not known."""
+    bare: float
+    """Share, 0 to 1, of cells of 16 x 16 pixels that no sparse point is seen in."""
+    detail: float
+    """Standard deviation, in 8-bit steps, of what a photo loses when it is halved and doubled again."""
+    noise: float
+    """Standard deviation of a photo's noise, in 8-bit steps."""
+    exposure: float
+    """Standard deviation over photos of their brightness on shared points, natural logarithm; nan:
+    too few shared points."""
+    moments: int
+    """Number of distinct times; 0: times are not known."""
+    image_bytes: int
+    """Bytes of all training photos as float32."""
+
+
+def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
+    """Measure a scene: its training views alone, of which 24 photos are read.
+
+    Args:
+        scene: As a method gets it.
+        image_bytes: Most bytes of photos kept in memory while they are read.
+
+    Raises: DataError if there is no point or no training view.
+
+    Source: ours; noise: Immerkaer 1996, "Fast Noise Variance Estimation".
+    """
+    require_points(scene)
+    views = scene.train_views
+    positions = scene.points.positions
+    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    counts = np.asarray(seen.sum(axis=0)).ravel()
+    images = ImageCache(image_bytes)
+    step = max(1, len(views) // SAMPLES)
+    chosen = [(row, views[row]) for row in range(0, len(views), step)][:SAMPLES]
+    photos = [images.load(view) for _, view in chosen]
+    sizes = torch.tensor([view.size for view in views]).double()
+    return SceneFacts(
+        views=len(views),
+        width=int(sizes[:, 1].median()),
+        height=int(sizes[:, 0].median()),
+        points=len(scene.points),
+        track=float(counts[counts > 0].mean()) if counts.any() else math.nan,
+        coverage=_coverage(views, positions),
+        neighbours=_neighbours(seen),
+        angle=_angle(torch.stack([view.camera.centre for view in views]), positions, seen),
+        bare=float(np.mean([_bare(view, positions, seen, row) for row, view in chosen])),
+        detail=float(np.mean([_detail(photo) for photo in photos])),
+        noise=float(np.median([noise(photo) for photo in photos])),
+        exposure=_exposure([
+            _brightness(view, photo, positions, seen, row)
+            for (row, view), photo in zip(chosen, photos, strict=True)
+        ]),
+        moments=len({view.time for view in views if view.time is not None}),
+        image_bytes=int(sizes.prod(dim=1).sum()) * 12,
+    )  # fmt: skip
+
+
+def noise(photo: Float[Tensor, "h w 3"]) -> float:
+    """Standard deviation of a photo's noise in 8-bit steps, by a filter that sees no planes and edges.
+
+    Args:
+        photo: sRGB in [0, 1].
+
+    Source: Immerkaer 1996, with the median in place of the mean: fine texture counts less.
+    """
+    level = cv2.cvtColor(photo.numpy(), cv2.COLOR_RGB2GRAY) * 255
+    kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    response = np.abs(cv2.filter2D(level, -1, kernel))[1:-1, 1:-1]
+    return float(np.median(response) / 0.6745 / 6) if response.size else 0.0
+
+
+def _detail(photo: Float[Tensor, "h w 3"]) -> float:
+    height, width, _ = photo.shape
+    half = resample(photo, (max(1, width // 2), max(1, height // 2)), "area").numpy()
+    again = cv2.resize(half, (width, height), interpolation=cv2.INTER_LINEAR)
+    return float((photo.numpy() - again).std() * 255)
+
+
+def _coverage(views: Sequence[View], positions: Float[Tensor, "n 3"]) -> float:
+    """Mean number of views whose image a point falls into, over points that fall into any."""
+    some = positions[:: max(1, len(positions) // 5000)]
+    found = torch.zeros(len(some))
+    for view in views:
+        camera = view.camera
+        pixels, depth = project_points(camera, some)
+        size = torch.tensor([camera.width, camera.height])
+        found += (depth > 0) & ((pixels >= 0) & (pixels < size)).all(dim=1)
+    return float(found[found > 0].mean()) if bool((found > 0).any()) else 0.0
+
+
+def _neighbours(seen: csr_array) -> float:
+    """Median number of views that share enough points with a view."""
+    shared = (seen.astype(np.int64) @ seen.T.astype(np.int64)).toarray()
+    own = shared.diagonal().copy()
+    np.fill_diagonal(shared, 0)
+    return float(np.median((shared >= np.maximum(1, SHARED * own)[:, None]).sum(axis=1)))
+
+
+def _angle(
+    centres: Float[Tensor, "v 3"], positions: Float[Tensor, "n 3"], seen: csr_array
+) -> float:
+    """Median over points of the angle between the outermost of its rays, in degrees.
+
+    The widest pair of rays is found as the ray farthest from the mean ray and the one farthest from it.
+    """
+    by_point = seen.T.tocsr()
+    lengths = np.diff(by_point.indptr)
+    rows = np.where(lengths >= 2)[0]
+    if not len(rows):
+        return math.nan
+    rows = rows[:: max(1, len(rows) // 2000)]
+    angles = []
+    for row in rows:
+        ends = by_point.indices[by_point.indptr[row] : by_point.indptr[row + 1]]
+        rays = centres[torch.from_numpy(ends).long()].double() - positions[row]
+        rays = rays / rays.norm(dim=1, keepdim=True).clamp(min=1e-12)
+        far = rays[(rays @ rays.mean(dim=0)).argmin()]
+        angles.append(float((rays @ far).min().clamp(-1, 1).acos()))
+    return math.degrees(float(np.median(angles)))
+
+
+def _bare(view: View, positions: Float[Tensor, "n 3"], seen: csr_array, row: int) -> float:
+    """Share of a view's cells in which no point that it sees lies; all points where tracks are unknown."""
+    camera = view.camera
+    own = positions[points_of(seen, row)] if seen.nnz else positions
+    pixels, depth = project_points(camera, own)
+    cells = torch.floor(pixels[depth > 0] / CELL).long()
+    wide, high = math.ceil(camera.width / CELL), math.ceil(camera.height / CELL)
+    inside = (cells >= 0).all(dim=1) & (cells[:, 0] < wide) & (cells[:, 1] < high)
+    return 1 - len((cells[inside, 1] * wide + cells[inside, 0]).unique()) / (wide * high)
+
+
+def _brightness(
+    view: View,
+    photo: Float[Tensor, "h w 3"],
+    positions: Float[Tensor, "n 3"],
+    seen: csr_array,
+    row: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points that a view sees, and the logarithm of its photo's brightness at each."""
+    points = points_of(seen, row)
+    pixels, depth = project_points(view.camera, positions[points])
+    at = torch.floor(pixels).long()
+    high, wide, _ = photo.shape
+    inside = (depth > 0) & (at >= 0).all(dim=1) & (at[:, 0] < wide) & (at[:, 1] < high)
+    level = photo.mean(dim=2)[at[inside, 1], at[inside, 0]].clamp(min=1 / 255)
+    return points[inside].numpy(), level.log().numpy()
+
+
+def _exposure(seen: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Spread of photos' brightness on the points that they share: point and photo effects in turn.
+
+    Each photo's effect is the median over its points, so that what shines or moves counts little.
+    """
+    photos = [(points, level) for points, level in seen if len(points) >= SOUND]
+    if len(photos) < 2:
+        return math.nan
+    known, owners = np.unique(np.concatenate([points for points, _ in photos]), return_inverse=True)
+    levels = np.concatenate([level for _, level in photos]).astype(np.float64)
+    which = np.repeat(np.arange(len(photos)), [len(points) for points, _ in photos])
+    count = np.bincount(owners, minlength=len(known))
+    if not (count[owners] >= 2).any():
+        return math.nan
+    levels, owners, which = (part[count[owners] >= 2] for part in (levels, owners, which))
+    effect = np.zeros(len(photos))
+    for _ in range(20):
+        point = np.bincount(owners, levels - effect[which], len(known)) / np.maximum(count, 1)
+        rest = levels - point[owners]
+        for index in range(len(photos)):
+            own = rest[which == index]
+            if len(own) >= SOUND:
+                effect[index] = np.median(own)
+        effect -= effect.mean()
+    return float(effect.std())

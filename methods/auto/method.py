@@ -1,0 +1,38 @@
+"""Method auto as the registry knows it."""
+
+import torch
+
+from splatproof.methods.auto.fit import fit
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.contracts.method import Cost, Method
+from splatproof.methods.threedgs.cost import image_bytes, largest, training_memory_mb
+from splatproof.reference.types.scene import Scene
+
+GROWTH = 4.0
+"""How many Gaussians a point is taken to become, for memory alone."""
+
+
+def cost(settings: AutoSettings, scene: Scene) -> Cost:
+    """What method auto takes: the seconds that it is given, on all threads.
+
+    Args:
+        settings: The budget.
+        scene: Opened under the protocol; no image is read.
+    """
+    return Cost(
+        cpu_seconds=settings.seconds * torch.get_num_threads(),
+        memory_mb=training_memory_mb(
+            GROWTH * len(scene.points), pixels=largest(scene),
+            image_bytes=image_bytes([view.camera for view in scene.train_views]),
+        ),
+    )  # fmt: skip
+
+
+AUTO = Method(
+    name="auto",
+    settings=AutoSettings,
+    fit=fit,
+    cost=cost,
+    description="3dgs with every setting planned for the scene, this machine and a number of seconds: "
+    "facts are measured, doubtful settings compete on held-out training views",
+)

@@ -1,0 +1,283 @@
+"""From facts, a machine's speed and a budget to settings, each with its reason."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from splatproof.base.memory import MEBIBYTE
+from splatproof.methods.auto.facts import SceneFacts
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.speed import Speed
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density
+from splatproof.methods.training.resolution import Resolution
+
+LEAST_SHORT_SIDE = 90
+"""Pixels that the short side of a shrunk photo keeps: with fewer, what is learnt of it has to be unlearnt
+(brighton_beach at 250 px loses 0.6 dB where it starts at a quarter)."""
+FULL_FROM = 0.4
+"""Share of the steps from which on photos have their full size."""
+PIXELS_A_GAUSSIAN = 4.0
+"""About as many pixels of a surface, seen once, a Gaussian has to show at the end of a long run."""
+GROWTH = Density(start=1500, gradient=2e-4, reset_interval=0, least_interval=100)
+"""Density control of a run without opacity resets, which cost a short run more than they mend."""
+NUMBERS = 59
+"""Numbers of a Gaussian with harmonics of degree 3; 11 + 3 (degree + 1)^2."""
+LEAST_STEPS, MOST_STEPS = 100, 30_000
+"""Steps of the shortest run that is planned, and of the longest."""
+WORTH = 0.1
+"""Decibels that a candidate has to gain in the probe over the usual value."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One thing that was chosen, and why."""
+
+    component: str
+    """What was chosen about training, e.g. "resolution"."""
+    value: str
+    """What it is, for people."""
+    because: str
+    """The measured fact behind it, or that it was given."""
+    expects: str = ""
+    """What it is expected to gain or save; "" where nothing was measured of it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoPlan:
+    """Settings of method 3dgs for one scene, machine and budget, and the reasons."""
+
+    settings: Settings
+    choices: tuple[Choice, ...]
+    seconds: float
+    """Wall seconds that training is expected to take."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """A value that competes in the probe."""
+
+    setting: str
+    """Name of the setting, see `AutoSettings`."""
+    value: float | str
+    because: str
+    """Why it may be better here."""
+
+
+def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
+    """Settings before anything has competed: what is asked for, and what facts alone decide.
+
+    Args:
+        asked: The budget, and what is fixed.
+        facts: What was measured.
+    """
+    return Settings(
+        iterations=asked.iterations or 1000,
+        sh_degree=3 if asked.sh_degree is None else asked.sh_degree,
+        sh_interval=0,
+        random_background=True,
+        opacity_weight=0.01 if asked.opacity_weight is None else asked.opacity_weight,
+        dropout=0.2 if asked.dropout is None else asked.dropout,
+        exposure=asked.exposure or "off",
+        dense_cell=asked.dense_cell or 0.0,
+        resolution=Resolution(coarsest=coarsest(facts), full_from=FULL_FROM)
+        if asked.coarsest is None
+        else Resolution(coarsest=asked.coarsest, full_from=FULL_FROM),
+        density=GROWTH if asked.gradient is None else replace(GROWTH, gradient=asked.gradient),
+    )  # fmt: skip
+
+
+def coarsest(facts: SceneFacts) -> float:
+    """Largest power of two up to 8 by which photos can be shrunk and still show something.
+
+    Args:
+        facts: Size of the photos.
+    """
+    room = min(facts.width, facts.height) / LEAST_SHORT_SIDE
+    return float(2 ** max(0, min(3, math.floor(math.log2(max(room, 1))))))
+
+
+def candidates(asked: AutoSettings, facts: SceneFacts) -> list[Candidate]:
+    """What competes with the usual settings, most promising first; nothing that is fixed.
+
+    Args:
+        asked: The budget, and what is fixed.
+        facts: What was measured.
+    """
+    few = facts.track < 4
+    found = [
+        Candidate(setting="opacity_weight", value=0.0, because="photos may need every Gaussian"),
+        Candidate(setting="dropout", value=0.0, because="enough photos may see each place"),
+        Candidate(
+            setting="opacity_weight", value=0.03, because="few photos may bear fewer Gaussians"
+        ),
+        Candidate(setting="dropout", value=0.4, because="few photos may see each place"),
+    ]
+    if few:
+        found = [found[2], found[3], found[0], found[1]]
+    if facts.exposure > LEAST_EXPOSURE:
+        found.insert(0, Candidate(
+            setting="exposure", value="gain",
+            because=f"photos differ by {100 * math.expm1(facts.exposure):.0f} % in brightness",
+        ))  # fmt: skip
+    return [one for one in found if getattr(asked, one.setting) is None]
+
+
+LEAST_EXPOSURE = 0.02
+"""Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
+
+
+def compete(
+    settings: Settings,
+    tried: Sequence[Candidate],
+    score: Callable[[Settings], tuple[float, ...]],
+    beats: Callable[[Sequence[float], Sequence[float], float], bool],
+    left: Callable[[], bool],
+) -> tuple[Settings, tuple[Choice, ...]]:
+    """Try candidates one after the other, each against the best so far.
+
+    Args:
+        settings: The usual ones.
+        tried: What competes.
+        score: PSNR of each held-out view under some settings.
+        beats: Whether scores are better than others by so many decibels.
+        left: Whether there is time for one more.
+
+    Returns: The settings with what won, and a choice for each setting that competed.
+    """
+    if not tried or not left():
+        return settings, ()
+    best, told, trials = score(settings), {}, {one.setting: 0 for one in tried}
+    for one in tried:
+        if not left():
+            break
+        trials[one.setting] += 1
+        found = score(replace(settings, **{one.setting: one.value}))
+        gain = sum(a - b for a, b in zip(found, best, strict=True)) / len(best)
+        line = f"{one.value}: {gain:+.2f} dB on {len(best)} held-out training views"
+        told.setdefault(one.setting, []).append(line)
+        if beats(found, best, WORTH):
+            settings, best = replace(settings, **{one.setting: one.value}), found
+    return settings, tuple(
+        Choice(
+            component=name.replace("_", " "), value=str(getattr(settings, name)),
+            because="probe: " + "; ".join(told[name]) if name in told else "no time to probe",
+        )
+        for name in trials
+    )  # fmt: skip
+
+
+def most_gaussians(asked: AutoSettings, facts: SceneFacts, degree: int) -> tuple[int, str]:
+    """Cap on the number of Gaussians, and why.
+
+    Args:
+        asked: The budget.
+        facts: What was measured.
+        degree: Degree of the harmonics.
+    """
+    pixels = facts.views * facts.width * facts.height / max(1.0, facts.coverage)
+    most, why = max(1000, round(pixels / PIXELS_A_GAUSSIAN)), (
+        f"{pixels:,.0f} pixels of surface (photos show each place {facts.coverage:.1f} times), "
+        f"{PIXELS_A_GAUSSIAN:g} a Gaussian"
+    )  # fmt: skip
+    if asked.megabytes:
+        fit = max(1, int(asked.megabytes * MEBIBYTE / (4 * (11 + 3 * (degree + 1) ** 2))))
+        if fit < most:
+            return fit, f"what {asked.megabytes:g} MB hold"
+    return most, why
+
+
+def plan(
+    asked: AutoSettings,
+    facts: SceneFacts,
+    settings: Settings,
+    choices: Sequence[Choice],
+    speed: Speed,
+    seconds: float,
+) -> AutoPlan:
+    """Number of Gaussians and of steps for the seconds that are left.
+
+    Args:
+        asked: The budget, and what is fixed.
+        facts: What was measured.
+        settings: What has been chosen.
+        choices: Why.
+        speed: How fast this machine trains such photos.
+        seconds: Wall seconds that training may take.
+    """
+    most, why = most_gaussians(asked, facts, settings.sh_degree)
+    settings = replace(settings, density=replace(settings.density, most=most))
+    told = list(choices)
+    told.append(Choice(component="Gaussians", value=f"at most {most:,}", because=why))
+    if asked.iterations is None:
+        count = steps_in(seconds, settings, facts, speed)
+        reason = (
+            f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(facts.points):.1f} ms at full size "
+            f"with the {facts.points:,} points"
+        )
+    else:
+        count, reason = asked.iterations, "given"
+    settings = replace(settings, iterations=count)
+    told.append(Choice(
+        component="steps", value=f"{count:,}", because=reason,
+        expects=f"each photo {count * settings.views_per_step / facts.views:.0f} times",
+    ))  # fmt: skip
+    return AutoPlan(
+        settings=settings, choices=tuple(told),
+        seconds=training_seconds(settings, facts, speed, count),
+    )  # fmt: skip
+
+
+def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed) -> int:
+    """Most steps whose training takes no longer than so many seconds.
+
+    Args:
+        seconds: Wall seconds.
+        settings: What is trained.
+        facts: Start points and photos.
+        speed: How fast steps are.
+    """
+    low, high = LEAST_STEPS, MOST_STEPS
+    while low < high:
+        middle = (low + high + 1) // 2
+        if training_seconds(settings, facts, speed, middle) <= seconds:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count: int) -> float:
+    """Wall seconds of a training of so many steps, first reading of the photos included.
+
+    The number of Gaussians is taken to grow evenly from the points to the cap, or as far as two
+    fifths more in each densification get it, between the first and the last densification.
+
+    Args:
+        settings: Schedules, cap and sizes.
+        facts: Start points and photos.
+        speed: How fast steps are.
+        count: Number of steps.
+    """
+    shrunken = min(1.0, count / 30_000)
+    density = settings.density
+    start, stop = density.start * shrunken, density.stop * shrunken
+    interval = max(density.interval * shrunken, density.least_interval)
+    most = max(density.most or facts.points, facts.points)
+    passes = max(0.0, (stop - start) / interval)
+    reached = min(most, facts.points * GROWTH_A_PASS ** min(passes, 40.0))
+    if math.isinf(density.gradient):
+        reached = facts.points
+    parts = 60
+    total = 0.0
+    for part in range(parts):
+        step = (part + 0.5) / parts * count
+        grown = min(1.0, max(0.0, (step - start) / max(stop - start, 1.0)))
+        gaussians = facts.points + grown * (reached - facts.points)
+        factor = settings.resolution.factor(int(step) + 1, count)
+        total += speed.step(gaussians, factor) * count / parts
+    return total * settings.views_per_step + facts.views * speed.photo
+
+
+GROWTH_A_PASS = 1.35
+"""Largest factor by which a densification is taken to raise the number of Gaussians."""

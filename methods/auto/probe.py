@@ -1,0 +1,127 @@
+"""Short trainings on small photos, judged on training views that they did not see."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.exposure import explicit, exposed
+from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.resolution import Resolution, shrunk
+from splatproof.reference.types.scene import Scene, View
+
+HELD = 6
+"""One training view in so many is held out, at least two of them."""
+MOST_HELD = 12
+"""Most views that are held out: more make scores no surer than trainings are."""
+PIXELS = 12_000
+"""About as many pixels a photo of a probe has."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Probe:
+    """Training views apart in two: those that short trainings see, and those that judge them."""
+
+    scene: Scene
+    """The scene with small photos; its training views are those that are seen."""
+    held: tuple[View, ...]
+    """The others, small too."""
+    photos: tuple[Float[Tensor, "h w 3"], ...]
+    """Their photos."""
+    run: Run
+    """Seed, background and threads of the trainings; no folder."""
+
+    def score(self, settings: Settings) -> tuple[float, ...]:
+        """PSNR of each held-out view after a whole training under some settings.
+
+        Args:
+            settings: What is tried; photos are not shrunk further.
+        """
+        settings = replace(settings, resolution=Resolution())
+        model, plan = prepare(self.scene, settings, self.run)
+        trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, self.run)
+        while trainer.step < plan.steps:
+            trainer.advance()
+        fitted = explicit(trainer.model, self.scene, self.run.backend)
+        background = torch.tensor(self.run.background)
+        return tuple(
+            psnr(fitted.render(view.without_truth(), background).colour, photo)
+            for view, photo in zip(self.held, self.photos, strict=True)
+        )
+
+
+def probe_of(scene: Scene, run: Run) -> Probe | None:
+    """Hold every sixth training view out, spread over the scene's order; None with fewer than four.
+
+    Args:
+        scene: The scene as a method gets it.
+        run: Seed, background and backend.
+    """
+    if len(scene.train) < 4:
+        return None
+    count = min(MOST_HELD, max(2, len(scene.train) // HELD))
+    held = {
+        scene.train[(2 * index + 1) * len(scene.train) // (2 * count)] for index in range(count)
+    }
+    small = list(scene.views)
+    for index in scene.train:
+        view = scene.views[index]
+        factor = max(1.0, math.sqrt(view.camera.width * view.camera.height / PIXELS))
+        small[index] = kept(shrunk(view, factor))
+    rest = tuple(index for index in scene.train if index not in held)
+    views = tuple(small[index] for index in sorted(held))
+    return Probe(
+        scene=replace(scene, views=tuple(small), train=rest, test=()),
+        held=views,
+        photos=tuple(view.load() for view in views),
+        run=replace(run, folder=None),
+    )  # fmt: skip
+
+
+def kept(view: View) -> View:
+    """The view with its photo in memory from the first time on that it is read.
+
+    Args:
+        view: A small one: several trainings read it.
+    """
+    held: list[Tensor] = []
+
+    def load() -> Tensor:
+        if not held:
+            held.append(view.load())
+        return held[0]
+
+    return replace(view, load=load)
+
+
+def psnr(image: Float[Tensor, "h w 3"], photo: Float[Tensor, "h w 3"]) -> float:
+    """10 log10 (1 / MSE) of an image in [0, 1] after clamping, at most 100.
+
+    Args:
+        image: Render, not clamped.
+        photo: What it is compared with.
+    """
+    error = float((image.clamp(0, 1) - photo).square().mean())
+    return -10 * math.log10(max(error, 1e-10))
+
+
+def better(candidate: Sequence[float], best: Sequence[float], least: float) -> bool:
+    """Whether a candidate beats what is best so far: by `least` dB and by a standard error, in pairs.
+
+    Args:
+        candidate: PSNR of each held-out view.
+        best: PSNR of the same views.
+        least: Decibels that a choice other than the usual one has to gain.
+    """
+    gains = [one - other for one, other in zip(candidate, best, strict=True)]
+    mean = sum(gains) / len(gains)
+    if len(gains) < 2:
+        return mean > least
+    spread = math.sqrt(sum((gain - mean) ** 2 for gain in gains) / (len(gains) - 1))
+    return mean > max(least, spread / math.sqrt(len(gains)))

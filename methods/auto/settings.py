@@ -1,0 +1,54 @@
+"""What can be asked of method auto, and what of its plan can be fixed by hand."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from splatproof.methods.models.exposure import Exposure
+from splatproof.methods.training.schedules import require, require_cell
+
+
+@dataclass(frozen=True, kw_only=True)
+class AutoSettings:
+    """A budget. Everything else is planned, unless a setting below says what it is to be."""
+
+    seconds: float = 60.0
+    """Wall seconds that measuring, probing and training may take together on this machine, > 0."""
+    megabytes: float = 0.0
+    """Most megabytes (2^20 bytes) of the saved model; 0: no bound."""
+    probe_share: float = 0.15
+    """Share of the seconds, 0 to 0.5, that short trainings may take in which settings compete on
+    training views that they do not see. 0: none; what they would decide stays as it is by default."""
+    iterations: int | None = None
+    """Number of training steps. None: as many as the seconds hold, by the speed measured before."""
+    coarsest: float | None = None
+    """Factor by which photos are shrunk at first; 1: not at all. None: planned."""
+    dense_cell: float | None = None
+    """About how many pixels points lie apart that are matched between photos before training; 0: none
+    are. None: planned."""
+    sh_degree: int | None = None
+    """Degree of the spherical harmonics, 0 to 3. None: planned."""
+    opacity_weight: float | None = None
+    """Weight of the mean opacity in the loss. None: planned."""
+    dropout: float | None = None
+    """Share of Gaussians that a step hides at random, growing to this. None: planned."""
+    gradient: float | None = None
+    """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
+    is densified. None: planned."""
+    exposure: Exposure | None = None
+    """What is learnt of each photo beside the scene. None: planned."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no plan can keep."""
+        require(0 < self.seconds < math.inf, "seconds", self.seconds, "> 0")
+        require(0 <= self.megabytes < math.inf, "megabytes", self.megabytes, ">= 0")
+        require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
+        for name, low, high in (
+            ("iterations", 1, math.inf), ("coarsest", 1, math.inf), ("sh_degree", 0, 3),
+            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("gradient", 0, math.inf),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            fine = value is None or low <= value <= high
+            require(fine, name, value, f"{low} to {high}, or None: planned")
+        if self.dense_cell is not None:
+            require_cell(self.dense_cell)

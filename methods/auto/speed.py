@@ -1,0 +1,73 @@
+"""How fast this machine trains on the photos of a scene."""
+
+import statistics
+import time
+from dataclasses import dataclass, replace
+
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.resolution import Resolution
+from splatproof.reference.types.scene import Scene
+
+WARM, TIMED = 2, 7
+"""Steps before the clock starts, and steps of which the median counts."""
+VIEWS = 3
+"""Photos that are trained on while the clock runs."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Speed:
+    """Wall seconds of a step: pixels and Gaussians each have their price."""
+
+    pixels: float
+    """Seconds that the pixels of a full-size view cost."""
+    gaussian: float
+    """Seconds that each Gaussian costs."""
+    photo: float
+    """Seconds to read a photo for the first time."""
+
+    def step(self, gaussians: float, factor: float = 1.0) -> float:
+        """Wall seconds of a step on one view.
+
+        Args:
+            gaussians: Number of Gaussians.
+            factor: Factor by which the photo is shrunk.
+        """
+        return self.pixels / factor**2 + self.gaussian * gaussians
+
+
+def measure(scene: Scene, settings: Settings, run: Run) -> Speed:
+    """Train a few steps at full and at half size from the start points; they are thrown away.
+
+    Args:
+        scene: With the points to start from.
+        settings: What is trained.
+        run: Threads and backend; its folder is not written to.
+    """
+    views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
+    few = replace(scene, train=views)
+    started = time.perf_counter()
+    for view in few.train_views:
+        view.load()
+    photo = (time.perf_counter() - started) / len(views)
+    full, half = (_step(few, settings, run, factor) for factor in (1.0, 2.0))
+    pixels = min(full, max(0.0, (full - half) * 4 / 3))
+    return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points), photo=photo)
+
+
+def _step(scene: Scene, settings: Settings, run: Run, factor: float) -> float:
+    """Median wall seconds of a step whose photos are shrunk by a factor."""
+    settings = replace(
+        settings, iterations=30_000, dense_cell=0.0,
+        resolution=Resolution(coarsest=factor, full_from=1.0),
+    )  # fmt: skip
+    trainer = Trainer(*prepare(scene, settings, run), replace(run, folder=None))
+    times = []
+    for index in range(WARM + len(scene.train) + TIMED):
+        started = time.perf_counter()
+        trainer.advance()
+        if index >= WARM + len(scene.train):
+            times.append((time.perf_counter() - started) / settings.views_per_step)
+    return statistics.median(times)
