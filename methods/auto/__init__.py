@@ -1,0 +1,1 @@
+"""Method auto: what a scene, this machine and a budget ask for, planned and trained."""

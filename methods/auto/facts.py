@@ -26,6 +26,8 @@ SHARED = 0.1
 """Share of a view's points that another view must see too to be a neighbour."""
 SOUND = 8
 """Fewest observations by which a photo's exposure is compared with the others'."""
+TURNS = 20
+"""Times that the effects of points and of photos are fitted to what the others leave."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,19 +207,20 @@ def _exposure(seen: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
     photos = [(points, level) for points, level in seen if len(points) >= SOUND]
     if len(photos) < 2:
         return math.nan
-    known, owners = np.unique(np.concatenate([points for points, _ in photos]), return_inverse=True)
-    levels = np.concatenate([level for _, level in photos]).astype(np.float64)
-    which = np.repeat(np.arange(len(photos)), [len(points) for points, _ in photos])
-    count = np.bincount(owners, minlength=len(known))
-    if not (count[owners] >= 2).any():
+    known, owner = np.unique(np.concatenate([points for points, _ in photos]), return_inverse=True)
+    count = np.bincount(owner, minlength=len(known))
+    shared = count[owner] >= 2
+    if not shared.any():
         return math.nan
-    levels, owners, which = (part[count[owners] >= 2] for part in (levels, owners, which))
+    photo = np.repeat(np.arange(len(photos)), [len(points) for points, _ in photos])[shared]
+    level = np.concatenate([level for _, level in photos]).astype(np.float64)[shared]
+    point = owner[shared]
     effect = np.zeros(len(photos))
-    for _ in range(20):
-        point = np.bincount(owners, levels - effect[which], len(known)) / np.maximum(count, 1)
-        rest = levels - point[owners]
+    for _ in range(TURNS):
+        sums = np.bincount(point, level - effect[photo], len(known))
+        rest = level - sums[point] / count[point]
         for index in range(len(photos)):
-            own = rest[which == index]
+            own = rest[photo == index]
             if len(own) >= SOUND:
                 effect[index] = np.median(own)
         effect -= effect.mean()

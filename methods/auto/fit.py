@@ -4,9 +4,12 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import pairwise
 
 from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
+from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.planner import AutoPlan, Choice, candidates, compete, plan, usual
 from splatproof.methods.auto.probe import better, probe_of
@@ -50,6 +53,7 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
     Source: ours.
     """
     key = run_key(scene, settings, run)
+    scene = remembering(scene, run.image_bytes)
     kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
     if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
         chosen = build(Settings, told["settings"], str(kept))
@@ -69,6 +73,22 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         run.on_fact(f"plan: {one.component}", f"{one.value} ({one.because})")
     run.on_fact("planned settings", json.dumps(asdict(chosen)))
     return threedgs.fit(scene, chosen, run)
+
+
+def remembering(scene: Scene, image_bytes: int) -> Scene:
+    """The scene whose photos are read once for all that looks at them, as far as memory is allowed.
+
+    Args:
+        scene: The scene as a method gets it.
+        image_bytes: Most bytes of photos that are kept.
+    """
+    cache = ImageCache(image_bytes)
+    train = set(scene.train)
+    views = tuple(
+        replace(view, load=partial(cache.load, view)) if index in train else view
+        for index, view in enumerate(scene.views)
+    )
+    return replace(scene, views=views)
 
 
 def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
@@ -106,7 +126,7 @@ def _left(clock: Clock, ends: float) -> Callable[[], bool]:
 
     def left() -> bool:
         times.append(clock())
-        longest = max(b - a for a, b in zip(times, times[1:], strict=False))
+        longest = max(b - a for a, b in pairwise(times))
         return times[-1] + longest <= ends
 
     return left

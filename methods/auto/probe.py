@@ -18,8 +18,10 @@ from splatproof.reference.types.scene import Scene, View
 
 HELD = 6
 """One training view in so many is held out, at least two of them."""
-MOST_HELD = 12
-"""Most views that are held out: more make scores no surer than trainings are."""
+MOST_VIEWS = 60
+"""Most training views that a probe looks at, those nearest to the middle one: neighbours still overlap."""
+SURE = 2.0
+"""Standard errors that a gain has to be above 0."""
 PIXELS = 12_000
 """About as many pixels a photo of a probe has."""
 
@@ -57,7 +59,7 @@ class Probe:
 
 
 def probe_of(scene: Scene, run: Run) -> Probe | None:
-    """Hold every sixth training view out, spread over the scene's order; None with fewer than four.
+    """Hold every sixth of the views out, spread over the scene's order; None with fewer than four.
 
     Args:
         scene: The scene as a method gets it.
@@ -65,16 +67,15 @@ def probe_of(scene: Scene, run: Run) -> Probe | None:
     """
     if len(scene.train) < 4:
         return None
-    count = min(MOST_HELD, max(2, len(scene.train) // HELD))
-    held = {
-        scene.train[(2 * index + 1) * len(scene.train) // (2 * count)] for index in range(count)
-    }
+    near = nearest(scene)
+    count = max(2, len(near) // HELD)
+    held = {near[(2 * index + 1) * len(near) // (2 * count)] for index in range(count)}
     small = list(scene.views)
-    for index in scene.train:
+    for index in near:
         view = scene.views[index]
         factor = max(1.0, math.sqrt(view.camera.width * view.camera.height / PIXELS))
         small[index] = kept(shrunk(view, factor))
-    rest = tuple(index for index in scene.train if index not in held)
+    rest = tuple(index for index in near if index not in held)
     views = tuple(small[index] for index in sorted(held))
     return Probe(
         scene=replace(scene, views=tuple(small), train=rest, test=()),
@@ -82,6 +83,19 @@ def probe_of(scene: Scene, run: Run) -> Probe | None:
         photos=tuple(view.load() for view in views),
         run=replace(run, folder=None),
     )  # fmt: skip
+
+
+def nearest(scene: Scene) -> list[int]:
+    """Indices of the training views that a probe looks at, rising.
+
+    Args:
+        scene: With training views.
+    """
+    if len(scene.train) <= MOST_VIEWS:
+        return list(scene.train)
+    centres = torch.stack([view.camera.centre.double() for view in scene.train_views])
+    distance = (centres - centres.median(dim=0).values).norm(dim=1)
+    return sorted(scene.train[row] for row in distance.argsort(stable=True)[:MOST_VIEWS].tolist())
 
 
 def kept(view: View) -> View:
@@ -112,7 +126,7 @@ def psnr(image: Float[Tensor, "h w 3"], photo: Float[Tensor, "h w 3"]) -> float:
 
 
 def better(candidate: Sequence[float], best: Sequence[float], least: float) -> bool:
-    """Whether a candidate beats what is best so far: by `least` dB and by a standard error, in pairs.
+    """Whether a candidate beats what is best so far: by `least` dB and two standard errors, in pairs.
 
     Args:
         candidate: PSNR of each held-out view.
@@ -124,4 +138,4 @@ def better(candidate: Sequence[float], best: Sequence[float], least: float) -> b
     if len(gains) < 2:
         return mean > least
     spread = math.sqrt(sum((gain - mean) ** 2 for gain in gains) / (len(gains) - 1))
-    return mean > max(least, spread / math.sqrt(len(gains)))
+    return mean > max(least, SURE * spread / math.sqrt(len(gains)))

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.schedules import require, require_cell

@@ -1,7 +1,7 @@
 """What a training consists of beside its model and its run."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from jaxtyping import Int
 from torch import Tensor
@@ -30,7 +30,7 @@ class Plan:
     """Everything that the result depends on, as text: a checkpoint of another key is refused."""
     views_per_step: int = 1
     """Views whose mean gradient one step follows."""
-    resolution: Resolution = Resolution()
+    resolution: Resolution = field(default_factory=Resolution)
     """How large photos are at which step; smaller ones only where the photo's is the one image term."""
     random_background: bool = False
     """Train every view of a step over a background of its own, drawn at random."""
