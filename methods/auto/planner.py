@@ -213,7 +213,7 @@ def plan(
     if asked.iterations is None:
         count = steps_in(seconds, settings, facts, speed)
         reason = (
-            f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(facts.points):.1f} ms at full size "
+            f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(float(facts.points)):.1f} ms at full size "
             f"with the {facts.points:,} points"
         )
     else:

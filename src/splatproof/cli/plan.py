@@ -1,4 +1,4 @@
-"""`bench plan`: what a city takes on n machines, before anything is started."""
+"""`bench plan`: what a scene asks for, or what a city takes on n machines, before anything is started."""
 
 import math
 from dataclasses import asdict
@@ -14,15 +14,21 @@ if TYPE_CHECKING:
 
 MACHINES = (1, 2, 4, 8, 16, 32, 64)
 """Numbers of machines that are planned for where nobody says which."""
+WIDTH, HEIGHT = 1_600, 1_200
+"""Pixels of a view of a city where nobody says."""
 HEADING = "blocks machines workers  block GB  block h  blocks h  serial h   wall h"
 
 
 def plan(
+    scene: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = "",
     *,
+    seconds: float | None = None,
+    megabytes: float | None = None,
+    protocol: str | None = None,
     views: int = 10_000,
     gaussians: int = 100_000_000,
-    width: int = 1_600,
-    height: int = 1_200,
+    width: int | None = None,
+    height: int | None = None,
     iterations: int = 30_000,
     refinement: int = 7_000,
     margin: float = 0.15,
@@ -36,19 +42,28 @@ def plan(
     spread: float | None = None,
     seed: int | None = None,
 ) -> int:
-    """Plan a city: block count, memory a block and wall time on n machines, and where it stops scaling.
+    """Plan the training of a scene; or of a city: block count, memory and time on n machines.
 
-    Nothing is trained. Times are those of this package's CPU kernels; their constants stand, with how
+    With SCENE: what method auto would do with it in so many seconds. The scene is measured, this machine
+    timed, and settings that may matter compete in short trainings on training views that they do not
+    see; a table says what was chosen, and the measured fact behind each choice. With --json that is one
+    object: facts, choices and settings. `bench fit auto SCENE` does the same and then trains.
+
+    Without SCENE: a city, of which nothing is trained. Times are those of this package's CPU kernels; their constants stand, with how
     they were measured, in suites/city_plan.py and suites/estimate.py. With --json each plan is a
     line: blocks, machines, workers, memory and seconds of each part by name, and seconds in all.
     One plan is printed, the fastest whose machines still help; with --all, or where --blocks and
     --machines name several, every one of them.
 
     Args:
+        scene: Name of a registered scene, or a scene folder. None: a city is planned.
+        seconds: With SCENE: wall seconds that everything may take. None: 60.
+        megabytes: With SCENE: most megabytes of the saved model. None: no bound.
+        protocol: With SCENE: name or file of the rules by which it is opened. None: default.
         views: Number of training views.
         gaussians: Number of Gaussians in the finished model.
-        width: Width of a view in pixels.
-        height: Height of a view in pixels.
+        width: Width of a view in pixels. None: as the protocol says; of a city 1600.
+        height: Height of a view in pixels. None: 1200.
         iterations: Training steps of each block.
         refinement: Training steps over the merged model; 0: it is not refined.
         margin: Share of its own size by which a block is widened while it trains.
@@ -61,15 +76,21 @@ def plan(
         every: Print every plan, not the recommended one alone.
         simulate: Also draw unequal block times at random and hand the blocks out, longest first.
         spread: With --simulate: standard deviation of the logarithm of block times. None: as measured.
-        seed: With --simulate: seed of the draw. None: 0.
+        seed: With --simulate: seed of the draw; with SCENE: of the short trainings. None: 0.
     """
+    if scene:
+        return _of_scene(scene, seconds, megabytes, protocol, width, seed, simulate=simulate)
+    for_scenes = {"--seconds": seconds, "--megabytes": megabytes, "--protocol": protocol}
+    for option, value in for_scenes.items():
+        if value is not None:
+            raise UsageError(f"{option} is for the plan of a scene; name the scene or leave it out")
     from splatproof.suites import city_plan
 
     if not simulate and (spread is not None or seed is not None):
         raise UsageError("--spread and --seed are for --simulate; add it or leave them out")
 
     city = city_plan.City(
-        views=views, gaussians=gaussians, pixels=width * height, iterations=iterations,
+        views=views, gaussians=gaussians, pixels=(width or WIDTH) * (height or HEIGHT), iterations=iterations,
         refinement=refinement, margin=margin, views_a_block=views_a_block, cores=cores,
         memory_gb=memory_gb,
     )  # fmt: skip
@@ -103,6 +124,26 @@ def plan(
         )
     _notes(city, fewest, told)
     return 0
+
+
+def _of_scene(
+    scene: str,
+    seconds: float | None,
+    megabytes: float | None,
+    protocol: str | None,
+    width: int | None,
+    seed: int | None,
+    *,
+    simulate: bool,
+) -> int:
+    from splatproof.cli.plan_scene import plan_scene
+
+    if simulate:
+        raise UsageError(f"--simulate is for the plan of a city; leave {scene!r} or it out")
+    return plan_scene(
+        scene, seconds=60.0 if seconds is None else seconds, megabytes=megabytes or 0.0,
+        protocol=protocol or "default", width=width, seed=seed or 0,
+    )  # fmt: skip
 
 
 def _line(found: "Plan") -> str:

@@ -1,0 +1,36 @@
+"""Facts of a scene in words."""
+
+import math
+
+from splatproof.base.memory import MEBIBYTE
+from splatproof.methods.auto.facts import SceneFacts
+
+
+def told(facts: SceneFacts) -> list[tuple[str, str, str]]:
+    """(what, how much, what follows of it) of each fact, for people.
+
+    Args:
+        facts: What was measured.
+    """
+
+    def known(value: float, text: str) -> str:
+        return "not known" if math.isnan(value) else text
+
+    return [
+        ("photos", f"{facts.views} of {facts.width} x {facts.height} pixels",
+         f"{facts.image_bytes / MEBIBYTE:,.0f} MB in memory"),
+        ("points", f"{facts.points:,}",
+         f"{100 * facts.bare:.0f} % of the photos' cells of 16 x 16 pixels show none"),
+        ("overlap", f"each place in {facts.coverage:.1f} photos",
+         known(facts.track, f"a point was found in {facts.track:.1f} of them; a photo has "
+                            f"{facts.neighbours:.0f} neighbours")),
+        ("baselines", known(facts.angle, f"{facts.angle:.0f} degrees"),
+         "median over points of the widest angle between two rays"),
+        ("detail", f"{facts.detail:.1f} of 255", "what a photo loses when it is halved"),
+        ("noise", f"{facts.noise:.1f} of 255", "below it no training can tell right from wrong"),
+        ("exposure", known(facts.exposure, f"{100 * math.expm1(facts.exposure):.1f} %"),
+         "spread of the photos' brightness on shared points"),
+        ("moments", str(facts.moments) if facts.moments else "not known",
+         "several times: things may move (methods pvg and hdgs)" if facts.moments > 1
+         else "nothing says that anything moves"),
+    ]  # fmt: skip

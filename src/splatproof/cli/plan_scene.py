@@ -1,0 +1,60 @@
+"""`bench plan SCENE`: what method auto would do with a scene on this machine, and why."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from rich.table import Table
+
+from splatproof.cli import output
+
+
+def plan_scene(
+    scene: str, *, seconds: float, megabytes: float, protocol: str, width: int | None, seed: int
+) -> int:
+    """Measure, probe and print a table; nothing is trained to its end and nothing is written.
+
+    Args:
+        scene: Name of a registered scene, or a scene folder.
+        seconds: Budget of wall seconds.
+        megabytes: Bound on the saved model; 0: none.
+        protocol: Rules by which the scene is opened.
+        width: Width of the images in pixels; None: the protocol's.
+        seed: Seed of the probe.
+    """
+    from splatproof.datasets.catalogue.opening import open_scene
+    from splatproof.methods.auto.fit import planned, remembering
+    from splatproof.methods.auto.settings import AutoSettings
+    from splatproof.methods.auto.words import told
+    from splatproof.methods.contracts.run import Run
+    from splatproof.metrics.protocol_files import load_protocol, resized
+
+    asked = AutoSettings(seconds=seconds, megabytes=megabytes)
+    run = Run(seed=seed)
+    opened = open_scene(scene, resized(load_protocol(protocol), width)).for_training()
+    with output.progress() as bar:
+        bar.add_task("measuring and probing", total=None)
+        found = planned(remembering(opened, run.image_bytes), asked, run)
+    if output.wants_json():
+        output.print_record(
+            {"scene": opened.name, "facts": asdict(found.facts), "seconds": found.plan.seconds,
+             "choices": [asdict(choice) for choice in found.plan.choices],
+             "settings": asdict(found.plan.settings)}
+        )  # fmt: skip
+        return 0
+    output.console().print(_table(("measured", "", ""), told(found.facts)))
+    chosen = [(one.component, one.value, one.because, one.expects) for one in found.plan.choices]
+    output.console().print(_table(("chosen", "", "because", "expected"), chosen))
+    output.log(
+        f"training would take about {found.plan.seconds:.0f} s; "
+        f"`bench fit auto {scene} --out OUT --seconds {seconds:g}` does it"
+    )
+    return 0
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for head in heads:
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table

@@ -1,0 +1,88 @@
+"""Method auto from end to end on a scene of a few pixels."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from helpers.tiny_scene import tiny_scene
+from splatproof.methods.auto import fit as auto
+from splatproof.methods.auto.fit import PLAN, fit, planned
+from splatproof.methods.auto.probe import probe_of
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.threedgs.settings import Settings
+
+ASKED = AutoSettings(seconds=20.0, iterations=30, probe_share=0.0)
+
+
+class Killed(Exception):
+    """Stands for a kill between two steps."""
+
+
+def same(one, other) -> bool:
+    return all(torch.equal(getattr(one.bake(), n), getattr(other.bake(), n)) for n in FIELDS)
+
+
+def test_the_same_plan_gives_the_same_model_and_the_record_says_it():
+    facts: dict[str, str] = {}
+    one = fit(tiny_scene(), ASKED, Run(threads=1, on_fact=facts.__setitem__))
+    again = fit(tiny_scene(), ASKED, Run(threads=1))
+    assert same(one, again)
+    assert facts["plan: steps"] == "30 (given)"
+    assert json.loads(facts["planned settings"])["iterations"] == 30
+
+
+def test_a_killed_run_goes_on_by_its_plan(tmp_path, monkeypatch):
+    """On a machine that is slower now, too: the plan is not made twice."""
+    straight = fit(tiny_scene(), ASKED, Run(threads=1))
+
+    def killing(step, total, values):
+        if step == 20:
+            raise Killed
+
+    run = Run(threads=1, folder=tmp_path, checkpoint_seconds=0.0)
+    with pytest.raises(Killed):
+        fit(tiny_scene(), ASKED, replace(run, report=killing))
+    assert (tmp_path / "checkpoint" / PLAN).exists()
+    monkeypatch.setattr(auto, "planned", lambda *_: pytest.fail("planned again"))
+    assert same(straight, fit(tiny_scene(), ASKED, run))
+
+
+def test_a_plan_of_other_wishes_is_made_anew(tmp_path):
+    run = Run(threads=1, folder=tmp_path)
+    fit(tiny_scene(), ASKED, run)
+    (tmp_path / "checkpoint" / "training.safetensors").unlink()
+    fit(tiny_scene(), replace(ASKED, iterations=20), run)
+    told = json.loads((tmp_path / "checkpoint" / PLAN).read_text())
+    assert told["settings"]["iterations"] == 20
+
+
+def test_steps_follow_the_speed_of_the_machine():
+    found = planned(tiny_scene(), AutoSettings(seconds=3.0, probe_share=0.0), Run(threads=1))
+    assert found.plan.settings.iterations >= 100
+    assert found.plan.seconds < 3 or found.plan.settings.iterations == 100
+
+
+def test_the_probe_holds_views_out_and_keeps_its_hands_off_the_others():
+    scene = tiny_scene(views=10)
+    probe = probe_of(scene, Run(threads=1))
+    assert probe is not None
+    held, seen = {view.name for view in probe.held}, {v.name for v in probe.scene.train_views}
+    assert held
+    assert not held & seen
+    assert held | seen == {view.name for view in scene.train_views}
+    scores = probe.score(Settings(iterations=20, sh_degree=0))
+    assert len(scores) == len(probe.held)
+    assert scores == probe.score(Settings(iterations=20, sh_degree=0))
+    assert probe_of(tiny_scene(views=4), Run()) is None
+
+
+def test_a_probe_decides_within_its_share():
+    asked = AutoSettings(seconds=100.0, iterations=10, probe_share=0.5, opacity_weight=0.0)
+    found = planned(tiny_scene(views=10), asked, Run(threads=1))
+    names = [choice.component for choice in found.plan.choices]
+    assert names == ["dropout", "Gaussians", "steps"]
+    assert found.plan.choices[0].because.startswith("probe: ")

@@ -1,0 +1,131 @@
+"""The planner: budgets hold, what is fixed stays, and candidates win by enough or not at all."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from splatproof.base.errors import UsageError
+from splatproof.methods.auto.facts import SceneFacts
+from splatproof.methods.auto.planner import (
+    Candidate,
+    candidates,
+    coarsest,
+    compete,
+    plan,
+    training_seconds,
+    usual,
+)
+from splatproof.methods.auto.probe import better
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.speed import Speed
+
+FACTS = SceneFacts(
+    views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
+    angle=30.0, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, image_bytes=1,
+)  # fmt: skip
+SPEED = Speed(pixels=0.02, gaussian=3e-7, photo=0.03)
+SPEEDS = st.builds(
+    Speed, pixels=st.floats(1e-4, 0.1), gaussian=st.floats(1e-9, 1e-6), photo=st.floats(0, 0.1)
+)
+
+
+def planned(asked: AutoSettings, *, speed: Speed = SPEED, seconds: float = 50.0):
+    return plan(asked, FACTS, usual(asked, FACTS), (), speed, seconds)
+
+
+@given(speed=SPEEDS, seconds=st.floats(5, 600))
+def test_training_fits_into_the_seconds(speed, seconds):
+    found = planned(AutoSettings(), speed=speed, seconds=seconds)
+    steps = found.settings.iterations
+    assert found.seconds <= seconds or steps == 100
+    assert steps == 30_000 or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
+
+
+@given(seconds=st.floats(5, 300), more=st.floats(1, 4))
+def test_more_seconds_never_mean_fewer_steps(seconds, more):
+    short, long = (planned(AutoSettings(), seconds=s) for s in (seconds, seconds * more))
+    assert long.settings.iterations >= short.settings.iterations
+
+
+def test_a_file_has_a_bound():
+    found = planned(AutoSettings(megabytes=2.0))
+    assert found.settings.density.most == 2 * 2**20 // (4 * 59)
+    assert any("2 MB" in choice.because for choice in found.choices)
+
+
+def test_what_is_fixed_is_neither_planned_nor_tried():
+    asked = AutoSettings(
+        coarsest=1.0, opacity_weight=0.5, dropout=0.1, exposure="affine", iterations=123,
+        sh_degree=1, gradient=1e-3, dense_cell=4.0,
+    )  # fmt: skip
+    found = planned(asked).settings
+    assert (found.opacity_weight, found.dropout, found.exposure) == (0.5, 0.1, "affine")
+    assert (found.iterations, found.sh_degree, found.density.gradient) == (123, 1, 1e-3)
+    assert (found.resolution.coarsest, found.dense_cell) == (1.0, 4.0)
+    assert candidates(asked, FACTS) == []
+
+
+def test_exposures_compete_where_photos_differ():
+    tried = {one.setting for one in candidates(AutoSettings(), FACTS)}
+    alike = {one.setting for one in candidates(AutoSettings(), replace(FACTS, exposure=0.001))}
+    unknown = {one.setting for one in candidates(AutoSettings(), replace(FACTS, exposure=math.nan))}
+    assert tried - alike == {"exposure"}
+    assert unknown == alike
+
+
+@given(width=st.integers(16, 8000), height=st.integers(16, 8000))
+def test_photos_are_not_shrunk_to_nothing(width, height):
+    factor = coarsest(replace(FACTS, width=width, height=height))
+    assert 1 <= factor <= 8
+    assert factor == 1 or min(width, height) / factor >= 80
+
+
+def test_candidates_compete_one_after_the_other():
+    """The second is tried beside the first, which won; what loses leaves the settings alone."""
+    start = usual(AutoSettings(), FACTS)
+    tried = [
+        Candidate(setting="opacity_weight", value=0.0, because=""),
+        Candidate(setting="dropout", value=0.4, because=""),
+        Candidate(setting="dropout", value=0.0, because=""),
+    ]
+
+    def score(settings):
+        return tuple(
+            20 + (settings.opacity_weight == 0) - (settings.dropout == 0.4)
+            + 2.0 * (settings.dropout == 0 and settings.opacity_weight == 0) + 0.01 * view
+            for view in range(4)
+        )  # fmt: skip
+
+    won, choices = compete(start, tried, score, better, lambda: True)
+    assert (won.opacity_weight, won.dropout) == (0.0, 0.0)
+    assert [choice.component for choice in choices] == ["opacity weight", "dropout"]
+    assert "-1.00 dB on 4 held-out training views" in choices[1].because
+    same, nothing = compete(start, tried, score, better, lambda: False)
+    assert same == start
+    assert nothing == ()
+
+
+@pytest.mark.parametrize(
+    ("gains", "wins"),
+    [((0.5, 0.5, 0.5), True), ((0.2, 0.2, 0.2), False), ((5.0, -3.0, 0.1), False), ((1.0,), True)],
+)
+def test_a_gain_counts_where_it_is_large_and_sure(gains, wins):
+    assert better([20 + gain for gain in gains], [20.0] * len(gains), 0.3) is wins
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"seconds": 0.0},
+        {"probe_share": 0.9},
+        {"coarsest": 0.5},
+        {"dropout": 2.0},
+        {"megabytes": -1.0},
+    ],
+)
+def test_impossible_wishes_are_refused(values):
+    with pytest.raises(UsageError, match=next(iter(values))):
+        AutoSettings(**values)
