@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import explicit, exposed
-from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.fit import prepare, started
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution, shrunk
@@ -46,7 +46,8 @@ class Probe:
             settings: What is tried; photos are not shrunk further.
         """
         settings = replace(settings, resolution=Resolution())
-        model, plan = prepare(self.scene, settings, self.run)
+        start = started(self.scene, settings, self.run)
+        model, plan = prepare(start, settings, self.run)
         trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, self.run)
         while trainer.step < plan.steps:
             trainer.advance()

@@ -25,6 +25,9 @@ class AutoSettings:
     dense_cell: float | None = None
     """About how many pixels points lie apart that are matched between photos before training; 0: none
     are. None: planned."""
+    most_points: int | None = None
+    """Most points that training starts from; where there are more, those of one voxel become one. None:
+    planned."""
     sh_degree: int | None = None
     """Degree of the spherical harmonics, 0 to 3. None: planned."""
     opacity_weight: float | None = None
@@ -43,7 +46,7 @@ class AutoSettings:
         require(0 <= self.megabytes < math.inf, "megabytes", self.megabytes, ">= 0")
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
-            ("iterations", 1, math.inf), ("coarsest", 1, math.inf), ("sh_degree", 0, 3),
+            ("iterations", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
             ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)

@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass, replace
 
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.fit import prepare, started
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution
@@ -46,6 +46,7 @@ def measure(scene: Scene, settings: Settings, run: Run) -> Speed:
         settings: What is trained.
         run: Threads and backend; its folder is not written to.
     """
+    scene = started(scene, replace(settings, dense_cell=0.0), run)
     views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     few = replace(scene, train=views)
     started = time.perf_counter()

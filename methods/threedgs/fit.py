@@ -8,6 +8,7 @@ from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
 from splatproof.methods.training.density_control import DensityControl
+from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
@@ -43,13 +44,15 @@ def started(scene: Scene, settings: Settings, run: Run) -> Scene:
 
     Args:
         scene: The scene, with its own points if it has any.
-        settings: Settings of which random_points, dense_cell and dense count.
+        settings: Settings of which random_points, dense_cell, dense and most_points count.
         run: Seed of the draw and bound on images in memory.
     """
-    return initialise.with_points(
+    pointed = initialise.with_points(
         scene, run, random_points=settings.random_points, dense_cell=settings.dense_cell,
         dense=settings.dense,
     )  # fmt: skip
+    most = settings.most_points
+    return pointed if most is None else with_at_most(pointed, most)
 
 
 def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, Plan]:

@@ -35,6 +35,9 @@ class Settings:
     dense_cell: float = 0.0
     """About how many pixels added points lie apart: before training, photos are matched by optical
     flow, and points added where there are none (DPGS's initialisation). 0: none are added."""
+    most_points: int | None = None
+    """Most points that training starts from: where there are more, those of one voxel become one. None:
+    no bound."""
     dssim: float = 0.2
     """Weight of 1 - SSIM in the loss, 0 to 1; L1 has the rest (the paper: 0.2)."""
     antialiased: bool = False
@@ -78,6 +81,8 @@ class Settings:
         require(0 < opacity < 1, "initial_opacity", opacity, "between 0 and 1")
         require(self.random_points >= 0, "random_points", self.random_points, ">= 0")
         require_cell(self.dense_cell)
+        fine = self.most_points is None or self.most_points >= 1
+        require(fine, "most_points", self.most_points, ">= 1 or None")
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
