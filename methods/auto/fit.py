@@ -1,6 +1,7 @@
 """Method auto: measure a scene, plan for a budget, train."""
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -11,15 +12,27 @@ from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.auto.facts import SceneFacts, facts_of
-from splatproof.methods.auto.planner import AutoPlan, Choice, candidates, compete, plan, usual
+from splatproof.methods.auto.planner import (
+    MOST_STEPS,
+    AutoPlan,
+    Choice,
+    candidates,
+    compete,
+    plan,
+    usual,
+)
 from splatproof.methods.auto.probe import better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import measure
+from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.session import run_key
+from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.threads import threads
 from splatproof.reference.types.scene import Scene
 
@@ -27,6 +40,8 @@ PLAN = "plan.json"
 """The plan beside the checkpoint: a run that is continued keeps it."""
 RESERVE = 0.03
 """Share of the seconds that is kept back for what nobody can measure before."""
+MEASURED = 30
+"""Steps over which the final speed is measured."""
 PROBE_STEPS = 300
 """Steps of each training of the probe."""
 Clock = Callable[[], float]
@@ -52,27 +67,87 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
 
     Source: ours.
     """
+    began = time.perf_counter()
     key = run_key(scene, settings, run)
     scene = remembering(scene, run.image_bytes)
     kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
     if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
-        chosen = build(Settings, told["settings"], str(kept))
+        chosen, spent = build(Settings, told["settings"], str(kept)), float(told["spent"])
         choices = tuple(Choice(**one) for one in told["choices"])
+        start = _started(scene, chosen, run)
     else:
-        started = time.perf_counter()
         made = planned(scene, settings, run)
         chosen, choices = made.plan.settings, made.plan.choices
-        run.on_stage("plan", time.perf_counter() - started)
+        start = _started(scene, chosen, run)
+        spent = time.perf_counter() - began
+        run.on_stage("plan", spent)
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            stored = {"key": key, "settings": asdict(chosen),
+            stored = {"key": key, "settings": asdict(chosen), "spent": spent,
                       "choices": [asdict(one) for one in choices]}  # fmt: skip
             write_text(kept, json.dumps(stored))
     for one in choices:
         run.say(f"{one.component}: {one.value} ({one.because})")
         run.on_fact(f"plan: {one.component}", f"{one.value} ({one.because})")
     run.on_fact("planned settings", json.dumps(asdict(chosen)))
-    return threedgs.fit(scene, chosen, run)
+
+    def prepared() -> tuple[Model, Plan]:
+        model, plan = threedgs.prepare(start, chosen, run)
+        plan = replace(plan, key=key)
+        if settings.steps is None:
+            left = settings.seconds * (1 - RESERVE) - spent
+            plan = replace(plan, recount=Recount(chosen, left, told_steps))
+        return exposed(model, chosen.exposure, plan.views), plan
+
+    def told_steps(steps: int) -> None:
+        run.on_fact("steps for the seconds that were left", str(steps))
+
+    return explicit(train(run, prepared), scene, run.backend)
+
+
+def _started(scene: Scene, chosen: Settings, run: Run) -> Scene:
+    with threads(run.threads):
+        return threedgs.started(scene, chosen, run)
+
+
+class Recount:
+    """How many steps there will be, told once the number of Gaussians and the speed are known.
+
+    Before, both were guesses; densification is over then, and photos have their full size.
+    """
+
+    def __init__(self, settings: Settings, seconds: float, tell: Callable[[int], None]) -> None:
+        """Wait for the end of densification.
+
+        Args:
+            settings: What is trained.
+            seconds: Wall seconds that training may take in all.
+            tell: Told the new number of steps.
+        """
+        steps = settings.iterations
+        grown = round(settings.density.stop * shrink(steps))
+        whole = math.ceil(settings.resolution.full_from * steps)
+        self.first = min(max(grown, whole) + 1, steps)
+        self.seconds, self.tell = seconds, tell
+        self.began: float | None = None
+
+    def __call__(self, step: int, seconds: float) -> int | None:
+        """The new number of steps at the end of `MEASURED` steps at the final speed; None before.
+
+        Args:
+            step: Number of the step that was done.
+            seconds: Wall seconds of training so far.
+        """
+        if step < self.first:
+            return None
+        if self.began is None:
+            self.first, self.began = step, seconds
+        if step < self.first + MEASURED:
+            return None
+        each = max(1e-6, (seconds - self.began) / MEASURED)
+        steps = step + max(0, int((self.seconds - seconds) / each))
+        self.tell(steps)
+        return min(steps, MOST_STEPS)
 
 
 def remembering(scene: Scene, image_bytes: int) -> Scene:

@@ -76,7 +76,7 @@ def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
         facts: What was measured.
     """
     return Settings(
-        iterations=asked.iterations or 1000,
+        iterations=asked.steps or 1000,
         sh_degree=3 if asked.sh_degree is None else asked.sh_degree,
         sh_interval=0,
         random_background=True,
@@ -228,14 +228,14 @@ def plan(
             expects=f"{100 * (1 - share):.0f} % fewer pixels",
         ))  # fmt: skip
     told.append(Choice(component="Gaussians", value=f"at most {most:,}", because=why))
-    if asked.iterations is None:
+    if asked.steps is None:
         count = steps_in(seconds, settings, facts, speed)
         reason = (
             f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(float(start)):.1f} ms at full size "
             f"with {start:,} points"
         )
     else:
-        count, reason = asked.iterations, "given"
+        count, reason = asked.steps, "given"
     settings = replace(settings, iterations=count)
     told.append(Choice(
         component="steps", value=f"{count:,}", because=reason,

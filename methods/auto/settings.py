@@ -18,7 +18,7 @@ class AutoSettings:
     probe_share: float = 0.15
     """Share of the seconds, 0 to 0.5, that short trainings may take in which settings compete on
     training views that they do not see. 0: none; what they would decide stays as it is by default."""
-    iterations: int | None = None
+    steps: int | None = None
     """Number of training steps. None: as many as the seconds hold, by the speed measured before."""
     coarsest: float | None = None
     """Factor by which photos are shrunk at first; 1: not at all. None: planned."""
@@ -46,7 +46,7 @@ class AutoSettings:
         require(0 <= self.megabytes < math.inf, "megabytes", self.megabytes, ">= 0")
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
-            ("iterations", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
+            ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
             ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)

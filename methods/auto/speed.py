@@ -5,7 +5,8 @@ import time
 from dataclasses import dataclass, replace
 
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.threedgs.fit import prepare, started
+from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.fit import started as pointed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution
@@ -46,13 +47,13 @@ def measure(scene: Scene, settings: Settings, run: Run) -> Speed:
         settings: What is trained.
         run: Threads and backend; its folder is not written to.
     """
-    scene = started(scene, replace(settings, dense_cell=0.0), run)
+    scene = pointed(scene, replace(settings, dense_cell=0.0), run)
     views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     few = replace(scene, train=views)
-    started = time.perf_counter()
+    began = time.perf_counter()
     for view in few.train_views:
         view.load()
-    photo = (time.perf_counter() - started) / len(views)
+    photo = (time.perf_counter() - began) / len(views)
     full, half = (_step(few, settings, run, factor) for factor in (1.0, 2.0))
     pixels = min(full, max(0.0, (full - half) * 4 / 3))
     return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points), photo=photo)

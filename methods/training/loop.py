@@ -20,7 +20,7 @@ from splatproof.methods.kernels.step import ViewGradients
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
-from splatproof.methods.training.resolution import shrunk
+from splatproof.methods.training.resolution import Resolution, shrunk
 from splatproof.methods.training.run_keys import what_differs
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled
@@ -97,6 +97,8 @@ class Trainer:
             values = self.advance()
             now = time.perf_counter()
             self.seconds, clock = self.seconds + now - clock, now
+            if self.plan.recount and (steps := self.plan.recount(self.step, self.seconds)):
+                self.recounted(steps)
             last = self.step == self.plan.steps
             if last or self.step % REPORT_EVERY == 0:
                 told = values | {"gaussians": float(self.model.primitives)}
@@ -105,6 +107,16 @@ class Trainer:
             if last or now - saved >= self.run.checkpoint_seconds:
                 self.save()
                 clock = saved = time.perf_counter()
+
+    def recounted(self, steps: int) -> None:
+        """Go on to another number of steps, with photos in full size.
+
+        Args:
+            steps: Steps of the whole training, those that are done included.
+        """
+        self.plan = replace(
+            self.plan, steps=max(steps, self.step), recount=None, resolution=Resolution()
+        )
 
     def advance(self) -> dict[str, float]:
         """One step: render views, follow the loss's gradient, control the density.
@@ -293,6 +305,8 @@ class Trainer:
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
                  "seconds": self.seconds, "counts": self.counts.named()}  # fmt: skip
+        if self.plan.recount is None:
+            facts["steps"] = self.plan.steps
         write_tensors(self.checkpoint, tensors, facts)
 
     def resume(self) -> None:
@@ -323,6 +337,8 @@ class Trainer:
         self.step, self.seconds = facts["step"], facts["seconds"]
         self.counts = Counts(**facts["counts"])
         self.order.restore(facts["order"], self.step * self.plan.views_per_step)
+        if self.plan.recount is not None and "steps" in facts:
+            self.recounted(facts["steps"])
 
 
 def _weighted(weight: float, loss: Tensor) -> Tensor:

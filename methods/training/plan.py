@@ -40,5 +40,8 @@ class Plan:
     """How parameters follow their gradients."""
     held: Callable[[Parameters], Mapping[str, Int[Tensor, " _"]]] | None = None
     """Rows of tensors that keep their values in every update, by tensor; None: none do."""
+    recount: Callable[[int, float], int | None] | None = None
+    """recount(step, seconds of training so far), asked after each step: the number of steps of the whole
+    training from now on, once, with photos in full size; None: not yet. None: it stays."""
     native: bool = True
     """Whether the kernels' own step may be used; False: always autograd."""

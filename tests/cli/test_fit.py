@@ -11,7 +11,7 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import fake_scene
-from splatproof.cli import main, report, short_runs
+from splatproof.cli import main, report
 from splatproof.cli.expected_time import expected_time
 from splatproof.cli.fit import fit as fit_command
 from splatproof.cli.running import BlockRunning
@@ -331,7 +331,7 @@ def test_a_short_run_of_the_releases_schedule_is_told_what_it_does():
     assert "squeezed into steps 33 to 1000" in short_run(Settings(iterations=2000))
     assert short_run(Settings(iterations=7000)) == ""
     assert short_run(Settings(iterations=2000, density=Density(start=7500))) == ""
-    suite = load_suite(short_runs.SUITE)
+    suite = load_suite("brighton")
     assert {case.settings.iterations for case in suite.cases} == {2000}
     assert {short_run(case.settings) for case in suite.cases} == {""}
 

@@ -4,8 +4,6 @@ from typing import Any
 
 SHORTEST = 7_000
 """Steps of the shortest run that the release reports (Kerbl et al. 2023, Tab. 1: Ours-7K)."""
-SUITE = "brighton"
-"""The suite whose settings were chosen for short runs, on photos that it does not score."""
 
 
 def short_run(settings: Any) -> str:
@@ -23,6 +21,6 @@ def short_run(settings: Any) -> str:
         return ""
     first, last = (round(step * shrink(steps)) for step in (usual.start, usual.stop))
     return (
-        f"{steps} steps: density control, made for 30,000, is squeezed into steps {first} to {last}; settings "
-        f"chosen for 2,000 steps over few photos are those of `bench run {SUITE}` (suites/definitions/{SUITE}.toml)"
+        f"{steps} steps: density control, made for 30,000, is squeezed into steps {first} to {last}; "
+        "`bench fit auto` chooses settings for this scene, this machine and the seconds that you give it"
     )

@@ -15,7 +15,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.threedgs.settings import Settings
 
-ASKED = AutoSettings(seconds=20.0, iterations=30, probe_share=0.0)
+ASKED = AutoSettings(seconds=20.0, steps=30, probe_share=0.0)
 
 
 class Killed(Exception):
@@ -55,7 +55,7 @@ def test_a_plan_of_other_wishes_is_made_anew(tmp_path):
     run = Run(threads=1, folder=tmp_path)
     fit(tiny_scene(), ASKED, run)
     (tmp_path / "checkpoint" / "training.safetensors").unlink()
-    fit(tiny_scene(), replace(ASKED, iterations=20), run)
+    fit(tiny_scene(), replace(ASKED, steps=20), run)
     told = json.loads((tmp_path / "checkpoint" / PLAN).read_text())
     assert told["settings"]["iterations"] == 20
 
@@ -81,8 +81,8 @@ def test_the_probe_holds_views_out_and_keeps_its_hands_off_the_others():
 
 
 def test_a_probe_decides_within_its_share():
-    asked = AutoSettings(seconds=100.0, iterations=10, probe_share=0.5, opacity_weight=0.0)
+    asked = AutoSettings(seconds=100.0, steps=10, probe_share=0.5, opacity_weight=0.0)
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
-    assert names == ["dropout", "Gaussians", "steps"]
+    assert names == ["dropout", "points", "Gaussians", "steps"]
     assert found.plan.choices[0].because.startswith("probe: ")

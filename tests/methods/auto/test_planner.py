@@ -58,7 +58,7 @@ def test_a_file_has_a_bound():
 
 def test_what_is_fixed_is_neither_planned_nor_tried():
     asked = AutoSettings(
-        coarsest=1.0, opacity_weight=0.5, dropout=0.1, exposure="affine", iterations=123,
+        coarsest=1.0, opacity_weight=0.5, dropout=0.1, exposure="affine", steps=123,
         sh_degree=1, gradient=1e-3, dense_cell=4.0,
     )  # fmt: skip
     found = planned(asked).settings

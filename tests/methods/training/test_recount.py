@@ -1,0 +1,72 @@
+"""A training whose number of steps is told on the way goes on to it, also after a kill."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from helpers.tiny_scene import tiny_scene
+from splatproof.methods.auto.fit import MEASURED, Recount
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.threedgs.fit import prepare
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.resolution import Resolution
+from splatproof.methods.training.session import train
+
+SETTINGS = Settings(iterations=40, sh_degree=1, resolution=Resolution(coarsest=2.0, full_from=1.0))
+
+
+class Killed(Exception):
+    """Stands for a kill between two steps."""
+
+
+def trained(run: Run, steps: int | None = 60):
+    told = []
+
+    def recount(step, seconds):
+        assert seconds >= 0
+        told.append(step)
+        return steps if step == 25 else None
+
+    def prepared():
+        model, plan = prepare(tiny_scene(), SETTINGS, run)
+        return model, replace(plan, recount=recount)
+
+    return train(run, prepared).gaussians(), told
+
+
+@pytest.mark.parametrize("steps", [60, 30])
+def test_more_steps_or_fewer(steps):
+    last = []
+    run = Run(threads=1, report=lambda step, total, values: last.append((step, total)))
+    _, told = trained(run, steps)
+    assert told == list(range(1, 26)), "asked until it has answered"
+    assert last[-1] == (steps, steps)
+
+
+@pytest.mark.parametrize("at", [20, 30])
+def test_a_killed_run_keeps_the_number(tmp_path, at):
+    def killing(step, total, values):
+        if step == at:
+            raise Killed
+
+    run = Run(threads=1, folder=tmp_path, checkpoint_seconds=0.0)
+    straight, _ = trained(Run(threads=1))
+    with pytest.raises(Killed):
+        trained(replace(run, report=killing))
+    again, told = trained(run)
+    assert torch.equal(straight.means, again.means)
+    assert bool(told) is (at < 25)
+
+
+def test_seconds_are_filled_at_the_speed_that_was_measured():
+    """Half a second a step from step 601 on: of 600 s, those that are left are divided by it."""
+    told = []
+    settings = Settings(iterations=1000, resolution=Resolution(full_from=0.6))
+    recount = Recount(settings, 600.0, told.append)
+    assert recount(600, 100.0) is None
+    for step in range(601, 601 + MEASURED):
+        assert recount(step, 100 + 0.5 * (step - 601)) is None
+    spent = 100 + 0.5 * MEASURED
+    assert recount(601 + MEASURED, spent) == 601 + MEASURED + int((600 - spent) / 0.5)
+    assert told == [601 + MEASURED + int((600 - spent) / 0.5)]
