@@ -110,7 +110,7 @@ def timed_scores(
 
 
 def timed_metrics(marks: Sequence[float], timed: Timed) -> dict[str, float]:
-    """What tables show of the marks: NAME_<mark>s at each, and seconds_to_95.
+    """What tables show of the marks: NAME_<mark>s at each, and time_to_95.
 
     Args:
         marks: Wall seconds, rising.
@@ -121,7 +121,7 @@ def timed_metrics(marks: Sequence[float], timed: Timed) -> dict[str, float]:
         for mark, (_, means) in zip(marks, timed, strict=True)
         for name, value in means.items()
     }
-    return named | ({"seconds_to_95": seconds_to(timed)} if len(timed) > 1 else {})
+    return named | ({"time_to_95": seconds_to(timed)} if len(timed) > 1 else {})
 
 
 def seconds_to(timed: Timed, share: float = SHARE) -> float:

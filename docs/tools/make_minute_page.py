@@ -193,7 +193,7 @@ def table(rows: Sequence[Row]) -> str:
         ]
         cells += [
             _cell([row.final["psnr"] for row in own], 2), _cell([row.total for row in own], 0),
-            _cell([row.final.get("seconds_to_95", seconds_to_95(row)) for row in own], 1),
+            _cell([row.final.get("time_to_95", to_95(row)) for row in own], 1),
             _cell([before(row) for row in own], 1),
             f"{statistics.fmean(row.primitives for row in own):,.0f}",
         ]  # fmt: skip
@@ -248,7 +248,7 @@ def before(row: Row) -> float:
     return sum(row.stages.get(name, 0.0) for name in ("load", "plan", "init"))
 
 
-def seconds_to_95(row: Row) -> float:
+def to_95(row: Row) -> float:
     """Seconds to 95 % of the gain from the first to the last mark."""
     from splatproof.suites.marks import seconds_to
 

@@ -15,7 +15,7 @@ from splatproof.methods.training.resolution import Resolution
 LEAST_SHORT_SIDE = 80
 """Pixels that the short side of a shrunk photo keeps: with fewer, what is learnt of it has to be unlearnt
 (brighton_beach at 250 px loses 0.6 dB where it starts at a quarter)."""
-FULL_FROM = 0.4
+FULL_FROM = 0.3
 """Share of the steps from which on photos have their full size."""
 PIXELS_A_GAUSSIAN = 25
 """Pixels of all training photos together for each Gaussian, at least: with fewer it learns noise

@@ -67,7 +67,7 @@ def test_seconds_to_a_share_of_the_gain():
     assert timed_metrics((10.0, 30.0), timed[:2]).keys() == {
         "psnr_10s",
         "psnr_30s",
-        "seconds_to_95",
+        "time_to_95",
     }
 
 
