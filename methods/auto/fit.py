@@ -4,9 +4,12 @@ import json
 import math
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
+
+import torch
 
 from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
@@ -34,12 +37,14 @@ from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.threads import threads
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import Scene, View
 
 PLAN = "plan.json"
 """The plan beside the checkpoint: a run that is continued keeps it."""
 RESERVE = 0.03
 """Share of the seconds that is kept back for what nobody can measure before."""
+READING = 0.1
+"""Share of the seconds in which photos are read ahead."""
 MEASURED = 30
 """Steps over which the final speed is measured."""
 PROBE_STEPS = 300
@@ -103,6 +108,23 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         run.on_fact("steps for the seconds that were left", str(steps))
 
     return explicit(train(run, prepared), scene, run.backend)
+
+
+def read_ahead(scene: Scene, seconds: float) -> None:
+    """Read training photos on all threads, so that whatever looks at them next finds them in memory.
+
+    Args:
+        scene: One that remembers its photos.
+        seconds: Wall seconds after which no further photo is begun; training reads the others itself.
+    """
+    ends = time.perf_counter() + seconds
+
+    def read(view: View) -> None:
+        if time.perf_counter() < ends:
+            view.load()
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        list(pool.map(read, scene.train_views))
 
 
 def _started(scene: Scene, chosen: Settings, run: Run) -> Scene:
@@ -179,6 +201,7 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
     clock = time.perf_counter
     started = clock()
     with threads(run.threads):
+        read_ahead(scene, READING * settings.seconds)
         facts = facts_of(scene, run.image_bytes)
         chosen = usual(settings, facts)
         speed = measure(scene, chosen, run)

@@ -267,7 +267,7 @@ def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed
 
 
 def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count: int) -> float:
-    """Wall seconds of a training of so many steps, first reading of the photos included.
+    """Wall seconds of a training of so many steps, photos read before.
 
     The number of Gaussians is taken to grow evenly from the points to the cap, or as far as two
     fifths more in each densification get it, between the first and the last densification.
@@ -296,7 +296,7 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
         gaussians = points + grown * (reached - points)
         factor = settings.resolution.factor(int(step) + 1, count)
         total += speed.step(gaussians, factor) * count / parts
-    return total * settings.views_per_step + facts.views * speed.photo
+    return total * settings.views_per_step
 
 
 GROWTH_A_PASS = 1.25

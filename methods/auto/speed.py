@@ -26,8 +26,6 @@ class Speed:
     """Seconds that the pixels of a full-size view cost."""
     gaussian: float
     """Seconds that each Gaussian costs."""
-    photo: float
-    """Seconds to read a photo for the first time."""
 
     def step(self, gaussians: float, factor: float = 1.0) -> float:
         """Wall seconds of a step on one view.
@@ -50,13 +48,9 @@ def measure(scene: Scene, settings: Settings, run: Run) -> Speed:
     scene = pointed(scene, replace(settings, dense_cell=0.0), run)
     views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     few = replace(scene, train=views)
-    began = time.perf_counter()
-    for view in few.train_views:
-        view.load()
-    photo = (time.perf_counter() - began) / len(views)
     full, half = (_step(few, settings, run, factor) for factor in (1.0, 2.0))
     pixels = min(full, max(0.0, (full - half) * 4 / 3))
-    return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points), photo=photo)
+    return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points))
 
 
 def _step(scene: Scene, settings: Settings, run: Run, factor: float) -> float:

@@ -86,3 +86,19 @@ def test_a_probe_decides_within_its_share():
     names = [choice.component for choice in found.plan.choices]
     assert names == ["dropout", "points", "Gaussians", "steps"]
     assert found.plan.choices[0].because.startswith("probe: ")
+
+
+def test_photos_are_read_once_and_only_as_long_as_there_is_time():
+    reads = []
+    scene = tiny_scene()
+
+    def counted(view):
+        return replace(view, load=lambda: reads.append(view.name) or view.load())
+
+    scene = replace(scene, views=tuple(counted(view) for view in scene.views))
+    auto.read_ahead(auto.remembering(scene, 0), -1.0)
+    assert reads == []
+    remembered = auto.remembering(scene, 2**20)
+    for _ in range(2):
+        auto.read_ahead(remembered, 10.0)
+    assert sorted(reads) == [view.name for view in scene.train_views]
