@@ -24,7 +24,7 @@ from splatproof.methods.auto.planner import (
     plan,
     usual,
 )
-from splatproof.methods.auto.probe import better, probe_of
+from splatproof.methods.auto.probe import PIXELS, better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import measure
 from splatproof.methods.contracts.model import Model
@@ -133,7 +133,7 @@ def _started(scene: Scene, chosen: Settings, run: Run) -> Scene:
 
 
 class Recount:
-    """How many steps there will be, told once the number of Gaussians and the speed are known.
+    """How many steps there will be, told when the number of Gaussians and the speed are known.
 
     Before, both were guesses; densification is over then, and photos have their full size.
     """
@@ -149,27 +149,28 @@ class Recount:
         steps = settings.iterations
         grown = round(settings.density.stop * shrink(steps))
         whole = math.ceil(settings.resolution.full_from * steps)
-        self.first = min(max(grown, whole) + 1, steps)
+        self.first = self.next = min(max(grown, whole) + 1, steps)
         self.seconds, self.tell = seconds, tell
         self.began: float | None = None
 
     def __call__(self, step: int, seconds: float) -> int | None:
-        """The new number of steps at the end of `MEASURED` steps at the final speed; None before.
+        """The number of steps, after `MEASURED` steps at the final speed and whenever half of the rest is done.
 
         Args:
             step: Number of the step that was done.
             seconds: Wall seconds of training so far.
         """
-        if step < self.first:
+        if step < self.next:
             return None
         if self.began is None:
             self.first, self.began = step, seconds
-        if step < self.first + MEASURED:
+            self.next = step + MEASURED
             return None
-        each = max(1e-6, (seconds - self.began) / MEASURED)
-        steps = step + max(0, int((self.seconds - seconds) / each))
-        self.tell(steps)
-        return min(steps, MOST_STEPS)
+        each = max(1e-6, (seconds - self.began) / (step - self.first))
+        left = max(0, int((self.seconds - seconds) / each))
+        self.next = step + max(MEASURED, left // 2)
+        self.tell(step + left)
+        return min(step + left, MOST_STEPS)
 
 
 def remembering(scene: Scene, image_bytes: int) -> Scene:
@@ -209,22 +210,32 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         probe = probe_of(scene, run) if settings.probe_share else None
         if probe is not None:
             ends = clock() + settings.probe_share * settings.seconds
+            each = PROBE_STEPS * speed.step(
+                float(min(facts.points, chosen.most_points or facts.points)),
+                max(1.0, math.sqrt(facts.width * facts.height / PIXELS)),
+            )
             tried = replace(chosen, iterations=PROBE_STEPS)
             won, choices = compete(
-                tried, candidates(settings, facts), probe.score, better, _left(clock, ends)
+                tried, candidates(settings, facts), probe.score, better, _left(clock, ends, each)
             )
             chosen = replace(won, iterations=chosen.iterations)
     left = settings.seconds * (1 - RESERVE) - (clock() - started)
     return Planned(plan=plan(settings, facts, chosen, choices, speed, left), facts=facts)
 
 
-def _left(clock: Clock, ends: float) -> Callable[[], bool]:
-    """Whether one more training of the probe, as long as the longest so far, ends in time."""
+def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:
+    """Whether there is time for one more training of the probe; at first for two, since one says nothing.
+
+    Args:
+        clock: Seconds.
+        ends: When it is over.
+        each: Seconds that a training is expected to take; later the longest counts.
+    """
     times = [clock()]
 
     def left() -> bool:
         times.append(clock())
-        longest = max(b - a for a, b in pairwise(times))
-        return times[-1] + longest <= ends
+        longest = max(each, *(b - a for a, b in pairwise(times)))
+        return times[-1] + longest * (2 if len(times) == 2 else 1) <= ends
 
     return left

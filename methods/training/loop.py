@@ -114,9 +114,7 @@ class Trainer:
         Args:
             steps: Steps of the whole training, those that are done included.
         """
-        self.plan = replace(
-            self.plan, steps=max(steps, self.step), recount=None, resolution=Resolution()
-        )
+        self.plan = replace(self.plan, steps=max(steps, self.step), resolution=Resolution())
 
     def advance(self) -> dict[str, float]:
         """One step: render views, follow the loss's gradient, control the density.
@@ -304,9 +302,8 @@ class Trainer:
         }
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
-                 "seconds": self.seconds, "counts": self.counts.named()}  # fmt: skip
-        if self.plan.recount is None:
-            facts["steps"] = self.plan.steps
+                 "seconds": self.seconds, "counts": self.counts.named(),
+                 "steps": self.plan.steps}  # fmt: skip
         write_tensors(self.checkpoint, tensors, facts)
 
     def resume(self) -> None:
@@ -337,7 +334,7 @@ class Trainer:
         self.step, self.seconds = facts["step"], facts["seconds"]
         self.counts = Counts(**facts["counts"])
         self.order.restore(facts["order"], self.step * self.plan.views_per_step)
-        if self.plan.recount is not None and "steps" in facts:
+        if facts.get("steps", self.plan.steps) != self.plan.steps:
             self.recounted(facts["steps"])
 
 

@@ -42,6 +42,6 @@ class Plan:
     """Rows of tensors that keep their values in every update, by tensor; None: none do."""
     recount: Callable[[int, float], int | None] | None = None
     """recount(step, seconds of training so far), asked after each step: the number of steps of the whole
-    training from now on, once, with photos in full size; None: not yet. None: it stays."""
+    training from now on, with photos in full size; None: as before. None: it stays."""
     native: bool = True
     """Whether the kernels' own step may be used; False: always autograd."""
