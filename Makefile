@@ -36,10 +36,11 @@ baseline: setup
 	$(BIN)/bench baseline save regression build/regression --replace
 	$(BIN)/bench study instructions --out baselines
 
-# odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer
+# odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer, then under ThreadSanitizer
 fuzz: setup-dev
 	$(BIN)/pip install -q -c constraints.txt nanobind cmake
 	$(BIN)/python tests/fuzz/sanitized.py
+	$(BIN)/python tests/fuzz/sanitized.py --kind threads
 
 # damaged files of every kind to every reader, a million of them; goes on where it was ended
 fuzz-inputs: setup-dev

@@ -99,7 +99,9 @@ Every reader answers a damaged file with an error of one line that names it, or 
 with a traceback. `make fuzz-inputs` feeds {inputs.WHOLE:,} damaged files to the readers of {files}: bytes, text
 and trees are changed, and lengths and checksums are made right again, so that what lies behind them is tried too.
 `make test` feeds the first 20,000 and all that ever failed (`tests/fuzz/corpus`, with the reasons). `make fuzz` calls
-the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSanitizer.
+the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSanitizer, and from two Python threads at
+once, each on several of the pool's, under ThreadSanitizer (`tests/fuzz/test_sanitized.py`, slow, with a race that is
+planted).
 
 ## Bounds
 
