@@ -17,6 +17,7 @@ from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
 from splatproof.methods.training.counts import Counts
+from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.run_keys import what_differs
@@ -52,7 +53,7 @@ class Trainer:
         self.optimizer = plan.optimizer(model.parameters)
         self.image_terms = [t for t in plan.terms if not isinstance(t, ParameterTerm)]
         self.parameter_terms = [t for t in plan.terms if isinstance(t, ParameterTerm)]
-        self.images = TensorCache(run.image_bytes)
+        self.images = TensorCache(image_room(run.image_bytes, plan.views))
         self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
         self.order = plan.order or Shuffled(len(plan.views))
