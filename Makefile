@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export PYTHONSAFEPATH := 1
 
-.PHONY: setup setup-dev setup-locked audit bench docs test test-slow baseline fuzz fuzz-inputs torture lint types clean
+.PHONY: setup setup-dev setup-locked audit bench docs test test-slow baseline fuzz fuzz-inputs fuzz-guided torture lint types clean
 
 bench: setup
 	$(BIN)/bench run start > /dev/null # the report prints the leaderboard
@@ -36,14 +36,20 @@ baseline: setup
 	$(BIN)/bench baseline save regression build/regression --replace
 	$(BIN)/bench study instructions --out baselines
 
-# odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer
+# odd input to the native layer under AddressSanitizer and UndefinedBehaviorSanitizer, then under ThreadSanitizer
 fuzz: setup-dev
 	$(BIN)/pip install -q -c constraints.txt nanobind cmake
 	$(BIN)/python tests/fuzz/sanitized.py
+	$(BIN)/python tests/fuzz/sanitized.py --kind threads
 
 # damaged files of every kind to every reader, a million of them; goes on where it was ended
 fuzz-inputs: setup-dev
 	PYTHONPATH=tests OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/inputs.py
+
+# the readers that are Python, by what they cover: atheris has builds for some Pythons alone, so nothing else needs it
+fuzz-guided: setup-dev
+	$(BIN)/pip install -q atheris
+	PYTHONPATH=tests $(BIN)/python -P tests/fuzz/guided.py
 
 # commands killed at random moments, started again, and held against undisturbed ones
 torture: setup-dev

@@ -122,14 +122,17 @@ def _split(
     folder: Path, photos: Sequence[PosedPhoto], protocol: Protocol
 ) -> tuple[tuple[int, ...], tuple[int, ...], str]:
     shipped = [photo.split for photo in photos]
-    if protocol.test_names or None in shipped:
-        names, times = [photo.name for photo in photos], [photo.time for photo in photos]
-        return *split_views(names, protocol, times), "protocol"
-    train = tuple(i for i, split in enumerate(shipped) if split == "train")
-    test = tuple(i for i, split in enumerate(shipped) if split == "test")
-    if not train:
-        raise DataError(f"{folder}: the data set's split has no training view")
-    return *chosen_views(train, test, protocol), "data set"
+    try:
+        if protocol.test_names or None in shipped:
+            names, times = [photo.name for photo in photos], [photo.time for photo in photos]
+            return *split_views(names, protocol, times), "protocol"
+        train = tuple(i for i, split in enumerate(shipped) if split == "train")
+        test = tuple(i for i, split in enumerate(shipped) if split == "test")
+        if not train:
+            raise DataError("the data set's split has no training view")
+        return *chosen_views(train, test, protocol), "data set"
+    except DataError as error:  # which of a suite's scenes a protocol does not fit
+        raise DataError(f"{folder}: {error}") from None
 
 
 def _points(

@@ -18,6 +18,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import size_of, write_bytes
 from splatproof.base.memory import check_growth, check_room
+from splatproof.datasets.png_rows import CHANNELS, lacks_rows
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 PEAK = 32
@@ -25,8 +26,6 @@ PEAK = 32
 what is transparent takes more."""
 BITS = {"1": 1, "RGB": 24, "YCbCr": 24, "LAB": 24, "RGBA": 32, "CMYK": 32, "I": 32, "F": 32}
 """Bits a pixel in a file of each of Pillow's modes; 8 of the others, or more."""
-CHANNELS = {2: 3, 4: 2, 6: 4}
-"""Channels of a PNG by its header's colour type; 1 of the others."""
 SMALL_PNG = 2**16
 """Bytes of pixels up to which a PNG is not asked whether it can hold them."""
 MOST_JPEG = 512
@@ -165,6 +164,8 @@ def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None
         )
     check_room(path, image.width * image.height * PEAK)
     image.load()
+    if image.format == "PNG" and lacks_rows(path, image):
+        raise DataError(f"{path}: its last rows are missing; replace the file")
     if transparent or not image.has_transparency_data:
         return
     if np.asarray(image.convert("RGBA"))[..., 3].min() < 255:

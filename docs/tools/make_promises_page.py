@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from fuzz import bounds, inputs
+from fuzz import bounds, guided, inputs
 from fuzz.targets import TARGETS
-from load import children, test_large, test_load
+from load import test_large, test_load
 from splatproof.base.errors import LONGEST
 from splatproof.base.memory import MEBIBYTE
 from splatproof.datasets.photos import PEAK
@@ -39,8 +39,8 @@ def bounds_table() -> str:
             "`tests/load/test_load.py`",
         ),
         (
-            f"{test_large.VIEWS:,} photos of 4000 x 3000: opened, and {test_large.STEPS} steps at a width of "
-            + f"{children.WIDTH}", f"{test_large.VIEWS_MB} MiB", LARGE,
+            f"{test_large.VIEWS:,} photos of 4000 x 3000: opened, and {test_large.STEPS} steps at their full size",
+            f"{test_large.VIEWS_MB} MiB", LARGE,
         ),
         (
             f"{test_large.BLOCK * test_large.BLOCKS:,} Gaussians of degree 3 in {test_large.BLOCKS} blocks: merged and "
@@ -98,8 +98,11 @@ The same seed on the same machine gives the same bits on the CPU, for any number
 Every reader answers a damaged file with an error of one line that names it, or with numbers that are finite; never
 with a traceback. `make fuzz-inputs` feeds {inputs.WHOLE:,} damaged files to the readers of {files}: bytes, text
 and trees are changed, and lengths and checksums are made right again, so that what lies behind them is tried too.
-`make test` feeds the first 20,000 and all that ever failed (`tests/fuzz/corpus`, with the reasons). `make fuzz` calls
-the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSanitizer.
+`make test` feeds the first 20,000 and all that ever failed (`tests/fuzz/corpus`, with the reasons).
+`make fuzz-guided` changes the files of {len(guided.READERS)} readers by what they cover (atheris). `make fuzz` calls
+the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSanitizer, and from two Python threads at
+once, each on several of the pool's, under ThreadSanitizer (`tests/fuzz/test_sanitized.py`, slow, with a race that is
+planted).
 
 ## Bounds
 
@@ -111,6 +114,8 @@ the native layer with odd arrays under AddressSanitizer and UndefinedBehaviorSan
   budgets of [performance](performance.md).
 - Resuming a study: its rows are measured side by side, so it starts over; what was measured is kept.
 - What a full disk, a broken memory or a network file system without locks does to files.
+- Hashes in `make setup`: the files that are locked (`make setup-locked`) hold torch's CPU build, which PyPI does not have,
+  and all extras. On a machine that asks PyPI alone it could never apply, so `make setup` does not try.
 - Safety against plug-ins: they are Python that you run.
 """
 

@@ -95,7 +95,8 @@ class Run:
     checkpoint_seconds: float = 30.0
     """Wall seconds between checkpoints; one more is written at the end."""
     image_bytes: int = 2**30
-    """Most bytes of training images kept in memory; the others are read again each time."""
+    """Bytes for training images kept in memory and for a step on the largest of them; images beyond are
+    read again each time."""
     engine: str = "processes"
     """Where the blocks of a city are trained, see splatproof.methods.city.executor."""
     workers: int = 1

@@ -80,7 +80,7 @@ class _Looked(torch.autograd.Function):
         ctx.count, ctx.packed = len(texels), packed
         index, share = packed[: -ctx.count].reshape(4, -1, 4)[:2]
         return functional.embedding_bag(
-            index, texels, mode="sum", per_sample_weights=share.view(torch.float32)
+            index, texels, mode="sum", per_sample_weights=share.view(torch.float32).to(texels)
         )
 
     @staticmethod
@@ -88,7 +88,7 @@ class _Looked(torch.autograd.Function):
         pixel, share = ctx.packed[: -ctx.count].reshape(4, -1)[2:]
         back = functional.embedding_bag(
             pixel, grad_outputs[0], ctx.packed[-ctx.count :], mode="sum",
-            per_sample_weights=share.view(torch.float32),
+            per_sample_weights=share.view(torch.float32).to(grad_outputs[0]),
         )  # fmt: skip
         return back, None
 

@@ -172,8 +172,8 @@ def asked(tensors: Mapping[str, Tensor], view: ViewSites) -> Float[Tensor, "n 9"
     table = tensors.get("table")
     if table is None:
         grids = [tensors[f"grid_{i}"] for i in range(GRIDS)]
-        places = view.places.to(grids[0].device)
-        if places.device.type == "cpu":
+        places = view.places.to(grids[0])
+        if places.device.type == "cpu" and places.dtype == torch.float32:
             return field.evaluate(places, grids, [tensors[name] for name in NETWORK])
         return coordinate_field.evaluate(unit_field(tensors), places)
     side = table.shape[1]

@@ -18,6 +18,7 @@ from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
 from splatproof.methods.training.counts import Counts
+from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution, shrunk
@@ -60,7 +61,7 @@ class Trainer:
                 f"setting resolution.coarsest is {plan.resolution.coarsest}, expected 1: this method "
                 "compares more than photos, which have one size"
             )
-        self.images = TensorCache(run.image_bytes)
+        self.images = TensorCache(image_room(run.image_bytes, plan.views))
         self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
         self.order = plan.order or Shuffled(len(plan.views))

@@ -74,7 +74,7 @@ def photometric_loss(
     dssim: float = 0.2,
     mask: Bool[Tensor, "h w"] | None = None,
 ) -> Float[Tensor, ""]:
-    """(1 - l) L1 + l (1 - SSIM) of two images, by the kernels on the CPU and by torch elsewhere.
+    """(1 - l) L1 + l (1 - SSIM) of two images, by the kernels in float32 on the CPU, by torch elsewhere.
 
     Args:
         image: Render; it alone gets a gradient.
@@ -82,7 +82,8 @@ def photometric_loss(
         dssim: Weight l in [0, 1].
         mask: Pixels that count; None: all.
     """
-    loss = photometric if image.device.type == "cpu" else losses.photometric
+    native = image.device.type == "cpu" and image.dtype == torch.float32
+    loss = photometric if native else losses.photometric
     return loss(image, truth, dssim=dssim, mask=mask)
 
 

@@ -7,9 +7,6 @@
 """
 
 import importlib
-from importlib.metadata import version
-
-__version__ = version("splatproof")
 
 _WHERE = {
     "Camera": "reference.types.camera",
@@ -32,6 +29,12 @@ neither `bench --help` nor a worker's start should wait for. `__init__.pyi` tell
 
 def __getattr__(name: str) -> object:
     """A name of the API, imported at its first use."""
+    if (
+        name == "__version__"
+    ):  # metadata takes longer to read than all that `bench` needs to hear ctrl-C
+        found = importlib.import_module("importlib.metadata").version("splatproof")
+        globals()[name] = found
+        return found
     if name == "metrics":
         return importlib.import_module("splatproof.metrics")
     if name not in _WHERE:

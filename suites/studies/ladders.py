@@ -132,6 +132,19 @@ def _apart(rung: float) -> Problem:
     return replace(plain, given={name: rung * value for name, value in plain.given.items()})
 
 
+def _close(rung: float) -> Problem:
+    """As `_photo`, for SSIM as a metric."""
+    plain = COMPONENTS["ssim"].problem(COMPONENTS["ssim"].tiny)
+    truth = plain.given["truth"]
+    return replace(plain, leaves={"image": truth + (plain.leaves["image"] - truth) / rung})
+
+
+def _weak(rung: float) -> Problem:
+    """An update by a gradient `rung` times as small: Adam's own size of a step does not follow it."""
+    plain = COMPONENTS["adam"].problem(COMPONENTS["adam"].tiny)
+    return replace(plain, given={"gradient": plain.given["gradient"] / rung})
+
+
 LADDERS = (
     Ladder(component="rasterizer", name="longest axis / shortest", rungs=decades(1, 6),
            problem=_scene(_needles)),
@@ -146,6 +159,13 @@ LADDERS = (
            reason="means less the camera's centre, both rounded to float32: off by 1e-7 of the distance"),
     Ladder(component="rasterizer", name="times the harmonics", rungs=decades(0, 6),
            problem=_scene(lambda s, h: s.but(sh=s.sh * h))),
+    # at 16 the derivative of every float32 sigmoid is off by 5 %: 1 - opacity is rounded to 6e-8
+    Ladder(component="pipeline", name="opacity logit", rungs=(1.0, 2.0, 4.0, 8.0),
+           problem=_leaf("pipeline", "opacity_logits", torch.add)),
+    Ladder(component="ssim", name="times as alike", rungs=decades(0, 6), problem=_close),
+    Ladder(component="adam", name="times as weak a gradient", rungs=decades(0, 20, 5), problem=_weak),
+    Ladder(component="stitching", name="opacity logit", rungs=(1.0, 4.0, 8.0, 16.0),
+           problem=_leaf("stitching", "opacity_logits", torch.add)),
     Ladder(component="loss", name="times as alike", rungs=decades(0, 6), problem=_photo),
     Ladder(component="anchors", name="times as far apart", rungs=decades(0, 6), problem=_apart),
     Ladder(component="soft rank", name="spread / temperature", rungs=decades(0, 8, 2),

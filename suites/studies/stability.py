@@ -9,9 +9,24 @@ from torch import Tensor
 
 from splatproof.base.errors import SplatproofError
 from splatproof.reference.checks.agreement import compare_gradients
-from splatproof.suites.hard_cases import blocks, components, gaussians, images
+from splatproof.suites.hard_cases import (
+    blocks,
+    components,
+    gaussians,
+    images,
+    rising_blocks,
+    rising_metrics,
+    rising_views,
+    steps,
+)  # fmt: skip
 from splatproof.suites.hard_cases.case import HardCase
+from splatproof.suites.hard_cases.rising import Rising
 from splatproof.suites.studies import ladders
+
+CASES: tuple[HardCase, ...] = (*components.CASES, *blocks.CASES, *images.CASES)
+"""One difficult input each."""
+RISING: tuple[Rising, ...] = (*rising_blocks.CASES, *rising_views.CASES, *rising_metrics.CASES)
+"""A difficulty each that is raised rung by rung."""
 
 
 def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
@@ -21,12 +36,28 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
     discontinuity_pixels, budget, ms, ok, note; those of a ladder also have ladder and hardness.
 
     Args:
-        quick: Leave out the cases of more than a thousand Gaussians, and most rungs of ladders.
+        quick: Leave out the cases of more than a thousand Gaussians, most rungs of ladders, and short
+            trainings of methods.
     """
-    for case in (*components.CASES, *blocks.CASES, *images.CASES):
+    for case in CASES:
         yield judge(case)
+    for case in RISING:
+        for rung in case.rungs:
+            yield climbed(case, rung)
     yield from gaussians.rows(quick=quick)
     yield from ladders.rows(quick=quick)
+    yield from steps.rows(quick=quick)
+
+
+def climbed(case: Rising, rung: float) -> dict[str, Any]:
+    """The row of one rung of a difficulty that rises.
+
+    Args:
+        case: The difficulty.
+        rung: How difficult.
+    """
+    row = judge(case.at(rung)) | {"ladder": case.name, "hardness": rung}
+    return row | {"note": case.reason if case.more(rung) > 1 else ""}
 
 
 def judge(case: HardCase) -> dict[str, Any]:

@@ -12,7 +12,11 @@ from matplotlib.lines import Line2D
 from splatproof.suites.gallery.drawing import COLOURS, save
 
 Row = dict[str, Any]
-COLUMNS = 3
+COLUMNS = 5
+PANEL = (3.4, 2.7)
+"""Inches of a panel with its title and its axis: fixed, for a layout that is solved takes half a minute."""
+KEY = 1.0
+"""Inches of the key below."""
 LEAST = 1e-9
 """Errors below are drawn there: equal numbers have no place on a logarithmic axis."""
 
@@ -31,7 +35,12 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
     names = list(dict.fromkeys(row["implementation"] for row in held))
     colours = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(names)}
     lines = math.ceil(len(ladders) / COLUMNS)
-    figure = Figure(figsize=(4.2 * COLUMNS, 3.0 * lines + 0.8), dpi=100, layout="constrained")
+    width, height = PANEL[0] * COLUMNS, PANEL[1] * lines + KEY
+    figure = Figure(figsize=(width, height), dpi=100)
+    figure.subplots_adjust(
+        left=0.6 / width, right=1 - 0.2 / width, bottom=(KEY + 0.6) / height, top=1 - 0.4 / height,
+        wspace=0.25, hspace=0.5,
+    )  # fmt: skip
     panels = figure.subplots(lines, COLUMNS, squeeze=False).flatten()
     for panel, ladder in zip(panels, ladders, strict=False):
         own = [row for row in held if (row["component"], row["ladder"]) == ladder]
@@ -44,7 +53,7 @@ def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
     key += [Line2D([], [], color="k", label="output, of its largest value"),
             Line2D([], [], color="k", ls="--", label="gradient, relative L2"),
             Line2D([], [], color="k", ls=":", lw=0.8, label="budget of the output")]  # fmt: skip
-    figure.legend(handles=key, loc="outside lower center", ncols=5, fontsize=8)
+    figure.legend(handles=key, loc="lower center", ncols=6, fontsize=8)
     save(figure, folder / "stability.png")
     return [folder / "stability.png"]
 
@@ -55,6 +64,8 @@ def _panel(axes: Axes, rows: Sequence[Row], colours: dict[str, str]) -> None:
         at = [row["hardness"] for row in own]
         for key, style in (("max_abs_error", "-"), ("grad_rel_l2", "--")):
             errors = [max(row[key], LEAST) for row in own]
+            if key == "grad_rel_l2" and max(errors) == LEAST:  # there is no backward pass
+                continue
             axes.plot(at, errors, style, color=colours[name], lw=1.2, marker="o", ms=3)
         axes.plot(at, [row["budget"] for row in own], ":", color=colours[name], lw=0.8)
     axes.set(xscale="log", yscale="log", ylim=(LEAST / 2, 3.0))

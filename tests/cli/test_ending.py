@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from contextlib import suppress
 from pathlib import Path
 
@@ -54,6 +55,34 @@ def ended(process: subprocess.Popen[str], number: signal.Signals) -> tuple[int, 
             os.killpg(process.pid, signal.SIGKILL)
     assert said == ""
     return process.returncode, errors
+
+
+KILLS_ITSELF = """
+import os, signal, sys
+class At:
+    def find_spec(self, name, path=None, target=None):
+        if name == os.environ["AT"]:
+            os.kill(os.getpid(), int(os.environ["BY"]))
+sys.meta_path.insert(0, At())
+"""
+
+
+@pytest.mark.parametrize("at", ["splatproof.cli", "inspect", "tyro", "splatproof.cli.ending"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_still_loading_ends_in_one_line(tmp_path, at, number):
+    """The signal comes when the console script begins to import a module."""
+    (tmp_path / "sitecustomize.py").write_text(KILLS_ITSELF)
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    module, _, function = project["scripts"]["bench"].partition(":")
+    script = f"import sys; from {module} import {function} as run; sys.exit(run())"
+    ended = subprocess.run(
+        [sys.executable, "-c", script, "scenes", "list"], text=True, check=False, capture_output=True,
+        env=os.environ | {"PYTHONPATH": str(tmp_path), "AT": at, "BY": str(int(number))},
+    )  # fmt: skip
+    how = {signal.SIGTERM: "terminated", signal.SIGINT: "interrupted"}[number]
+    assert ended.returncode == 128 + number
+    assert ended.stderr == f"bench: {how}; the same command continues where it stopped\n"
+    assert ended.stdout == ""
 
 
 CASES = [

@@ -340,7 +340,7 @@ def test_the_unbroken_scene_opens(good, kind):
     [
         ({"width": 500}, r"photo_000.png: protocol rules: asks for 500 x .* never enlarged"),
         ({"factor": 0.5}, r"factor is 0.5"),
-        ({"hold": 1}, r"hold 1 leaves none of 3 views for training"),
+        ({"hold": 1}, r"bin.*: protocol rules: hold 1 leaves none of 3 views for training"),
         ({"hold": -1}, r"hold is -1"),
         ({"test_names": ("photo_9.png",)}, r"'photo_9.png' is not among the 3 .*photo_00"),
         ({"images": "images_4"}, r"looked for the folder images_4 \(protocol rules\)"),

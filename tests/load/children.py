@@ -31,9 +31,6 @@ from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.types.protocol import Protocol
 
-WIDTH = 1600
-"""Pixels across the images that are trained on, as in the 3DGS release."""
-
 
 def views(folder: Path, steps: int) -> dict[str, object]:
     """Open a scene and train on it.
@@ -43,10 +40,16 @@ def views(folder: Path, steps: int) -> dict[str, object]:
         steps: Of training.
     """
     begun = time.process_time()
-    scene = open_scene(folder, Protocol(name="large", source="test", width=WIDTH))
+    scene = open_scene(folder, Protocol(name="large", source="test"))
     opened = time.process_time() - begun
     model = fit(scene.for_training(), Settings(iterations=steps), Run(backend="cpu", threads=1))
-    return {"views": len(scene.views), "opened_s": opened, "primitives": len(model.model)}
+    width = scene.views[0].camera.width
+    return {
+        "views": len(scene.views),
+        "opened_s": opened,
+        "primitives": len(model.model),
+        "width": width,
+    }
 
 
 def merge(folder: Path, block: int, blocks: int) -> dict[str, object]:

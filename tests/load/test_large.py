@@ -20,7 +20,7 @@ from splatproof.base.memory import MEBIBYTE
 pytestmark = pytest.mark.slow
 CHILD = "load.children"
 VIEWS, STEPS, VIEWS_MB = 5_000, 200, 2048
-"""Photos of 4000 x 3000, steps of training on them at a width of 1600, and MiB that both take."""
+"""Photos of 4000 x 3000, steps of training on them as they are, and MiB that both take."""
 BLOCK, BLOCKS, MERGED_MB = 1_000_000, 50, 8192
 """Gaussians of a block, blocks that are merged and packed, and MiB that both take."""
 RESULTS, RESULTS_MB = 10_000, 1536
@@ -60,6 +60,7 @@ def test_five_thousand_large_photos_are_opened_and_trained_on(tmp_path):
     hard_links(tmp_path / "one.jpg", names)
     told = peak_of("views", tmp_path / "scene", STEPS)
     assert told["views"] == VIEWS
+    assert told["width"] == size[0]
     assert told["peak_mb"] < VIEWS_MB
 
 

@@ -18,14 +18,16 @@ from splatproof.datasets.ingesting.survey import survey_photos
 from splatproof.datasets.photos import check_photo, photo_size, read_photo
 
 
-def png(width: int, height: int, depth: int, colours: int, pixels: bytes) -> bytes:
+def png(
+    width: int, height: int, depth: int, colours: int, pixels: bytes, interlaced: int = 0
+) -> bytes:
     """A PNG with that header around pixels that may be of another size."""
 
     def chunk(kind: bytes, content: bytes) -> bytes:
         whole = kind + content
         return struct.pack(">I", len(content)) + whole + struct.pack(">I", zlib.crc32(whole))
 
-    header = struct.pack(">IIBBBBB", width, height, depth, colours, 0, 0, 0)
+    header = struct.pack(">IIBBBBB", width, height, depth, colours, 0, 0, interlaced)
     parts = (chunk(b"IHDR", header), chunk(b"IDAT", zlib.compress(pixels, 9)), chunk(b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
@@ -45,6 +47,46 @@ def test_a_png_whose_rows_are_not_there(tmp_path):
     path.write_bytes(png(16, 1_000_000, 8, 3, bytes(200)))  # Pillow gives it black, in a second
     with pytest.raises(DataError, match=r"tall\.png: says that its \d+ bytes hold 15 MB"):
         read_photo(path)
+
+
+def rows_of(count: int, width: int, depth: int, channels: int, value: int = 7) -> bytes:
+    """Rows of a PNG without a filter, all of one value."""
+    return (b"\0" + bytes([value]) * ((width * depth * channels + 7) // 8)) * count
+
+
+@pytest.mark.parametrize(
+    ("depth", "colours", "channels"),
+    [(8, 2, 3), (8, 0, 1), (1, 0, 1), (2, 3, 1), (16, 2, 3), (8, 6, 4)],
+)
+@pytest.mark.parametrize("short", [1, 5])
+def test_a_png_that_is_a_few_rows_short(tmp_path, depth, colours, channels, short):
+    """Pillow and OpenCV leave the missing rows black."""
+    path = tmp_path / "short.png"
+    path.write_bytes(png(41, 60, depth, colours, rows_of(60 - short, 41, depth, channels)))
+    for read in (check_photo, read_photo, lambda at: read_photo(at, (1.0, 1.0, 1.0))):
+        with pytest.raises(DataError, match=r"short\.png: its last rows are missing; replace"):
+            read(path)
+
+
+def test_a_png_whose_last_row_is_black_is_read(tmp_path):
+    path = tmp_path / "dark.png"
+    for mode in ("1", "L", "P", "RGB"):
+        Image.new(mode, (41, 60)).save(path)
+        assert float(read_photo(path).max()) == 0.0
+    path.write_bytes(png(41, 60, 8, 2, rows_of(60, 41, 8, 3, value=0)))
+    assert float(read_photo(path).max()) == 0.0
+
+
+@pytest.mark.parametrize("short", [0, 1])
+def test_an_interlaced_png_needs_all_of_its_passes(tmp_path, short):
+    path, passes = tmp_path / "woven.png", [(1, 1), (1, 1), (2, 1), (2, 2), (4, 2), (4, 4), (8, 4)]
+    rows = b"".join(rows_of(high, wide, 8, 1) for wide, high in passes)
+    path.write_bytes(png(8, 8, 8, 0, rows[: len(rows) - 9 * short], interlaced=1))
+    if short:
+        with pytest.raises(DataError, match=r"woven\.png: its last rows are missing"):
+            read_photo(path)
+    else:
+        assert float(read_photo(path).min()) == pytest.approx(7 / 255)
 
 
 @pytest.mark.parametrize("mode", ["1", "L", "P", "RGB", "LA", "RGBA"])

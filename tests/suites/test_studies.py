@@ -1,21 +1,112 @@
 """The studies' own rows, and judges that must see planted errors."""
 
+import os
+import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from splatproof.suites.hard_cases import blocks, components, images
+from splatproof.methods.registry import METHODS
+from splatproof.suites.gallery.pictures import COMPONENTS as SHOWN
+from splatproof.suites.hard_cases import covered, gaussians, steps
 from splatproof.suites.hard_cases.case import HardCase, drawn, fixed
 from splatproof.suites.studies import ladders, memory, stability, stability_plot
 from splatproof.suites.studies.study import STUDIES
+from splatproof.suites.twins.registry import COMPONENTS as TWINS
 
-CASES = (*components.CASES, *blocks.CASES, *images.CASES)
 
-
-@pytest.mark.parametrize("case", CASES, ids=lambda c: f"{c.component}: {c.name}")
+@pytest.mark.parametrize("case", stability.CASES, ids=lambda c: f"{c.component}: {c.name}")
 def test_every_component_survives_its_hard_cases(case):
     row = stability.judge(case)
+    assert row["ok"], row
+
+
+@pytest.mark.parametrize("case", stability.RISING, ids=lambda c: f"{c.component}: {c.name}")
+def test_every_component_survives_what_grows_harder(case):
+    for rung in case.rungs:
+        row = stability.climbed(case, rung)
+        assert row["ok"], row
+    assert bool(case.reason) == (case.more(case.rungs[-1]) > 1)
+
+
+def entered(run: Callable[[], object]) -> set[str]:
+    """Files whose functions were called, from the repository's root, without .py."""
+    root, found = str(Path(steps.__file__).resolve().parents[2]), set()
+
+    def note(frame: Any, event: str, argument: object) -> None:
+        del event, argument
+        found.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        run()
+    finally:
+        sys.setprofile(None)
+    real = {os.path.realpath(name) for name in found}
+    return {name[len(root) + 1 : -3] for name in real if name.startswith(root)}
+
+
+def tried_by(label: str) -> list[Callable[[], object]]:
+    """What runs the rows of one component, each once, as easily as it may be."""
+    cases = [partial(stability.judge, one) for one in stability.CASES if one.component == label]
+    rising = [
+        partial(stability.climbed, one, one.rungs[0])
+        for one in stability.RISING
+        if one.component == label
+    ]
+    up = [
+        lambda one=one: list(ladders.climbed(one, one.rungs[0]))
+        for one in ladders.LADDERS
+        if one.component == label
+    ]
+    more = {
+        "rasterizer": [partial(gaussians.judge, "one Gaussian", "reference")],
+        steps.COMPONENT: [partial(steps.judge, "3dgs", 1.0)],
+    }
+    return [*cases, *rising, *up[:1], *more.get(label, [])]
+
+
+def test_no_component_is_left_out():
+    """A component that is new must get a case, and its case must run it."""
+    shown = {module for component in SHOWN for module in component.modules}
+    assert set(covered.REFERENCE) == shown
+    for module, labels in covered.REFERENCE.items():
+        assert all(map(tried_by, labels)), f"{module}: no such row: {labels}"
+        assert any(module in entered(run) for label in labels for run in tried_by(label)), module
+
+
+def test_no_twin_and_no_method_is_left_out():
+    laddered = {one.component for one in ladders.LADDERS}
+    assert laddered.isdisjoint(covered.TWINS)
+    assert laddered | set(covered.TWINS) == set(TWINS)
+    assert all(tried_by(label) for labels in covered.TWINS.values() for label in labels)
+    assert set(steps.PREPARED) == set(METHODS)
+
+
+def test_a_step_that_is_off_is_seen(monkeypatch):
+    assert steps.judge("scaffold-gs", steps.RUNGS[-1])["ok"]
+    right = steps.step_of
+
+    def wrong(*given: Any, wide: bool, counted: torch.Tensor | None) -> steps.Step:
+        found = right(*given, wide=wide, counted=counted)
+        spoiled = found.gradients | {"features": 1.01 * found.gradients["features"]}
+        return found if wide else replace(found, gradients=spoiled)
+
+    monkeypatch.setattr(steps, "step_of", wrong)
+    row = steps.judge("scaffold-gs", steps.RUNGS[-1])
+    assert not row["ok"]
+    assert row["note"] == "worst: features"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_learns_from_a_nasty_start(method, tmp_path):
+    row = steps.fitted(method, tmp_path)
     assert row["ok"], row
 
 

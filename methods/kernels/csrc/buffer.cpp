@@ -12,6 +12,8 @@ namespace {
 
 constexpr size_t SMALL = 1 << 14;  // below this malloc is as good
 constexpr unsigned KEEP = 200;     // requests after which a block that nobody wanted goes back to the system
+// Bytes that are kept at once: a step at 4000 x 3000 has used 725 MB, in sizes that change from view to view.
+constexpr size_t MOST_IDLE = (size_t)1 << 29;
 
 struct Idle {
   void* memory;
@@ -22,6 +24,7 @@ struct Idle {
 std::mutex mutex;
 std::vector<Idle> idle;
 unsigned requests = 0;
+size_t idle_bytes = 0;
 std::atomic<size_t> held{0}, peak{0};
 
 void count_up(size_t bytes) {
@@ -51,7 +54,11 @@ void* take_memory(size_t bytes) {
     for (const Idle& block : idle) {
       if (!found && block.bytes == bytes) found = block.memory;
       else if (requests - block.since > KEEP) std::free(block.memory);
-      else idle[kept++] = block;
+      else {
+        idle[kept++] = block;
+        continue;
+      }
+      idle_bytes -= block.bytes;
     }
     idle.resize(kept);
     if (found) {
@@ -69,19 +76,24 @@ void give_memory(void* memory, size_t bytes) {
   if (!memory) return;
   bytes = rounded(bytes ? bytes : 1);
   held -= bytes;
-  if (bytes < SMALL) {
+  if (bytes < SMALL || bytes > MOST_IDLE) {
     std::free(memory);
     return;
   }
   std::lock_guard<std::mutex> lock(mutex);
+  size_t oldest = 0;
+  for (; idle_bytes + bytes > MOST_IDLE; ++oldest) {
+    std::free(idle[oldest].memory);
+    idle_bytes -= idle[oldest].bytes;
+  }
+  idle.erase(idle.begin(), idle.begin() + oldest);
   idle.push_back({memory, bytes, requests});
+  idle_bytes += bytes;
 }
 
 Memory memory_in_use() {
   std::lock_guard<std::mutex> lock(mutex);
-  size_t sum = 0;
-  for (const Idle& block : idle) sum += block.bytes;
-  return {held, peak, sum};
+  return {held, peak, idle_bytes};
 }
 
 void forget_peak() { peak = held.load(); }

@@ -62,6 +62,15 @@ def test_scratch_is_given_back():
     assert idle > 0
 
 
+@pytest.mark.slow
+def test_what_is_kept_of_large_pictures_is_bounded():
+    """Each of another size, so that none finds what the one before has given back."""
+    for width in (4000, 4500, 5000):
+        gradients(random_scene(20, 3, width=width, height=3000))
+        assert _ext.memory()[2] <= 2**29
+    assert _ext.memory()[2] > 0
+
+
 LARGE = """
 import resource, torch
 from splatproof.methods.kernels import rasterizer
