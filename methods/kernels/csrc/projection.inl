@@ -208,7 +208,7 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       narrow(geo[SLOPE] + l, zero - e.cxy / e.cyy);
       narrow(geo[TIP] + l, e.cxy * square_root(reach2 / e.cxx));
       narrow(geo[INV_L11] + l, 1 / w.l11);
-      narrow(geo[HALF_X] + l, hx);
+      narrow(geo[LOG_OPACITY] + l, limit - 7.99435343685885793);
       narrow(geo[HALF_Y] + l, hy);
       narrow(geo[DEPTH] + l, e.z);
       narrow(geo[DISTANCE] + l, ray.distance);

@@ -16,6 +16,8 @@ struct State {
   Buffer<float> geo, features;
   Buffer<uint8_t> drawn;
   Buffer<uint32_t> processed;
+  Buffer<uint16_t> blocks;
+  Buffer<float> trace;
   Bins bins;
 
   int across() const { return (camera.width + TILE - 1) / TILE; }
