@@ -8,6 +8,7 @@ constexpr int REACH = 5;  // the window has 2 * 5 + 1 taps
 constexpr int SPAN = 2 * REACH + 1;
 constexpr int SOURCES = 4;  // a, b, a^2 + b^2, a b: SSIM takes both variances in sum
 constexpr int MAPS = 3;     // SSIM's derivatives by the local means of a, a^2 and a b
+constexpr int STRIP_ROWS_AHEAD = 3;  // rows of a strip that are fetched before they are needed: no prefetcher sees them coming
 constexpr float SSIM_C1 = 1e-4f, SSIM_C2 = 9e-4f;
 
 // Buffers of one strip of LOSS_STRIP floats that starts at `left`; everything has `margin` floats more on both
@@ -92,6 +93,12 @@ STAGE void take_row(const Strip& s, int y, float* out) {
     return;
   }
   const int all_of = s.wide + 2 * s.margin, from = s.left - 2 * s.margin;
+  if (y + STRIP_ROWS_AHEAD < loss.height)
+    for (int i = 0; i < all_of; i += L) {
+      const size_t later = (size_t)(y + STRIP_ROWS_AHEAD) * loss.width * loss.channels + (size_t)(from + i < 0 ? 0 : from + i);
+      __builtin_prefetch(loss.image + later);
+      __builtin_prefetch(loss.truth + later);
+    }
   read_part(loss.image, loss, y, from, all_of, s.source[0]);
   read_part(loss.truth, loss, y, from, all_of, s.source[1]);
   for (int i = 0; i < all_of; i += L) {

@@ -2,15 +2,18 @@
 
 namespace {
 
-INLINE void prefetch(const Tiles& tiles, uint32_t id) {
+// Whether a Gaussian's features are three colours, and perhaps its depth, which lie beside its ellipse.
+INLINE bool in_line(const Tiles& tiles, int features) { return tiles.coloured && features <= 4; }
+
+INLINE void prefetch(const Tiles& tiles, uint32_t id, int features) {
   __builtin_prefetch(tiles.geo + (size_t)id * GEO);
-  __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
+  if (!in_line(tiles, features)) __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
 }
 
 // The interval of x, relative to `mx`, that a support covers between dy = d0 and dy = d1 relative to its mean;
 // a little more, so that rounding never cuts a contribution off.
 INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to) {
-  const vf tip = load(g[TIP]), slope = load(g[SLOPE]), l22 = load(g[L22]), zero = all(0);
+  const vf tip = load(g[TIP]), slope = load(g[L12]) * load(g[INV_L11]), l22 = load(g[L22]), zero = all(0);
   const vf right = minimum(maximum(tip, d0), d1), left = minimum(maximum(zero - tip, d0), d1);
   const vf vr = l22 * right, vl = l22 * left, inv = load(g[INV_L11]);
   const vf slack = all(1e-3f) + all(1e-6f) * absolute(slope) * (absolute(right) + absolute(left));
@@ -18,17 +21,18 @@ INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to)
   from = zero - square_root(maximum(reach2 - vl * vl, zero)) * inv - slope * left - slack;
 }
 
-INLINE vf wider_reach(const float (*g)[L]) { return load(g[LIMIT]) * all(1.0001f) + all(1e-4f); }
+INLINE vf wider_reach(const float (*g)[L]) { return (load(g[LOG_OPACITY]) - all(LEAST)) * all(1.0001f) + all(1e-4f); }
 INLINE vf wider_half(const float (*g)[L]) { return load(g[HALF_Y]) * all(1.0001f) + all(1e-3f); }
 
 // Which of a tile's blocks hold a pixel row that the support of a Gaussian covers some of; `mx`, `my` is its mean
 // relative to the tile's corner. The sixteen lanes are the tile's rows of pixels.
 INLINE unsigned blocks_met(const float* g, float mx, float my, vf rows) {
   const vf dy = rows - all(my), v = all(g[L22]) * dy;
-  const vf reach2 = all(g[LIMIT] * 1.0001f + 1e-4f) - v * v;
+  const float slope = g[L12] * g[INV_L11];
+  const vf reach2 = all((g[LOG_OPACITY] - LEAST) * 1.0001f + 1e-4f) - v * v;
   const vf half = square_root(maximum(reach2, all(0))) * all(g[INV_L11]);
-  const vf middle = all(mx) - all(g[SLOPE]) * dy;
-  const vf slack = all(1e-3f) + all(1e-6f * __builtin_fabsf(g[SLOPE])) * absolute(dy);
+  const vf middle = all(mx) - all(slope) * dy;
+  const vf slack = all(1e-3f) + all(1e-6f * __builtin_fabsf(slope)) * absolute(dy);
   const vf from = middle - half - slack, to = middle + half + slack;
   const unsigned some = bits(reach2 >= all(0));
   unsigned met = 0;
@@ -50,7 +54,7 @@ INLINE void set_rank(float* rec, uint32_t rank) {
 INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec,
                         float& mx, float& my) {
   const float* g = tiles.geo + (size_t)id * GEO;
-  const float* f = tiles.features + (size_t)id * tiles.stride;
+  const float* f = in_line(tiles, features) ? g + COLOUR : tiles.features + (size_t)id * tiles.stride;
   mx = (g[X_WHOLE] - left) + g[X_PART];
   my = (g[Y_WHOLE] - top) + g[Y_PART];
   rec[R_U0] = -(g[L11] * mx + g[L12] * my);
@@ -76,9 +80,9 @@ STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int
   float lines[L];
   for (int l = 0; l < L; ++l) lines[l] = l + 0.5f;
   const vf rows = load(lines);
-  for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, ids[k]);
+  for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, ids[k], features);
   for (int k = 0; k < count; ++k) {
-    if (k + AHEAD < count) prefetch(tiles, ids[k + AHEAD]);
+    if (k + AHEAD < count) prefetch(tiles, ids[k + AHEAD], features);
     float mx, my;
     fill_record(tiles, ids[k], begin + (uint32_t)k, features, (float)left, (float)top, scratch.recs + (size_t)k * stride, mx, my);
     if (MEET) met[k] = (uint16_t)blocks_met(tiles.geo + (size_t)ids[k] * GEO, mx, my, rows);

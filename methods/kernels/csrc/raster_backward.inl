@@ -217,15 +217,14 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
 
 // Of a block, while Gaussians are taken away again from the last to the first. `behind` is the gradient-weighted
 // colour of what lies behind, so the gradient by an alpha needs no division by it.
-enum Undrawn { UN_LEFT, UN_BEHIND, UN_BY, UN_LAST = UN_BY + 3, UNDRAWN };
+enum Undrawn { UN_LEFT, UN_BEHIND, UN_BY, UN_LAST = UN_BY + 3, UN_X, UN_Y, UNDRAWN };
 
 constexpr int SUMS = S_FEATURES + 3;
 constexpr unsigned ALL_SUMS = (1u << SUMS) - 1, NO_MODULI = ALL_SUMS & ~(1u << S_ABS_X | 1u << S_ABS_Y);
 
 // One Gaussian over K registers of pixels: `sums` grows, lane by lane, and the pixels' state goes back by one.
 template <int K, bool MODULI>
-INLINE void undraw(const float* rec, float* const (&state)[K], const Pixels<WIDTH> (&pixels)[K],
-                   V<float, WIDTH> (&sums)[SUMS]) {
+INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (&sums)[SUMS]) {
   typedef V<float, WIDTH> Value;
   const auto one = [=](float x) { return broadcast<float, WIDTH>(x); };
   const auto part = [&](int k, int j) { return read<float, WIDTH>(state[k] + j * L); };
@@ -233,7 +232,7 @@ INLINE void undraw(const float* rec, float* const (&state)[K], const Pixels<WIDT
   Value alpha[K], inverse[K], weight[K], g[K];
 #pragma GCC unroll 2
   for (int k = 0; k < K; ++k) {
-    e[k] = exponent<WIDTH>(rec, pixels[k]);
+    e[k] = exponent<WIDTH>(rec, {part(k, UN_X), part(k, UN_Y)});
     alpha[k] = e[k].t;
   }
   exp2_of(alpha);
@@ -314,6 +313,8 @@ INLINE void store_sums(const V<float, WIDTH> (&sums)[SUMS], float* row) {
   }
 }
 
+constexpr uint32_t ROWS_AHEAD = 8;  // rows of sums that are fetched before they are written
+
 // Three channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
 // transmittances from those that the forward pass left. Each row is written once.
 template <bool MODULI>
@@ -335,12 +336,17 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
     store(state + UN_BEHIND * L, load(pixel.left));
     for (int c = 0; c < 3; ++c) store(state + (UN_BY + c) * L, load(pixel.feature[c]));
     store(state + UN_LAST * L, load(trace + TR_LAST * L));
+    const Pixels<L> pixels = pixels_of<L>(centres, b, 0);
+    store(state + UN_X * L, pixels.x);
+    store(state + UN_Y * L, pixels.y);
   }
   for (uint32_t begin = (count - 1) / CHUNK * CHUNK;; begin -= CHUNK) {
     const int here = count - begin < (uint32_t)CHUNK ? (int)(count - begin) : CHUNK;
     prepare<false>(tiles, scratch, FEATURES, left, top, first, begin, here, nullptr);
     for (int k = here - 1; k >= 0; --k) {
       const float* rec = scratch.recs + (size_t)k * stride;
+      float* row = sums + (size_t)(begin + k) * L;
+      if (begin + k >= ROWS_AHEAD) __builtin_prefetch(row - ROWS_AHEAD * L, 1);
       V<float, WIDTH> total_of[SUMS];
       for (int j = 0; j < SUMS; ++j) total_of[j] = broadcast<float, WIDTH>(0);
       for (unsigned in_blocks = tiles.blocks[first + begin + k]; in_blocks;) {
@@ -351,16 +357,14 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
           const int c = in_blocks ? __builtin_ctz(in_blocks) : b;
           if (c != b) {
             in_blocks &= in_blocks - 1;
-            undraw<2, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L},
-                              {pixels_of<WIDTH>(centres, b, 0), pixels_of<WIDTH>(centres, c, 0)}, total_of);
-          } else undraw<1, MODULI>(rec, {state}, {pixels_of<WIDTH>(centres, b, 0)}, total_of);
+            undraw<2, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
+          } else undraw<1, MODULI>(rec, {state}, total_of);
         } else {
           for (int part = 0; part < L; part += 2 * WIDTH)
-            undraw<2, MODULI>(rec, {state + part, state + part + WIDTH},
-                              {pixels_of<WIDTH>(centres, b, part), pixels_of<WIDTH>(centres, b, part + WIDTH)}, total_of);
+            undraw<2, MODULI>(rec, {state + part, state + part + WIDTH}, total_of);
         }
       }
-      store_sums<MODULI ? ALL_SUMS : NO_MODULI>(total_of, sums + (size_t)(begin + k) * L);
+      store_sums<MODULI ? ALL_SUMS : NO_MODULI>(total_of, row);
     }
     if (begin == 0) break;
   }

@@ -30,7 +30,7 @@ uint64_t pairs_listed() { return listed; }
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
-  return {geo.data(), features.data(), stride, bins.entries.data(), bins.start.data(),
+  return {geo.data(), features.data(), stride, channels == 3, bins.entries.data(), bins.start.data(),
           processed.data(), blocks.size() ? blocks.data() : nullptr, trace.size() ? trace.data() : nullptr, across(),
           camera.width, camera.height};
 }

@@ -17,19 +17,18 @@ constexpr float T_MIN = 1e-4f;
 constexpr double BLUR = 0.3;
 constexpr double WHITEN = 0.84932180028801904272;  // sqrt(log2(e) / 2): exponents are powers of 2
 
-// One projected Gaussian. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky factor of
-// the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
-// alpha = opacity 2^-(u^2 + v^2), and the support is u^2 + v^2 <= limit.
+// One projected Gaussian, a line of the cache. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky
+// factor of the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
+// alpha = opacity 2^-(u^2 + v^2), and the support is where that is 1/255 or more.
 enum Geo {
   X_WHOLE, X_PART, Y_WHOLE, Y_PART,  // mean in pixels = whole + part: float32 alone loses 1e-4 px at 1000
   L11, L12, L22, OPACITY,
-  LIMIT,     // log2(255 opacity)
-  SLOPE,     // l12 / l11: how the ellipse's middle moves with dy
-  TIP,       // dy at the ellipse's rightmost point
-  INV_L11,
   LOG_OPACITY,  // log2(opacity)
+  TIP,          // dy at the ellipse's rightmost point
+  INV_L11,      // l12 times it is how the ellipse's middle moves with dy
   HALF_Y,       // half-extent of the support in pixels
-  DEPTH, DISTANCE,
+  COLOUR,       // where there are three channels: what tiles need of most pictures is in this line
+  DEPTH = COLOUR + 3,
   GEO
 };
 
@@ -88,6 +87,7 @@ struct Tiles {
   const float* geo;
   const float* features;
   int stride;                  // floats between the features of two Gaussians
+  bool coloured;               // whether geo has their colours
   const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
   const uint32_t* start;       // [tiles + 1] into entries
   uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
