@@ -173,6 +173,8 @@ INLINE V<double, N> round_down(V<double, N> x) {
 void project(const Camera& cam, const Model& model, const Projection& out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
+    if (model.sh && i + L < last)
+      fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, last - i < 2 * L ? (int)(last - i) - L : L);
     Lane16 in;
     gather(model, i, count, in);
     alignas(64) float geo[GEO][L], radius[L], dir[3][L], distance[L];

@@ -3,11 +3,10 @@
 #include <cstdint>
 
 #include "binning.hpp"
+#include "levels.hpp"
 #include "types.hpp"
 
 namespace splat {
-
-const Kernels& kernels();  // of the SIMD level in use
 
 struct State {
   Camera camera;

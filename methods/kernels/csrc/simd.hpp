@@ -7,6 +7,8 @@
 
 #if defined(__AVX__) || defined(__SSE2__)
 #include <immintrin.h>
+#elif defined(SPLAT_NEON)
+#include <arm_neon.h>
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
@@ -168,6 +170,8 @@ INLINE unsigned bits(M<T, N> m) {
     if constexpr (sizeof m.m == 32 && sizeof(T) == 4) return (unsigned)_mm256_movemask_ps((__m256)m.m);
 #elif defined(__SSE2__)
     if constexpr (sizeof(T) == 4) return (unsigned)_mm_movemask_ps((__m128)m.m);
+#elif defined(SPLAT_NEON)
+    if constexpr (sizeof(T) == 4) return vaddvq_u32(vandq_u32((uint32x4_t)m.m, uint32x4_t{1, 2, 4, 8}));
 #endif
     for (int l = 0; l < N; ++l) r |= (unsigned)(m.m[l] & 1) << l;
     return r;
@@ -199,6 +203,8 @@ INLINE V<float, N> minimum(V<float, N> a, V<float, N> b) {  // b where either is
     return {(NF)_mm256_min_ps((__m256)a.v, (__m256)b.v)};
 #elif defined(__SSE2__)
     return {(NF)_mm_min_ps((__m128)a.v, (__m128)b.v)};
+#elif defined(SPLAT_NEON)
+    return {(NF)vminnmq_f32((float32x4_t)a.v, (float32x4_t)b.v)};  // NaN: the other one
 #else
     return select(a < b, a, b);
 #endif
@@ -214,6 +220,8 @@ INLINE V<float, N> maximum(V<float, N> a, V<float, N> b) {  // b where either is
     return {(NF)_mm256_max_ps((__m256)a.v, (__m256)b.v)};
 #elif defined(__SSE2__)
     return {(NF)_mm_max_ps((__m128)a.v, (__m128)b.v)};
+#elif defined(SPLAT_NEON)
+    return {(NF)vmaxnmq_f32((float32x4_t)a.v, (float32x4_t)b.v)};  // NaN: the other one
 #else
     return select(a > b, a, b);
 #endif
@@ -229,7 +237,7 @@ INLINE V<float, N> absolute(V<float, N> a) {
 template <class T, int N>
 INLINE V<T, N> square_root(V<T, N> a) {
   if constexpr (leaf<T, N>) {
-    typedef typename V<T, N>::Values Values;
+    [[maybe_unused]] typedef typename V<T, N>::Values Values;
     if constexpr (sizeof(T) == 4) {
 #if defined(__AVX512F__)
       return {(Values)_mm512_sqrt_ps((__m512)a.v)};
@@ -237,6 +245,8 @@ INLINE V<T, N> square_root(V<T, N> a) {
       return {(Values)_mm256_sqrt_ps((__m256)a.v)};
 #elif defined(__SSE2__)
       return {(Values)_mm_sqrt_ps((__m128)a.v)};
+#elif defined(SPLAT_NEON)
+      return {(Values)vsqrtq_f32((float32x4_t)a.v)};
 #endif
     } else {
 #if defined(__AVX512F__)
@@ -245,9 +255,11 @@ INLINE V<T, N> square_root(V<T, N> a) {
       return {(Values)_mm256_sqrt_pd((__m256d)a.v)};
 #elif defined(__SSE2__)
       return {(Values)_mm_sqrt_pd((__m128d)a.v)};
+#elif defined(SPLAT_NEON)
+      return {(Values)vsqrtq_f64((float64x2_t)a.v)};
 #endif
     }
-#if !defined(__SSE2__)
+#if !defined(__SSE2__) && !defined(SPLAT_NEON)
     V<T, N> r;
     for (int l = 0; l < N; ++l) r.v[l] = sizeof(T) == 4 ? (T)__builtin_sqrtf((float)a.v[l]) : (T)__builtin_sqrt(a.v[l]);
     return r;
@@ -387,16 +399,13 @@ INLINE void transpose(const float* in, ptrdiff_t stride, float* out, ptrdiff_t o
   transpose_rows([=](int r) { return in + r * stride; }, out, out_stride);
 }
 
+#if defined(__AVX512F__)
 // Append first + l for each set bit l of `chosen`. May write 16 numbers, so leave room for them.
 INLINE int append(uint32_t* list, int length, uint32_t first, unsigned chosen) {
-#if defined(__AVX512F__)
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32((int)first), _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0));
   _mm512_storeu_si512(list + length, _mm512_maskz_compress_epi32((__mmask16)chosen, lanes));
   return length + __builtin_popcount(chosen);
-#else
-  for (; chosen; chosen &= chosen - 1) list[length++] = first + (uint32_t)__builtin_ctz(chosen);
-  return length;
-#endif
 }
+#endif
 
 }  // namespace

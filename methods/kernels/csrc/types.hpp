@@ -141,8 +141,8 @@ struct Loss {
   float* gradient;             // [height, width, channels] or null
 };
 
-constexpr int LOSS_STRIP = 128;  // floats of a row that are compared at once
-inline size_t loss_scratch(int margin) { return (size_t)63 * LOSS_STRIP + 88 * margin + 33 * LOSS_STRIP + 32 * margin; }
+constexpr int LOSS_STRIP = 320;  // floats of a row that are compared at once
+inline size_t loss_scratch(int margin) { return (size_t)87 * LOSS_STRIP + (size_t)112 * margin; }
 
 struct AdamTensor {
   float *value, *first, *second;
