@@ -29,7 +29,7 @@ double photometric(const float* image, const float* truth, const uint8_t* mask, 
   loss.channels = channels;
   loss.l1_weight = (float)((1 - dssim) / count);
   loss.ssim_weight = (float)(dssim / count);
-  loss.margin = (5 * channels + LANES - 1) / LANES * LANES;
+  loss.margin = loss_margin(channels);
 
   // a band repeats the work on 20 rows of its neighbours
   const int bands = threads == 1 ? 1 : std::min(std::max(1, height / 20), threads * 2);

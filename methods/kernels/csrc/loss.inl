@@ -12,13 +12,19 @@ constexpr int STRIP_ROWS_AHEAD = 3;  // rows of a strip that are fetched before 
 constexpr float SSIM_C1 = 1e-4f, SSIM_C2 = 9e-4f;
 
 // Buffers of one strip of LOSS_STRIP floats that starts at `left`; everything has `margin` floats more on both
-// sides, and what is blurred twice has two margins.
+// sides, and what is blurred twice has two margins. C channels, so that where a window lies is known beforehand; 0
+// is any number.
+template <int C>
 struct Strip {
   const Loss* loss;
-  int left, margin, wide;                  // wide = LOSS_STRIP + 2 margins
-  float *source[SOURCES], *map[MAPS];      // rows before they are blurred along x: with two margins, with one
-  float *valid, *a, *b;                    // with one margin; without
-  float *blurred[SPAN], *derived[SPAN];    // rings: sources with one margin, maps without
+  int left;
+  float *source[SOURCES], *map[MAPS];    // rows before they are blurred along x: with two margins, with one
+  float *valid, *a, *b;                  // with one margin; without
+  float *blurred[SPAN], *derived[SPAN];  // rings: sources with one margin, maps without
+
+  int channels() const { return C ? C : loss->channels; }
+  int margin() const { return C ? loss_margin(C) : loss->margin; }
+  int wide() const { return LOSS_STRIP + 2 * margin(); }
 };
 
 // Floats [from, from + count) of a row, zero outside it and where the mask is not set.
@@ -50,14 +56,14 @@ INLINE void clear(float* row, int count) {
 }
 
 // out[i] = sum_k taps[k] row[i + k channels] for i in [0, count).
-INLINE void blur_row(const float* row, float* out, int count, const Loss& loss) {
+INLINE void blur_row(const float* row, float* out, int count, int channels, const Loss& loss) {
   vf taps[REACH + 1];
   for (int k = 0; k <= REACH; ++k) taps[k] = all(loss.taps[k]);
   for (int i = 0; i < count; i += L) {
     vf sum = load(row + i) * taps[0];
 #pragma GCC unroll 5
     for (int k = 1; k <= REACH; ++k)
-      sum = sum + (load(row + i - k * loss.channels) + load(row + i + k * loss.channels)) * taps[k];
+      sum = sum + (load(row + i - k * channels) + load(row + i + k * channels)) * taps[k];
     store(out + i, sum);
   }
 }
@@ -86,13 +92,14 @@ INLINE float row_sum(vf v) {
 }
 
 // Row y of the sources, blurred along x, into the ring.
-STAGE void take_row(const Strip& s, int y, float* out) {
+template <int C>
+STAGE void take_row(const Strip<C>& s, int y, float* out) {
   const Loss& loss = *s.loss;
   if (y < 0 || y >= loss.height) {
-    clear(out, SOURCES * s.wide);
+    clear(out, SOURCES * s.wide());
     return;
   }
-  const int all_of = s.wide + 2 * s.margin, from = s.left - 2 * s.margin;
+  const int all_of = s.wide() + 2 * s.margin(), from = s.left - 2 * s.margin();
   if (y + STRIP_ROWS_AHEAD < loss.height)
     for (int i = 0; i < all_of; i += L) {
       const size_t later = (size_t)(y + STRIP_ROWS_AHEAD) * loss.width * loss.channels + (size_t)(from + i < 0 ? 0 : from + i);
@@ -106,47 +113,49 @@ STAGE void take_row(const Strip& s, int y, float* out) {
     store(s.source[2] + i, a * a + b * b);
     store(s.source[3] + i, a * b);
   }
-  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin, out + m * s.wide, s.wide, loss);
+  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.wide(), s.channels(), loss);
 }
 
 // SSIM around the pixels of row y, whose window's oldest row in the ring is given; returns its sum over the strip,
 // and leaves its derivatives blurred along x in `out` unless that is null.
-STAGE float derive_row(const Strip& s, int y, int oldest, float* out) {
+template <int C>
+STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
   const Loss& loss = *s.loss;
   if (y < 0 || y >= loss.height) {
     if (out) clear(out, MAPS * LOSS_STRIP);
     return 0;
   }
-  if (loss.mask) read_valid(loss, y, s.left - s.margin, s.wide, s.valid);
+  if (loss.mask) read_valid(loss, y, s.left - s.margin(), s.wide(), s.valid);
   vf similar = all(0);
-  const int from = out ? 0 : s.margin, to = out ? s.wide : s.margin + LOSS_STRIP;
+  const int from = out ? 0 : s.margin(), to = out ? s.wide() : s.margin() + LOSS_STRIP;
   for (int i = from; i < to; i += L) {
     vf mean[SOURCES];
-    blur_column<SOURCES>(s.blurred, oldest, i, s.wide, loss.taps, mean);
+    blur_column<SOURCES>(s.blurred, oldest, i, s.wide(), loss.taps, mean);
     const vf two = all(2), ma = mean[0], mb = mean[1], both = ma * ma + mb * mb, product = ma * mb;
     const vf a1 = two * product + all(SSIM_C1), a2 = two * (mean[3] - product) + all(SSIM_C2);
     const vf r1 = reciprocal(both + all(SSIM_C1)), r2 = reciprocal(mean[2] - both + all(SSIM_C2));
     // where nothing counts, `valid` is 0: the maps are 0 there, as the second blur needs them
     const vf scale = load(s.valid + i) * r1 * r2, ssim = a1 * a2 * scale, by_aa = all(0) - ssim * r2;
-    if (i >= s.margin && i < s.margin + LOSS_STRIP) similar = similar + ssim;
+    if (i >= s.margin() && i < s.margin() + LOSS_STRIP) similar = similar + ssim;
     if (!out) continue;
     store(s.map[0] + i, two * mb * (a2 - a1) * scale - two * ma * (ssim * r1 + by_aa));
     store(s.map[1] + i, by_aa);
     store(s.map[2] + i, two * a1 * scale);
   }
   if (out)
-    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin, out + m * LOSS_STRIP, LOSS_STRIP, loss);
+    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin(), out + m * LOSS_STRIP, LOSS_STRIP, s.channels(), loss);
   return row_sum(similar);
 }
 
 // The sum of |a - b| over row y of the strip; its gradient too, where there is to be one.
-STAGE float compare_row(const Strip& s, int y, int oldest) {
+template <int C>
+STAGE float compare_row(const Strip<C>& s, int y, int oldest) {
   const Loss& loss = *s.loss;
   read_part(loss.image, loss, y, s.left, LOSS_STRIP, s.a);
   read_part(loss.truth, loss, y, s.left, LOSS_STRIP, s.b);
-  const float* valid = s.valid + s.margin;
+  const float* valid = s.valid + s.margin();
   vf sum = all(0);
-  if (loss.gradient && loss.mask) read_valid(loss, y, s.left - s.margin, s.wide, s.valid);
+  if (loss.gradient && loss.mask) read_valid(loss, y, s.left - s.margin(), s.wide(), s.valid);
   for (int i = 0; i < LOSS_STRIP; i += L) {
     const vf a = load(s.a + i), b = load(s.b + i);
     sum = sum + absolute(a - b);
@@ -162,24 +171,22 @@ STAGE float compare_row(const Strip& s, int y, int oldest) {
   return row_sum(sum);
 }
 
-// Rows [first, last): sums of |a - b| and of SSIM into loss.sums, and the gradient by the image.
-void loss_rows(const Loss& loss, float* scratch, int first, int last) {
-  Strip s;
+template <int C>
+INLINE void loss_strips(const Loss& loss, float* scratch, int first, int last) {
+  Strip<C> s;
   s.loss = &loss;
-  s.margin = loss.margin;
-  s.wide = LOSS_STRIP + 2 * s.margin;
   const auto take = [&](int count) { scratch += count; return scratch - count; };
-  for (float*& row : s.source) row = take(s.wide + 2 * s.margin);
-  for (float*& row : s.map) row = take(s.wide);
-  s.valid = take(s.wide);
+  for (float*& row : s.source) row = take(s.wide() + 2 * s.margin());
+  for (float*& row : s.map) row = take(s.wide());
+  s.valid = take(s.wide());
   s.a = take(LOSS_STRIP);
   s.b = take(LOSS_STRIP);
-  for (float*& row : s.blurred) row = take(SOURCES * s.wide);
+  for (float*& row : s.blurred) row = take(SOURCES * s.wide());
   for (float*& row : s.derived) row = take(MAPS * LOSS_STRIP);
   for (int y = first; y < last; ++y) loss.sums[2 * y] = loss.sums[2 * y + 1] = 0;
   const int more = loss.gradient ? REACH : 0;  // rows of SSIM whose windows reach into these rows
   for (s.left = 0; s.left < loss.width * loss.channels; s.left += LOSS_STRIP) {
-    if (!loss.mask) read_valid(loss, 0, s.left - s.margin, s.wide, s.valid);
+    if (!loss.mask) read_valid(loss, 0, s.left - s.margin(), s.wide(), s.valid);
     for (int y = first - more - REACH, taken = 0, derived = 0; y < last + more + REACH; ++y, ++taken) {
       take_row(s, y, s.blurred[taken % SPAN]);
       if (taken < 2 * REACH) continue;
@@ -189,6 +196,12 @@ void loss_rows(const Loss& loss, float* scratch, int first, int last) {
       if (++derived > 2 * more) loss.sums[2 * (centre - more)] += compare_row(s, centre - more, derived % SPAN);
     }
   }
+}
+
+// Rows [first, last): sums of |a - b| and of SSIM into loss.sums, and the gradient by the image.
+void loss_rows(const Loss& loss, float* scratch, int first, int last) {
+  if (loss.channels == 3) loss_strips<3>(loss, scratch, first, last);
+  else loss_strips<0>(loss, scratch, first, last);
 }
 
 }  // namespace

@@ -142,6 +142,7 @@ struct Loss {
 };
 
 constexpr int LOSS_STRIP = 320;  // floats of a row that are compared at once
+constexpr int loss_margin(int channels) { return (5 * channels + LANES - 1) / LANES * LANES; }
 inline size_t loss_scratch(int margin) { return (size_t)87 * LOSS_STRIP + (size_t)112 * margin; }
 
 struct AdamTensor {

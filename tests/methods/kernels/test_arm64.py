@@ -16,7 +16,7 @@ CROSS, EMULATOR = "aarch64-linux-gnu-g++", "qemu-aarch64-static"
 ROWS = {"loss": 1, "means": 1200, "quaternions": 1600, "scales": 1200, "opacities": 400, "sh": 19200, "screen": 800,
         "absolute": 800, "radii": 400, "updated": 1200}  # fmt: skip
 TOLERANCE = 1e-5
-"""Relative, in L2. Measured: 5e-7 between any two; without fused multiply-adds a machine rounds otherwise."""
+"""Relative, in L2. Measured: 6.9e-7 at most (means), as between the levels of one x86 machine."""
 
 
 def build(compiler: str, levels: dict[str, tuple[str, ...]], folder: Path) -> Path:
