@@ -207,7 +207,7 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       narrow(geo[L22] + l, w.l22);
       narrow(geo[OPACITY] + l, o);
       narrow(geo[TIP] + l, e.cxy * square_root(reach2 / e.cxx));
-      narrow(geo[INV_L11] + l, 1 / w.l11);
+      narrow(geo[INV_L11] + l, clamp(1 / w.l11, 0, 1e30));  // times l12 it must not be 0 times infinity
       narrow(geo[LOG_OPACITY] + l, limit - 7.99435343685885793);
       narrow(geo[HALF_Y] + l, hy);
       narrow(geo[DEPTH] + l, e.z);
