@@ -11,13 +11,13 @@ constexpr int MAPS = 3;     // SSIM's derivatives by the local means of a, a^2 a
 constexpr int STRIP_ROWS_AHEAD = 3;  // rows of a strip that are fetched before they are needed: no prefetcher sees them coming
 constexpr float SSIM_C1 = 1e-4f, SSIM_C2 = 9e-4f;
 
-// Buffers of one strip of LOSS_STRIP floats that starts at `left`; everything has `margin` floats more on both
+// Buffers of one strip of LOSS_STRIP floats or less that starts at `left`; everything has `margin` floats more on both
 // sides, and what is blurred twice has two margins. C channels, so that where a window lies is known beforehand; 0
 // is any number.
 template <int C>
 struct Strip {
   const Loss* loss;
-  int left;
+  int left, floats;                      // a multiple of LANES, the last ones beyond the row perhaps
   float *source[SOURCES], *map[MAPS];    // rows before they are blurred along x: with two margins, with one
   float *valid, *a, *b;                  // with one margin; without
   float *blurred[SPAN], *derived[SPAN];  // rings: sources with one margin, maps without
@@ -28,8 +28,8 @@ struct Strip {
 };
 
 // Floats [from, from + count) of a row, zero outside it and where the mask is not set.
-INLINE void read_part(const float* image, const Loss& loss, int y, int from, int count, float* out) {
-  const int floats = loss.width * loss.channels, begin = from < 0 ? -from : 0;
+INLINE void read_part(const float* image, const Loss& loss, int channels, int y, int from, int count, float* out) {
+  const int floats = loss.width * channels, begin = from < 0 ? -from : 0;
   const int end = floats - from < count ? floats - from : count;
   for (int i = 0; i < begin; ++i) out[i] = 0;
   for (int i = end < begin ? begin : end; i < count; ++i) out[i] = 0;
@@ -37,17 +37,17 @@ INLINE void read_part(const float* image, const Loss& loss, int y, int from, int
   const float* row = image + (size_t)y * floats + from;
   if (loss.mask) {
     const uint8_t* mask = loss.mask + (size_t)y * loss.width;
-    for (int i = begin; i < end; ++i) out[i] = mask[(from + i) / loss.channels] ? row[i] : 0;
+    for (int i = begin; i < end; ++i) out[i] = mask[(from + i) / channels] ? row[i] : 0;
   } else __builtin_memcpy(out + begin, row + begin, (end - begin) * sizeof(float));
 }
 
 // 1 where a float of a row counts, else 0.
-INLINE void read_valid(const Loss& loss, int y, int from, int count, float* out) {
-  const int floats = loss.width * loss.channels;
+INLINE void read_valid(const Loss& loss, int channels, int y, int from, int count, float* out) {
+  const int floats = loss.width * channels;
   for (int i = 0; i < count; ++i) {
     const int at = from + i;
     const bool inside = at >= 0 && at < floats;
-    out[i] = inside && (!loss.mask || loss.mask[(size_t)y * loss.width + at / loss.channels]) ? 1.0f : 0.0f;
+    out[i] = inside && (!loss.mask || loss.mask[(size_t)y * loss.width + at / channels]) ? 1.0f : 0.0f;
   }
 }
 
@@ -99,21 +99,21 @@ STAGE void take_row(const Strip<C>& s, int y, float* out) {
     clear(out, SOURCES * s.wide());
     return;
   }
-  const int all_of = s.wide() + 2 * s.margin(), from = s.left - 2 * s.margin();
+  const int all_of = s.floats + 4 * s.margin(), from = s.left - 2 * s.margin();
   if (y + STRIP_ROWS_AHEAD < loss.height)
     for (int i = 0; i < all_of; i += L) {
       const size_t later = (size_t)(y + STRIP_ROWS_AHEAD) * loss.width * loss.channels + (size_t)(from + i < 0 ? 0 : from + i);
       __builtin_prefetch(loss.image + later);
       __builtin_prefetch(loss.truth + later);
     }
-  read_part(loss.image, loss, y, from, all_of, s.source[0]);
-  read_part(loss.truth, loss, y, from, all_of, s.source[1]);
+  read_part(loss.image, loss, s.channels(), y, from, all_of, s.source[0]);
+  read_part(loss.truth, loss, s.channels(), y, from, all_of, s.source[1]);
   for (int i = 0; i < all_of; i += L) {
     const vf a = load(s.source[0] + i), b = load(s.source[1] + i);
     store(s.source[2] + i, a * a + b * b);
     store(s.source[3] + i, a * b);
   }
-  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.wide(), s.channels(), loss);
+  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.floats + 2 * s.margin(), s.channels(), loss);
 }
 
 // SSIM around the pixels of row y, whose window's oldest row in the ring is given; returns its sum over the strip,
@@ -125,9 +125,9 @@ STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
     if (out) clear(out, MAPS * LOSS_STRIP);
     return 0;
   }
-  if (loss.mask) read_valid(loss, y, s.left - s.margin(), s.wide(), s.valid);
+  if (loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
   vf similar = all(0);
-  const int from = out ? 0 : s.margin(), to = out ? s.wide() : s.margin() + LOSS_STRIP;
+  const int from = out ? 0 : s.margin(), to = s.floats + (out ? 2 : 1) * s.margin();
   for (int i = from; i < to; i += L) {
     vf mean[SOURCES];
     blur_column<SOURCES>(s.blurred, oldest, i, s.wide(), loss.taps, mean);
@@ -136,14 +136,14 @@ STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
     const vf r1 = reciprocal(both + all(SSIM_C1)), r2 = reciprocal(mean[2] - both + all(SSIM_C2));
     // where nothing counts, `valid` is 0: the maps are 0 there, as the second blur needs them
     const vf scale = load(s.valid + i) * r1 * r2, ssim = a1 * a2 * scale, by_aa = all(0) - ssim * r2;
-    if (i >= s.margin() && i < s.margin() + LOSS_STRIP) similar = similar + ssim;
+    if (i >= s.margin() && i < s.margin() + s.floats) similar = similar + ssim;
     if (!out) continue;
     store(s.map[0] + i, two * mb * (a2 - a1) * scale - two * ma * (ssim * r1 + by_aa));
     store(s.map[1] + i, by_aa);
     store(s.map[2] + i, two * a1 * scale);
   }
   if (out)
-    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin(), out + m * LOSS_STRIP, LOSS_STRIP, s.channels(), loss);
+    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin(), out + m * LOSS_STRIP, s.floats, s.channels(), loss);
   return row_sum(similar);
 }
 
@@ -151,12 +151,12 @@ STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
 template <int C>
 STAGE float compare_row(const Strip<C>& s, int y, int oldest) {
   const Loss& loss = *s.loss;
-  read_part(loss.image, loss, y, s.left, LOSS_STRIP, s.a);
-  read_part(loss.truth, loss, y, s.left, LOSS_STRIP, s.b);
+  read_part(loss.image, loss, s.channels(), y, s.left, s.floats, s.a);
+  read_part(loss.truth, loss, s.channels(), y, s.left, s.floats, s.b);
   const float* valid = s.valid + s.margin();
   vf sum = all(0);
-  if (loss.gradient && loss.mask) read_valid(loss, y, s.left - s.margin(), s.wide(), s.valid);
-  for (int i = 0; i < LOSS_STRIP; i += L) {
+  if (loss.gradient && loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
+  for (int i = 0; i < s.floats; i += L) {
     const vf a = load(s.a + i), b = load(s.b + i);
     sum = sum + absolute(a - b);
     if (!loss.gradient) continue;
@@ -166,7 +166,7 @@ STAGE float compare_row(const Strip<C>& s, int y, int oldest) {
     const vf sign = keep(b < a, all(1)) - keep(a < b, all(1));
     store(s.a + i, load(valid + i) * (all(loss.l1_weight) * sign - all(loss.ssim_weight) * by_ssim));
   }
-  const int floats = loss.width * loss.channels, end = floats - s.left < LOSS_STRIP ? floats - s.left : LOSS_STRIP;
+  const int floats = loss.width * loss.channels, end = floats - s.left < s.floats ? floats - s.left : s.floats;
   if (loss.gradient) __builtin_memcpy(loss.gradient + (size_t)y * floats + s.left, s.a, end * sizeof(float));
   return row_sum(sum);
 }
@@ -186,7 +186,9 @@ INLINE void loss_strips(const Loss& loss, float* scratch, int first, int last) {
   for (int y = first; y < last; ++y) loss.sums[2 * y] = loss.sums[2 * y + 1] = 0;
   const int more = loss.gradient ? REACH : 0;  // rows of SSIM whose windows reach into these rows
   for (s.left = 0; s.left < loss.width * loss.channels; s.left += LOSS_STRIP) {
-    if (!loss.mask) read_valid(loss, 0, s.left - s.margin(), s.wide(), s.valid);
+    const int rest = loss.width * loss.channels - s.left;
+    s.floats = rest < LOSS_STRIP ? (rest + L - 1) / L * L : LOSS_STRIP;
+    if (!loss.mask) read_valid(loss, s.channels(), 0, s.left - s.margin(), s.wide(), s.valid);
     for (int y = first - more - REACH, taken = 0, derived = 0; y < last + more + REACH; ++y, ++taken) {
       take_row(s, y, s.blurred[taken % SPAN]);
       if (taken < 2 * REACH) continue;
