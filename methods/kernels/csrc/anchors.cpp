@@ -3,26 +3,16 @@
 #include <algorithm>
 #include <cstring>
 
+#include "levels.hpp"
 #include "pool.hpp"
 #include "render.hpp"
 
-extern const splat::DecodeKernels splat_decode_portable;
-#if defined(__x86_64__)
-extern const splat::DecodeKernels splat_decode_avx2, splat_decode_avx512;
-#endif
+SPLAT_TABLES(splat::DecodeKernels, decode)
 
 namespace splat {
 namespace {
 
 constexpr int64_t MOST_SUMS = 32;  // partial sums of the networks' gradients, whatever the number of threads
-
-const DecodeKernels& decoding() {
-#if defined(__x86_64__)
-  if (!std::strcmp(kernels().name, "avx512")) return splat_decode_avx512;
-  if (!std::strcmp(kernels().name, "avx2")) return splat_decode_avx2;
-#endif
-  return splat_decode_portable;
-}
 
 // Numbers of a padded weight matrix or bias, from memory that is handed out piece by piece.
 float* take(float*& memory, size_t count) {
@@ -99,7 +89,7 @@ Decoded::Decoded(const AnchorArrays& anchors, const StoredNetwork* stored, int t
   state_ = {hidden_.data(), opacity_.data(), nullptr};
   starts_.assign(blocks() + 1, 0);
   over_blocks(threads, [&](int64_t block, int64_t first, int64_t last, float* scratch) {
-    starts_[block + 1] = decoding().open(anchors, networks_, state_, scratch, first, last);
+    starts_[block + 1] = decode_in_use().open(anchors, networks_, state_, scratch, first, last);
   });
   for (int64_t b = 0; b < blocks(); ++b) starts_[b + 1] += starts_[b];
 }
@@ -120,7 +110,7 @@ void Decoded::fill(const AnchorArrays& anchors, const DecodeOutputs& out, int th
   kept_.resize((size_t)count() * KEPT);
   state_.kept = kept_.data();
   over_blocks(threads, [&](int64_t block, int64_t first, int64_t last, float* scratch) {
-    decoding().fill(anchors, networks_, state_, out, scratch, first, last, starts_[block]);
+    decode_in_use().fill(anchors, networks_, state_, out, scratch, first, last, starts_[block]);
   });
 }
 
@@ -154,7 +144,7 @@ void Decoded::backward(const AnchorArrays& anchors, DecodeGradients g, const Net
     const WeightSums here = lay_out_sums(mine);
     for (int64_t b = blocks() * part / parts; b < blocks() * (part + 1) / parts; ++b) {
       const int64_t first = b * ANCHORS, last = std::min(anchors_, first + ANCHORS);
-      decoding().backward(anchors, networks_, state_, g, here, scratch.data() + each * worker, first, last, starts_[b]);
+      decode_in_use().backward(anchors, networks_, state_, g, here, scratch.data() + each * worker, first, last, starts_[b]);
       clear_between(anchors, g, first, last);
     }
   });

@@ -21,38 +21,76 @@ uint32_t sortable(float x) {
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-// Stable radix sort by key, 11 bits at a time.
-void sort(Buffer<Keyed>& items, Buffer<Keyed>& spare) {
-  const size_t n = items.size();
-  spare.resize(n);
-  std::vector<uint32_t> counts(3 * 2048, 0);
-  for (size_t i = 0; i < n; ++i)
-    for (int pass = 0; pass < 3; ++pass) ++counts[pass * 2048 + (items[i].key >> (11 * pass) & 2047)];
-  Keyed *from = items.data(), *to = spare.data();
-  for (int pass = 0; pass < 3; ++pass) {
-    uint32_t* count = counts.data() + pass * 2048;
-    uint32_t sum = 0;
-    bool one_digit = false;
-    for (int d = 0; d < 2048; ++d) {
-      one_digit |= count[d] == n;
-      const uint32_t c = count[d];
-      count[d] = sum;
+// [0, count) in pieces that threads work on independently; what they do must not depend on their number.
+struct Pieces {
+  size_t count;
+  int number;
+  Pieces(size_t count, int threads, size_t least)
+      : count(count), number(threads == 1 ? 1 : std::max(1, (int)std::min<size_t>(2 * threads, count / least))) {}
+  size_t start(int piece) const { return count * (size_t)piece / (size_t)number; }
+};
+
+// From how often each piece has each of `kinds` (counts[piece * kinds + kind]) to where it writes its first one:
+// kind after kind, and within a kind piece after piece. Writes where kinds start, and returns the sum.
+template <class Start>
+uint64_t places(std::vector<uint32_t>& counts, int pieces, int kinds, Start start) {
+  uint64_t sum = 0;
+  for (int kind = 0; kind < kinds; ++kind) {
+    start(kind, sum);
+    for (int p = 0; p < pieces; ++p) {
+      uint32_t& count = counts[(size_t)p * kinds + kind];
+      const uint32_t c = count;
+      count = (uint32_t)sum;
       sum += c;
     }
-    if (one_digit) continue;
-    for (size_t i = 0; i < n; ++i) to[count[from[i].key >> (11 * pass) & 2047]++] = from[i];
-    std::swap(from, to);
   }
-  if (from != items.data()) std::memcpy(items.data(), from, n * sizeof(Keyed));
+  return sum;
 }
 
-// Calls visit(tile) for each tile that a Gaussian touches, in the order of tile numbers.
-template <class Visit>
-void visit_tiles(const Footprint& footprint, const Span* spans, int across, Visit visit) {
-  for (int r = 0; r < footprint.rows; ++r) {
-    const int row = (footprint.first_row + r) * across;
-    for (int c = spans[r].from; c <= spans[r].to; ++c) visit(row + c);
+// Stable radix sort by key, 11 bits at a time.
+void sort(Buffer<Keyed>& items, int threads) {
+  constexpr int DIGITS = 2048;
+  const size_t n = items.size();
+  Buffer<Keyed> spare(n);
+  const Pieces pieces(n, threads, 1 << 14);
+  Keyed *from = items.data(), *to = spare.data();
+  for (int shift = 0; shift < 32; shift += 11) {
+    std::vector<uint32_t> counts((size_t)pieces.number * DIGITS, 0);
+    const auto digit = [=](const Keyed& item) { return item.key >> shift & (DIGITS - 1); };
+    parallel(threads, pieces.number, [&](int p, int) {
+      uint32_t* mine = counts.data() + (size_t)p * DIGITS;
+      for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) ++mine[digit(from[i])];
+    });
+    places(counts, pieces.number, DIGITS, [](int, uint64_t) {});
+    parallel(threads, pieces.number, [&](int p, int) {
+      uint32_t* next = counts.data() + (size_t)p * DIGITS;
+      for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) to[next[digit(from[i])]++] = from[i];
+    });
+    std::swap(from, to);
   }
+  static_assert(3 * 11 >= 32, "an odd number of passes: the result is in `spare`");
+  parallel(threads, pieces.number, [&](int p, int) {
+    std::copy(spare.data() + pieces.start(p), spare.data() + pieces.start(p + 1), items.data() + pieces.start(p));
+  });
+}
+
+// The Gaussians that are drawn, nearest first, ties by index.
+void sort_by_depth(const float* geo, const uint8_t* drawn, int64_t count, int threads, Buffer<uint32_t>& ids) {
+  const Pieces pieces((size_t)count, threads, 1 << 14);
+  std::vector<size_t> first((size_t)pieces.number + 1, 0);
+  parallel(threads, pieces.number, [&](int p, int) {
+    first[p + 1] = (size_t)std::count_if(drawn + pieces.start(p), drawn + pieces.start(p + 1), [](uint8_t d) { return d != 0; });
+  });
+  for (int p = 0; p < pieces.number; ++p) first[p + 1] += first[p];
+  Buffer<Keyed> order(first.back());
+  parallel(threads, pieces.number, [&](int p, int) {
+    size_t next = first[p];
+    for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i)
+      if (drawn[i]) order[next++] = {sortable(geo[i * GEO + DEPTH]), (uint32_t)i};
+  });
+  sort(order, threads);
+  ids.resize(order.size());
+  for (size_t i = 0; i < order.size(); ++i) ids[i] = order[i].id;
 }
 
 }  // namespace
@@ -61,74 +99,75 @@ void bin(const Kernels& kernels, const Camera& camera, const float* geo, const u
   const int across = (camera.width + TILE - 1) / TILE, down = (camera.height + TILE - 1) / TILE;
   const int tiles = across * down;
   const size_t n = (size_t)count;
-  Buffer<Footprint> footprints(n);
-  Buffer<uint32_t> span_start(n + 1);
-  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
-    kernels.footprints(geo, drawn, down, footprints.data(), first, last);
+  Buffer<uint32_t> ids;
+  sort_by_depth(geo, drawn, count, threads, ids);
+
+  // From here to the tiles' lists everything lies in the order of depth.
+  const size_t visible = ids.size();
+  Buffer<Footprint> footprints(visible);
+  Buffer<uint32_t> span_start(visible + 1), touched(visible + 1);
+  over_gaussians(threads, (int64_t)visible, [&](int64_t first, int64_t last) {
+    kernels.footprints(geo, ids.data(), down, footprints.data(), first, last);
   });
   uint64_t rows = 0;
-  for (size_t i = 0; i < n; ++i) {
+  for (size_t i = 0; i < visible; ++i) {
     span_start[i] = (uint32_t)rows;
     rows += footprints[i].rows;
   }
   if (rows >> 32) throw std::length_error("more than 2^32 rows of tiles; render a smaller image or fewer Gaussians");
+  span_start[visible] = (uint32_t)rows;
   Buffer<Span> spans(rows);
-  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
-    kernels.spans(geo, footprints.data(), span_start.data(), across, spans.data(), first, last);
+  over_gaussians(threads, (int64_t)visible, [&](int64_t first, int64_t last) {
+    kernels.spans(geo, ids.data(), footprints.data(), span_start.data(), across, spans.data(), touched.data(), first, last);
   });
-
-  Buffer<Keyed> order(n), spare;
-  size_t visible = 0;
-  for (size_t i = 0; i < n; ++i)
-    if (drawn[i]) order[visible++] = {sortable(geo[i * GEO + DEPTH]), (uint32_t)i};
-  order.resize(visible);
-  sort(order, spare);
-  const Keyed* sorted = order.data();
-
-  // Pieces of the depth order are counted and filled independently; their tile counts, summed in order,
-  // say where each piece writes. Any number of pieces gives the same lists.
-  const int pieces = std::max(1, std::min(threads * 2, (int)(visible / 512)));
-  std::vector<uint32_t> counts((size_t)pieces * tiles, 0);
+  uint64_t pairs = 0;
   out.slot_start.resize(n + 1);
   uint32_t* slot_start = out.slot_start.data();
   std::memset(slot_start, 0, (n + 1) * sizeof(uint32_t));
-  const auto piece_start = [&](int p) { return visible * (size_t)p / (size_t)pieces; };
-  parallel(threads, pieces, [&](int p, int) {
+  for (size_t i = 0; i < visible; ++i) {
+    const uint32_t here = touched[i];
+    slot_start[ids[i] + 1] = here;
+    touched[i] = (uint32_t)pairs;
+    pairs += here;
+  }
+  if (pairs >> 32) throw std::length_error("more than 2^32 pairs of Gaussian and tile; render a smaller image or fewer Gaussians");
+  touched[visible] = (uint32_t)pairs;
+  for (size_t i = 0; i < n; ++i) slot_start[i + 1] += slot_start[i];
+
+  // The tiles of each Gaussian; then pieces write their pairs where the pieces before them end, tile by tile.
+  const Pieces pieces(visible, threads, 512);
+  std::vector<uint32_t> counts((size_t)pieces.number * tiles, 0);
+  Buffer<uint32_t> tile_of(pairs);
+  parallel(threads, pieces.number, [&](int p, int) {
     uint32_t* mine = counts.data() + (size_t)p * tiles;
-    for (size_t i = piece_start(p); i < piece_start(p + 1); ++i) {
-      const uint32_t id = sorted[i].id;
-      uint32_t touched = 0;
-      visit_tiles(footprints[id], spans.data() + span_start[id], across, [&](int tile) {
-        ++mine[tile];
-        ++touched;
-      });
-      slot_start[id + 1] = touched;
+    for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) {
+      uint32_t* tile = tile_of.data() + touched[i];
+      const Span* span = spans.data() + span_start[i];
+      const int first = footprints[i].first_row * across;
+      for (int r = 0; r < footprints[i].rows; ++r)
+        for (int c = span[r].from; c <= span[r].to; ++c) {
+          const uint32_t t = (uint32_t)(first + r * across + c);
+          *tile++ = t;
+          ++mine[t];
+        }
     }
   });
-  uint64_t sum = 0;
   out.start.resize((size_t)tiles + 1);
-  for (int t = 0; t < tiles; ++t) {
-    out.start[t] = (uint32_t)sum;
-    for (int p = 0; p < pieces; ++p) {
-      const uint32_t c = counts[(size_t)p * tiles + t];
-      counts[(size_t)p * tiles + t] = (uint32_t)sum;
-      sum += c;
-    }
-  }
-  if (sum >> 32) throw std::length_error("more than 2^32 pairs of Gaussian and tile; render a smaller image or fewer Gaussians");
-  out.start[tiles] = (uint32_t)sum;
-  for (size_t i = 0; i < n; ++i) slot_start[i + 1] += slot_start[i];
-  out.entries.resize(sum);
-  out.slots.resize(sum);
-  parallel(threads, pieces, [&](int p, int) {
+  out.start[tiles] = (uint32_t)places(counts, pieces.number, tiles,
+                                      [&](int tile, uint64_t sum) { out.start[tile] = (uint32_t)sum; });
+  out.entries.resize(pairs);
+  out.slots.resize(pairs);
+  parallel(threads, pieces.number, [&](int p, int) {
+    constexpr size_t AHEAD = 16;  // Gaussians whose places among the slots are fetched before they are needed
     uint32_t* next = counts.data() + (size_t)p * tiles;
-    for (size_t i = piece_start(p); i < piece_start(p + 1); ++i) {
-      const uint32_t id = sorted[i].id;
-      uint32_t slot = slot_start[id];
-      visit_tiles(footprints[id], spans.data() + span_start[id], across, [&](int tile) {
-        out.entries[next[tile]] = id;
-        out.slots[slot++] = next[tile]++;
-      });
+    for (size_t i = pieces.start(p), end = pieces.start(p + 1); i < end; ++i) {
+      if (i + AHEAD < end) __builtin_prefetch(slot_start + ids[i + AHEAD]);
+      uint32_t* slot = out.slots.data() + slot_start[ids[i]];
+      for (uint32_t k = touched[i]; k < touched[i + 1]; ++k) {
+        const uint32_t place = next[tile_of[k]]++;
+        out.entries[place] = ids[i];
+        *slot++ = place;
+      }
     }
   });
 }

@@ -2,7 +2,6 @@
 #include "colour_head.hpp"
 
 #include <algorithm>
-#include <cstring>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -10,26 +9,16 @@
 #include "arrays.hpp"
 #include "buffer.hpp"
 #include "decode.hpp"
+#include "levels.hpp"
 #include "pool.hpp"
 #include "render.hpp"
 
-extern const splat::HeadKernels splat_head_portable;
-#if defined(__x86_64__)
-extern const splat::HeadKernels splat_head_avx2, splat_head_avx512;
-#endif
+SPLAT_TABLES(splat::HeadKernels, head)
 
 namespace splat {
 namespace {
 
 constexpr int64_t MOST_PARTS = 64;  // of the Gaussians, whatever the number of threads: each has sums of its own
-
-const HeadKernels& head_kernels() {
-#if defined(__x86_64__)
-  if (!std::strcmp(kernels().name, "avx512")) return splat_head_avx512;
-  if (!std::strcmp(kernels().name, "avx2")) return splat_head_avx2;
-#endif
-  return splat_head_portable;
-}
 
 using Matrix = In<float, 2>;
 using Row = In<float, 1>;
@@ -139,7 +128,7 @@ void adapt(const HeadTensors& tensors, Out<float, 2> adapted) {
   Buffer<float> scratch((size_t)(each * threads()));
   parallel(threads(), (int)((arrays.count + PIECE - 1) / PIECE), [&](int piece, int worker) {
     for (int64_t i = piece * PIECE; i < std::min(arrays.count, (piece + 1) * PIECE); i += HEAD_ROWS)
-      head_kernels().forward(arrays, weights.head, scratch.data() + each * worker, i,
+      head_in_use().forward(arrays, weights.head, scratch.data() + each * worker, i,
                              std::min(arrays.count, i + HEAD_ROWS), out);
   });
 }
@@ -171,7 +160,7 @@ void adapt_backward(const HeadTensors& tensors, Matrix of, Out<float, 2> by_colo
   parallel(threads(), (int)parts, [&](int part, int worker) {
     const int64_t last = begin(part + 1);
     for (int64_t i = begin(part); i < last; i += HEAD_ROWS)
-      head_kernels().backward(arrays, weights.head, of.data(), scratch.data() + each * worker, i,
+      head_in_use().backward(arrays, weights.head, of.data(), scratch.data() + each * worker, i,
                               std::min(last, i + HEAD_ROWS), by_colours.data(), by_each.data(), sums.at(part));
   });
   for (int64_t part = 1; part < parts; ++part) sums.add(part);

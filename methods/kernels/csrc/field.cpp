@@ -4,33 +4,22 @@
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
-#include <cstring>
 #include <vector>
 
 #include "arrays.hpp"
 #include "buffer.hpp"
 #include "decode.hpp"
+#include "levels.hpp"
 #include "pool.hpp"
 #include "render.hpp"
 
-extern const splat::FieldKernels splat_field_portable;
-#if defined(__x86_64__)
-extern const splat::FieldKernels splat_field_avx2, splat_field_avx512;
-#endif
+SPLAT_TABLES(splat::FieldKernels, field)
 
 namespace splat {
 namespace {
 
 constexpr int64_t MOST_PARTS = 64;  // of the places, whatever the number of threads: each has sums of its own
 constexpr int64_t PIECE = 16 * FIELD_ROWS;
-
-const FieldKernels& field_kernels() {
-#if defined(__x86_64__)
-  if (!std::strcmp(kernels().name, "avx512")) return splat_field_avx512;
-  if (!std::strcmp(kernels().name, "avx2")) return splat_field_avx2;
-#endif
-  return splat_field_portable;
-}
 
 using Matrix = In<float, 2>;
 using Row = In<float, 1>;
@@ -131,7 +120,7 @@ void evaluate(const FieldTensors& tensors, Out<float, 2> features, Out<float, 2>
   Buffer<float> scratch((size_t)(each * threads()));
   parallel(threads(), (int)((a.count + PIECE - 1) / PIECE), [&](int piece, int worker) {
     for (int64_t i = piece * PIECE; i < std::min(a.count, (piece + 1) * PIECE); i += FIELD_ROWS)
-      field_kernels().forward(a, network.field, scratch.data() + each * worker, i, std::min(a.count, i + FIELD_ROWS),
+      field_in_use().forward(a, network.field, scratch.data() + each * worker, i, std::min(a.count, i + FIELD_ROWS),
                               kept, to);
   });
 }
@@ -157,14 +146,14 @@ void evaluate_backward(const FieldTensors& tensors, Matrix features, Matrix of, 
   parallel(threads(), (int)parts, [&](int part, int worker) {
     const int64_t last = n * (part + 1) / parts;
     for (int64_t i = n * part / parts; i < last; i += FIELD_ROWS)
-      field_kernels().backward(a, network.field, features.data(), of.data(), scratch.data() + each * worker, i,
+      field_in_use().backward(a, network.field, features.data(), of.data(), scratch.data() + each * worker, i,
                                std::min(last, i + FIELD_ROWS), by_features.data(), sums.at(part));
   });
   // a grid is one thread's: places are added in their order, whatever the number of threads
   parallel(threads(), FIELD_GRIDS, [&](int g, int) {
     float* by = by_grids[(size_t)g].data();
     std::fill(by, by + by_grids[(size_t)g].size(), 0.0f);
-    field_kernels().scatter(a, g, by_features.data(), by);
+    field_in_use().scatter(a, g, by_features.data(), by);
   });
   for (int64_t part = 1; part < parts; ++part) sums.add(part);
   const FieldSums total = sums.at(0);

@@ -67,6 +67,15 @@ INLINE Coefficients<T> coefficients(const Model& model, T* sh, T* sh_rest) {
   return {sh, sh ? sh + 3 : nullptr, stored, stored};
 }
 
+// Fetch the coefficients of Gaussians [first, first + count), to be read or written.
+template <bool WRITE, class T>
+STAGE void fetch_sh(Coefficients<T> c, int64_t first, int count) {
+  constexpr int LINE = 64 / sizeof(float);
+  if (!c.rest) return;
+  const T* from = c.rest + first * c.rest_stride;
+  for (int64_t j = 0; j < count * c.rest_stride; j += LINE) __builtin_prefetch(from + j, WRITE);
+}
+
 // Coefficients of up to sixteen Gaussians as out[3 k + c][lane]; lanes past `count` repeat the last.
 STAGE void gather_sh(const Model& model, int64_t first, int count, float out[48][LANES]) {
   const auto from = coefficients(model, model.sh, model.sh_rest);

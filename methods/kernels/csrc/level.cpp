@@ -16,8 +16,10 @@ namespace {
 void exp2_many(const float* x, float* y, int64_t count) {
   for (int64_t i = 0; i < count; i += L) {
     float in[L], out[L];
-    for (int l = 0; l < L; ++l) in[l] = i + l < count ? -x[i + l] : 0;
-    store(out, exp2_negative(load(in)));
+    for (int l = 0; l < L; ++l) in[l] = i + l < count ? x[i + l] : 0;
+    vf values[] = {load(in)};
+    exp2_of(values);
+    store(out, values[0]);
     for (int l = 0; l < L && i + l < count; ++l) y[i + l] = out[l];
   }
 }
@@ -31,4 +33,4 @@ void exp2_many(const float* x, float* y, int64_t count) {
 
 extern const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL);
 const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, footprints, spans, render_tile, backward_tile,
-                                                         backward_project, loss_maps, loss_gradient, adam, exp2_many};
+                                                         backward_project, loss_rows, adam, exp2_many};

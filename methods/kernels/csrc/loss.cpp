@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
 #include "buffer.hpp"
 #include "pool.hpp"
@@ -30,29 +29,20 @@ double photometric(const float* image, const float* truth, const uint8_t* mask, 
   loss.channels = channels;
   loss.l1_weight = (float)((1 - dssim) / count);
   loss.ssim_weight = (float)(dssim / count);
-  const int margin = (5 * channels + LANES - 1) / LANES * LANES;
-  loss.row_floats = (width * channels + LANES - 1) / LANES * LANES + 2 * margin;
+  loss.margin = loss_margin(channels);
 
-  const int bands = std::min(height, threads * 2);
-  const size_t each = (size_t)(6 + 11 * 5) * loss.row_floats;
-  Buffer<float> scratch(each * threads), maps((size_t)height * 3 * loss.row_floats);
+  // a band repeats the work on 20 rows of its neighbours
+  const int bands = threads == 1 ? 1 : std::min(std::max(1, height / 20), threads * 2);
+  const size_t each = loss_scratch(loss.margin);
+  Buffer<float> scratch(each * threads);
   Buffer<double> sums((size_t)2 * height);
-  // margins are zero; the kernels only write between them
-  std::memset(scratch.data(), 0, scratch.size() * sizeof(float));
-  std::memset(maps.data(), 0, maps.size() * sizeof(float));
-  loss.maps = maps.data();
   loss.sums = sums.data();
   loss.gradient = gradient;
-  const auto over_bands = [&](auto kernel) {
-    parallel(threads, bands, [&](int band, int worker) {
-      kernel(loss, scratch.data() + each * worker, height * band / bands, height * (band + 1) / bands);
-    });
-  };
-  over_bands(kernels().loss_maps);
-  if (gradient) {
-    std::memset(scratch.data(), 0, scratch.size() * sizeof(float));
-    over_bands(kernels().loss_gradient);
-  }
+  const Kernels& k = kernels();
+  parallel(threads, bands, [&](int band, int worker) {
+    k.loss_rows(loss, scratch.data() + each * worker, (int)((int64_t)height * band / bands),
+                (int)((int64_t)height * (band + 1) / bands));
+  });
   double difference = 0, similar = 0;
   for (int y = 0; y < height; ++y) {
     difference += sums[2 * y];

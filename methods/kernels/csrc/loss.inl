@@ -1,29 +1,87 @@
 // L1 and SSIM of an image against a photo, and their gradient. Rows are interleaved channels, so a window that
-// moves by one pixel moves by `channels` floats and no channel needs a plane of its own.
+// moves by one pixel moves by `channels` floats and no channel needs a plane of its own. The image is worked on in
+// strips, from top to bottom, so that the rows that a window spans stay in the first-level cache.
 
 namespace {
 
 constexpr int REACH = 5;  // the window has 2 * 5 + 1 taps
-constexpr int MAPS = 5;   // a, b, a^2, b^2, a b
+constexpr int SPAN = 2 * REACH + 1;
+constexpr int SOURCES = 4;  // a, b, a^2 + b^2, a b: SSIM takes both variances in sum
+constexpr int MAPS = 3;     // SSIM's derivatives by the local means of a, a^2 and a b
+constexpr int STRIP_ROWS_AHEAD = 3;  // rows of a strip that are fetched before they are needed: no prefetcher sees them coming
 constexpr float SSIM_C1 = 1e-4f, SSIM_C2 = 9e-4f;
 
-// A row of `width` floats with room for the window on both sides, zero there.
-INLINE float* padded(float* memory, int channels) { return memory + (REACH * channels + L - 1) / L * L; }
+// Buffers of one strip of LOSS_STRIP floats or less that starts at `left`; everything has `margin` floats more on both
+// sides, and what is blurred twice has two margins. C channels, so that where a window lies is known beforehand; 0
+// is any number.
+template <int C>
+struct Strip {
+  const Loss* loss;
+  int left, floats;                      // a multiple of LANES, the last ones beyond the row perhaps
+  float *source[SOURCES], *map[MAPS];    // rows before they are blurred along x: with two margins, with one
+  float *valid, *a, *b;                  // with one margin; without
+  float *blurred[SPAN], *derived[SPAN];  // rings: sources with one margin, maps without
 
-// out = row convolved with the taps along x. Both have room up to a multiple of 16 floats.
-INLINE void blur_row(const float* row, float* out, int floats, int channels, const float* taps) {
-  for (int i = 0; i < floats; i += L) {
-    vf sum = load(row + i) * all(taps[0]);
+  int channels() const { return C ? C : loss->channels; }
+  int margin() const { return C ? loss_margin(C) : loss->margin; }
+  int wide() const { return LOSS_STRIP + 2 * margin(); }
+};
+
+// Floats [from, from + count) of a row, zero outside it and where the mask is not set.
+INLINE void read_part(const float* image, const Loss& loss, int channels, int y, int from, int count, float* out) {
+  const int floats = loss.width * channels, begin = from < 0 ? -from : 0;
+  const int end = floats - from < count ? floats - from : count;
+  for (int i = 0; i < begin; ++i) out[i] = 0;
+  for (int i = end < begin ? begin : end; i < count; ++i) out[i] = 0;
+  if (end <= begin) return;
+  const float* row = image + (size_t)y * floats + from;
+  if (loss.mask) {
+    const uint8_t* mask = loss.mask + (size_t)y * loss.width;
+    for (int i = begin; i < end; ++i) out[i] = mask[(from + i) / channels] ? row[i] : 0;
+  } else __builtin_memcpy(out + begin, row + begin, (end - begin) * sizeof(float));
+}
+
+// 1 where a float of a row counts, else 0.
+INLINE void read_valid(const Loss& loss, int channels, int y, int from, int count, float* out) {
+  const int floats = loss.width * channels;
+  for (int i = 0; i < count; ++i) {
+    const int at = from + i;
+    const bool inside = at >= 0 && at < floats;
+    out[i] = inside && (!loss.mask || loss.mask[(size_t)y * loss.width + at / channels]) ? 1.0f : 0.0f;
+  }
+}
+
+INLINE void clear(float* row, int count) {
+  for (int i = 0; i < count; i += L) store(row + i, all(0));
+}
+
+// out[i] = sum_k taps[k] row[i + k channels] for i in [0, count).
+INLINE void blur_row(const float* row, float* out, int count, int channels, const Loss& loss) {
+  vf taps[REACH + 1];
+  for (int k = 0; k <= REACH; ++k) taps[k] = all(loss.taps[k]);
+  for (int i = 0; i < count; i += L) {
+    vf sum = load(row + i) * taps[0];
+#pragma GCC unroll 5
     for (int k = 1; k <= REACH; ++k)
-      sum = sum + (load(row + i - k * channels) + load(row + i + k * channels)) * all(taps[k]);
+      sum = sum + (load(row + i - k * channels) + load(row + i + k * channels)) * taps[k];
     store(out + i, sum);
   }
 }
 
-INLINE vf blur_column(const float* const* rows, int i, const float* taps) {
-  vf sum = load(rows[REACH] + i) * all(taps[0]);
-  for (int k = 1; k <= REACH; ++k) sum = sum + (load(rows[REACH - k] + i) + load(rows[REACH + k] + i)) * all(taps[k]);
-  return sum;
+// The same along y: the middle row is `row`, the rows of the ring follow one another from the oldest on.
+template <int N>
+INLINE void blur_column(float* const* ring, int oldest, int offset, int stride, const float* taps, vf out[N]) {
+  const float* rows[SPAN];
+#pragma GCC unroll 11
+  for (int k = 0; k < SPAN; ++k) rows[k] = ring[oldest + k < SPAN ? oldest + k : oldest + k - SPAN] + offset;
+#pragma GCC unroll 4
+  for (int n = 0; n < N; ++n) {
+    vf sum = load(rows[REACH] + n * stride) * all(taps[0]);
+#pragma GCC unroll 5
+    for (int k = 1; k <= REACH; ++k)
+      sum = sum + (load(rows[REACH - k] + n * stride) + load(rows[REACH + k] + n * stride)) * all(taps[k]);
+    out[n] = sum;
+  }
 }
 
 INLINE float row_sum(vf v) {
@@ -33,126 +91,119 @@ INLINE float row_sum(vf v) {
   return sum;
 }
 
-// Copy one row of the image, black where the mask is not set; lanes past the end are zero.
-INLINE void read_row(const float* image, const uint8_t* mask, const Loss& loss, int y, float* out) {
-  const int floats = loss.width * loss.channels;
-  const float* row = image + (size_t)y * floats;
-  if (!mask) {
-    __builtin_memcpy(out, row, floats * sizeof(float));
+// Row y of the sources, blurred along x, into the ring.
+template <int C>
+STAGE void take_row(const Strip<C>& s, int y, float* out) {
+  const Loss& loss = *s.loss;
+  if (y < 0 || y >= loss.height) {
+    clear(out, SOURCES * s.wide());
     return;
   }
-  for (int x = 0; x < loss.width; ++x)
-    for (int c = 0; c < loss.channels; ++c)
-      out[x * loss.channels + c] = mask[(size_t)y * loss.width + x] ? row[x * loss.channels + c] : 0;
+  const int all_of = s.floats + 4 * s.margin(), from = s.left - 2 * s.margin();
+  if (y + STRIP_ROWS_AHEAD < loss.height)
+    for (int i = 0; i < all_of; i += L) {
+      const size_t later = (size_t)(y + STRIP_ROWS_AHEAD) * loss.width * loss.channels + (size_t)(from + i < 0 ? 0 : from + i);
+      __builtin_prefetch(loss.image + later);
+      __builtin_prefetch(loss.truth + later);
+    }
+  read_part(loss.image, loss, s.channels(), y, from, all_of, s.source[0]);
+  read_part(loss.truth, loss, s.channels(), y, from, all_of, s.source[1]);
+  for (int i = 0; i < all_of; i += L) {
+    const vf a = load(s.source[0] + i), b = load(s.source[1] + i);
+    store(s.source[2] + i, a * a + b * b);
+    store(s.source[3] + i, a * b);
+  }
+  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.floats + 2 * s.margin(), s.channels(), loss);
 }
 
-// 1 where a pixel counts, for each float of a row; zero past the end.
-INLINE void read_valid(const Loss& loss, int y, float* out) {
-  for (int x = 0; x < loss.width; ++x)
-    for (int c = 0; c < loss.channels; ++c)
-      out[x * loss.channels + c] = !loss.mask || loss.mask[(size_t)y * loss.width + x] ? 1.0f : 0.0f;
+// SSIM around the pixels of row y, whose window's oldest row in the ring is given; returns its sum over the strip,
+// and leaves its derivatives blurred along x in `out` unless that is null.
+template <int C>
+STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
+  const Loss& loss = *s.loss;
+  if (y < 0 || y >= loss.height) {
+    if (out) clear(out, MAPS * LOSS_STRIP);
+    return 0;
+  }
+  if (loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
+  vf similar = all(0);
+  const int from = out ? 0 : s.margin(), to = s.floats + (out ? 2 : 1) * s.margin();
+  for (int i = from; i < to; i += L) {
+    vf mean[SOURCES];
+    blur_column<SOURCES>(s.blurred, oldest, i, s.wide(), loss.taps, mean);
+    const vf two = all(2), ma = mean[0], mb = mean[1], both = ma * ma + mb * mb, product = ma * mb;
+    const vf a1 = two * product + all(SSIM_C1), a2 = two * (mean[3] - product) + all(SSIM_C2);
+    const vf r1 = reciprocal(both + all(SSIM_C1)), r2 = reciprocal(mean[2] - both + all(SSIM_C2));
+    // where nothing counts, `valid` is 0: the maps are 0 there, as the second blur needs them
+    const vf scale = load(s.valid + i) * r1 * r2, ssim = a1 * a2 * scale, by_aa = all(0) - ssim * r2;
+    if (i >= s.margin() && i < s.margin() + s.floats) similar = similar + ssim;
+    if (!out) continue;
+    store(s.map[0] + i, two * mb * (a2 - a1) * scale - two * ma * (ssim * r1 + by_aa));
+    store(s.map[1] + i, by_aa);
+    store(s.map[2] + i, two * a1 * scale);
+  }
+  if (out)
+    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin(), out + m * LOSS_STRIP, s.floats, s.channels(), loss);
+  return row_sum(similar);
 }
 
-// Rows [first, last): sums of |a - b| and of SSIM into loss.sums, and SSIM's derivatives by the local means of
-// a, a^2 and a b into loss.maps.
-void loss_maps(const Loss& loss, float* scratch, int first, int last) {
-  const int floats = loss.width * loss.channels, room = loss.row_floats, channels = loss.channels;
-  float* memory = scratch;
-  float* rows[MAPS];
-  for (int m = 0; m < MAPS; ++m, memory += room) rows[m] = padded(memory, channels);
-  float* valid = padded(memory, channels);
-  memory += room;
-  float* ring[2 * REACH + 1][MAPS];
-  for (int r = 0; r <= 2 * REACH; ++r)
-    for (int m = 0; m < MAPS; ++m, memory += room) ring[r][m] = memory;
-
-  for (int y = first - REACH; y < last + REACH; ++y) {
-    float** blurred = ring[(y + 2 * REACH + 1) % (2 * REACH + 1)];
-    if (y < 0 || y >= loss.height) {
-      for (int m = 0; m < MAPS; ++m)
-        for (int i = 0; i < floats; i += L) store(blurred[m] + i, all(0));
-    } else {
-      read_row(loss.image, loss.mask, loss, y, rows[0]);
-      read_row(loss.truth, loss.mask, loss, y, rows[1]);
-      for (int i = 0; i < floats; i += L) {
-        const vf a = load(rows[0] + i), b = load(rows[1] + i);
-        store(rows[2] + i, a * a);
-        store(rows[3] + i, b * b);
-        store(rows[4] + i, a * b);
-      }
-      for (int m = 0; m < MAPS; ++m) blur_row(rows[m], blurred[m], floats, channels, loss.taps);
-    }
-    const int centre = y - REACH;
-    if (centre < first) continue;
-    const float* column[MAPS][2 * REACH + 1];
-    for (int m = 0; m < MAPS; ++m)
-      for (int k = 0; k <= 2 * REACH; ++k)
-        column[m][k] = ring[(centre - REACH + k + 2 * REACH + 1) % (2 * REACH + 1)][m];
-    read_valid(loss, centre, valid);
-    vf similar = all(0);
-    for (int i = 0; i < floats; i += L) {
-      const vf ma = blur_column(column[0], i, loss.taps), mb = blur_column(column[1], i, loss.taps);
-      const vf sa = blur_column(column[2], i, loss.taps) - ma * ma;
-      const vf sb = blur_column(column[3], i, loss.taps) - mb * mb;
-      const vf sab = blur_column(column[4], i, loss.taps) - ma * mb;
-      // past the row's end `valid` is 0, so the maps are 0 there, as the second pass needs them
-      const vf two = all(2), a1 = two * ma * mb + all(SSIM_C1), a2 = two * sab + all(SSIM_C2);
-      const vf b1 = ma * ma + mb * mb + all(SSIM_C1), b2 = sa + sb + all(SSIM_C2);
-      const vf scale = load(valid + i) / (b1 * b2);
-      const vf s = a1 * a2 * scale, by_ab = two * a1 * scale, by_aa = all(0) - s / b2;
-      const vf by_a = two * mb * (a2 - a1) * scale - two * ma * (s / b1 + by_aa);
-      similar = similar + s;
-      float* out = loss.maps + (size_t)centre * 3 * room;
-      store(padded(out, channels) + i, by_a);
-      store(padded(out + room, channels) + i, by_aa);
-      store(padded(out + 2 * room, channels) + i, by_ab);
-    }
-    loss.sums[2 * centre + 1] = row_sum(similar);
+// The sum of |a - b| over row y of the strip; its gradient too, where there is to be one.
+template <int C>
+STAGE float compare_row(const Strip<C>& s, int y, int oldest) {
+  const Loss& loss = *s.loss;
+  read_part(loss.image, loss, s.channels(), y, s.left, s.floats, s.a);
+  read_part(loss.truth, loss, s.channels(), y, s.left, s.floats, s.b);
+  const float* valid = s.valid + s.margin();
+  vf sum = all(0);
+  if (loss.gradient && loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
+  for (int i = 0; i < s.floats; i += L) {
+    const vf a = load(s.a + i), b = load(s.b + i);
+    sum = sum + absolute(a - b);
+    if (!loss.gradient) continue;
+    vf mean[MAPS];
+    blur_column<MAPS>(s.derived, oldest, i, LOSS_STRIP, loss.taps, mean);
+    const vf by_ssim = mean[0] + all(2) * a * mean[1] + b * mean[2];
+    const vf sign = keep(b < a, all(1)) - keep(a < b, all(1));
+    store(s.a + i, load(valid + i) * (all(loss.l1_weight) * sign - all(loss.ssim_weight) * by_ssim));
   }
-  for (int y = first; y < last; ++y) {
-    read_row(loss.image, loss.mask, loss, y, rows[0]);
-    read_row(loss.truth, loss.mask, loss, y, rows[1]);
-    vf sum = all(0);
-    for (int i = 0; i < floats; i += L) sum = sum + absolute(load(rows[0] + i) - load(rows[1] + i));
-    loss.sums[2 * y] = row_sum(sum);
+  const int floats = loss.width * loss.channels, end = floats - s.left < s.floats ? floats - s.left : s.floats;
+  if (loss.gradient) __builtin_memcpy(loss.gradient + (size_t)y * floats + s.left, s.a, end * sizeof(float));
+  return row_sum(sum);
+}
+
+template <int C>
+INLINE void loss_strips(const Loss& loss, float* scratch, int first, int last) {
+  Strip<C> s;
+  s.loss = &loss;
+  const auto take = [&](int count) { scratch += count; return scratch - count; };
+  for (float*& row : s.source) row = take(s.wide() + 2 * s.margin());
+  for (float*& row : s.map) row = take(s.wide());
+  s.valid = take(s.wide());
+  s.a = take(LOSS_STRIP);
+  s.b = take(LOSS_STRIP);
+  for (float*& row : s.blurred) row = take(SOURCES * s.wide());
+  for (float*& row : s.derived) row = take(MAPS * LOSS_STRIP);
+  for (int y = first; y < last; ++y) loss.sums[2 * y] = loss.sums[2 * y + 1] = 0;
+  const int more = loss.gradient ? REACH : 0;  // rows of SSIM whose windows reach into these rows
+  for (s.left = 0; s.left < loss.width * loss.channels; s.left += LOSS_STRIP) {
+    const int rest = loss.width * loss.channels - s.left;
+    s.floats = rest < LOSS_STRIP ? (rest + L - 1) / L * L : LOSS_STRIP;
+    if (!loss.mask) read_valid(loss, s.channels(), 0, s.left - s.margin(), s.wide(), s.valid);
+    for (int y = first - more - REACH, taken = 0, derived = 0; y < last + more + REACH; ++y, ++taken) {
+      take_row(s, y, s.blurred[taken % SPAN]);
+      if (taken < 2 * REACH) continue;
+      const int centre = y - REACH;
+      const float similar = derive_row(s, centre, (taken + 1) % SPAN, more ? s.derived[derived % SPAN] : nullptr);
+      if (centre >= first && centre < last) loss.sums[2 * centre + 1] += similar;
+      if (++derived > 2 * more) loss.sums[2 * (centre - more)] += compare_row(s, centre - more, derived % SPAN);
+    }
   }
 }
 
-// Rows [first, last) of the gradient by the image.
-void loss_gradient(const Loss& loss, float* scratch, int first, int last) {
-  const int floats = loss.width * loss.channels, room = loss.row_floats, channels = loss.channels;
-  float* memory = scratch;
-  float *a = padded(memory, channels), *b = padded(memory + room, channels), *valid = padded(memory + 2 * room, channels),
-        *out = padded(memory + 3 * room, channels);
-  memory += 4 * room;
-  float* ring[2 * REACH + 1][3];
-  for (int r = 0; r <= 2 * REACH; ++r)
-    for (int m = 0; m < 3; ++m, memory += room) ring[r][m] = memory;
-  for (int y = first - REACH; y < last + REACH; ++y) {
-    float** blurred = ring[(y + 2 * REACH + 1) % (2 * REACH + 1)];
-    for (int m = 0; m < 3; ++m) {
-      if (y < 0 || y >= loss.height)
-        for (int i = 0; i < floats; i += L) store(blurred[m] + i, all(0));
-      else blur_row(padded(loss.maps + ((size_t)y * 3 + m) * room, channels), blurred[m], floats, channels, loss.taps);
-    }
-    const int centre = y - REACH;
-    if (centre < first) continue;
-    const float* column[3][2 * REACH + 1];
-    for (int m = 0; m < 3; ++m)
-      for (int k = 0; k <= 2 * REACH; ++k)
-        column[m][k] = ring[(centre - REACH + k + 2 * REACH + 1) % (2 * REACH + 1)][m];
-    read_row(loss.image, loss.mask, loss, centre, a);
-    read_row(loss.truth, loss.mask, loss, centre, b);
-    read_valid(loss, centre, valid);
-    for (int i = 0; i < floats; i += L) {
-      const vf va = load(a + i), vb = load(b + i);
-      const vf by_ssim = blur_column(column[0], i, loss.taps) + all(2) * va * blur_column(column[1], i, loss.taps) +
-                         vb * blur_column(column[2], i, loss.taps);
-      const vf sign = keep(vb < va, all(1)) - keep(va < vb, all(1));
-      store(out + i, load(valid + i) * (all(loss.l1_weight) * sign - all(loss.ssim_weight) * by_ssim));
-    }
-    __builtin_memcpy(loss.gradient + (size_t)centre * floats, out, floats * sizeof(float));
-  }
+// Rows [first, last): sums of |a - b| and of SSIM into loss.sums, and the gradient by the image.
+void loss_rows(const Loss& loss, float* scratch, int first, int last) {
+  if (loss.channels == 3) loss_strips<3>(loss, scratch, first, last);
+  else loss_strips<0>(loss, scratch, first, last);
 }
 
 }  // namespace

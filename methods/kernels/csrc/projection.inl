@@ -173,9 +173,11 @@ INLINE V<double, N> round_down(V<double, N> x) {
 void project(const Camera& cam, const Model& model, const Projection& out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
+    if (model.sh && i + L < last)
+      fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, last - i < 2 * L ? (int)(last - i) - L : L);
     Lane16 in;
     gather(model, i, count, in);
-    alignas(64) float geo[GEO][L], radius[L], dir[3][L];
+    alignas(64) float geo[GEO][L], radius[L], dir[3][L], distance[L];
     unsigned drawn = 0;
     for (int l = 0; l < L; l += HALF) {
       Ewa e;
@@ -204,14 +206,12 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       narrow(geo[L12] + l, w.l12);
       narrow(geo[L22] + l, w.l22);
       narrow(geo[OPACITY] + l, o);
-      narrow(geo[LIMIT] + l, limit);
-      narrow(geo[SLOPE] + l, zero - e.cxy / e.cyy);
       narrow(geo[TIP] + l, e.cxy * square_root(reach2 / e.cxx));
-      narrow(geo[INV_L11] + l, 1 / w.l11);
-      narrow(geo[HALF_X] + l, hx);
+      narrow(geo[INV_L11] + l, clamp(1 / w.l11, 0, 1e30));  // times l12 it must not be 0 times infinity
+      narrow(geo[LOG_OPACITY] + l, limit - 7.99435343685885793);
       narrow(geo[HALF_Y] + l, hy);
       narrow(geo[DEPTH] + l, e.z);
-      narrow(geo[DISTANCE] + l, ray.distance);
+      narrow(distance + l, ray.distance);
     }
     if (count < L) drawn &= (1u << count) - 1;
     for (int l = 0; l < count; ++l) {
@@ -219,24 +219,25 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       out.drawn[i + l] = (uint8_t)(drawn >> l & 1);
     }
     if (!drawn) continue;
-    if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
-    else
-      for (int l = 0; l < count; ++l)
-        for (int k = 0; k < GEO; ++k) out.geo[(i + l) * GEO + k] = geo[k][l];
     float* features = out.features + i * out.stride;
     if (model.sh) {
-      float colour[3][L];
-      sh_colour(model, i, count, dir, colour);
+      sh_colour(model, i, count, dir, geo + COLOUR);
       for (int l = 0; l < count; ++l)
-        for (int c = 0; c < 3; ++c) features[l * out.stride + c] = colour[c][l];
+        for (int c = 0; c < 3; ++c) features[l * out.stride + c] = geo[COLOUR + c][l];
     } else {
       for (int l = 0; l < count; ++l)
         for (int c = 0; c < model.channels; ++c)
           features[l * out.stride + c] = model.colours[(i + l) * model.channels + c];
+      for (int c = 0; c < 3; ++c)
+        for (int l = 0; l < L; ++l) geo[COLOUR + c][l] = model.channels == 3 && l < count ? features[l * out.stride + c] : 0;
     }
+    if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
+    else
+      for (int l = 0; l < count; ++l)
+        for (int k = 0; k < GEO; ++k) out.geo[(i + l) * GEO + k] = geo[k][l];
     for (int l = 0; l < count; ++l) {
       features[l * out.stride + model.channels] = geo[DEPTH][l];
-      features[l * out.stride + model.channels + 1] = geo[DISTANCE][l];
+      features[l * out.stride + model.channels + 1] = distance[l];
     }
   }
 }

@@ -4,19 +4,23 @@ namespace {
 
 constexpr int MOST_SUMS = (S_FEATURES + MAX_CHANNELS + 2 + L - 1) / L * L;
 
+// Fetch the rows of sums that belong to Gaussians [first, last): they lie all over.
+STAGE void fetch_sums(const float* sums, int stride, const uint32_t* slot_start, const uint32_t* slots, int64_t first,
+                      int64_t last) {
+  for (uint32_t k = slot_start[first]; k < slot_start[last]; ++k)
+    for (int part = 0; part < stride; part += L) __builtin_prefetch(sums + (size_t)slots[k] * stride + part);
+}
+
 // Add up the rows that tiles left for sixteen Gaussians, in the order of the tiles: out[sum][lane].
 STAGE void collect(const float* sums, int stride, const uint32_t* slot_start, const uint32_t* slots, int64_t first,
                    int count, float out[MOST_SUMS][L]) {
   alignas(64) float rows[L][L];
-  const uint32_t end = slot_start[first + count];
   for (int part = 0; part < stride; part += L) {
     for (int l = 0; l < L; ++l) {
       vf row = all(0);
       if (l < count)
-        for (uint32_t k = slot_start[first + l]; k < slot_start[first + l + 1]; ++k) {
-          if (k + 8 < end) __builtin_prefetch(sums + (size_t)slots[k + 8] * stride + part);
+        for (uint32_t k = slot_start[first + l]; k < slot_start[first + l + 1]; ++k)
           row = row + load(sums + (size_t)slots[k] * stride + part);
-        }
       store(rows[l], row);
     }
     transpose(rows[0], L, out[part], L);
@@ -30,8 +34,17 @@ INLINE void put(float* p, vd x) { narrow(p, clamp(x, -3.4e38, 3.4e38)); }
 void backward_project(const Camera& cam, const Model& model, const Projection& drawn, const float* sums,
                       int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
                       const ModelGradients& out, int64_t first, int64_t last) {
+  fetch_sums(sums, sums_stride, slot_start, slots, first, last - first < L ? last : first + L);
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
+    if (i + L < last) {  // while this group is worked on, what the next one needs comes in
+      fetch_sums(sums, sums_stride, slot_start, slots, i + L, last - i < 2 * L ? last : i + 2 * L);
+      if (model.sh) {
+        const int next = last - i < 2 * L ? (int)(last - i) - L : L;
+        fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, next);
+        fetch_sh<true>(coefficients(model, out.sh, out.sh_rest), i + L, next);
+      }
+    }
     float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[L] = {}, screen[4][L] = {};
     const int channels = model.channels;
     if (slot_start[i] == slot_start[i + count]) {  // none was drawn

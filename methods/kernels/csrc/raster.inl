@@ -2,15 +2,18 @@
 
 namespace {
 
-INLINE void prefetch(const Tiles& tiles, uint32_t id) {
+// Whether a Gaussian's features are three colours, and perhaps its depth, which lie beside its ellipse.
+INLINE bool in_line(const Tiles& tiles, int features) { return tiles.coloured && features <= 4; }
+
+INLINE void prefetch(const Tiles& tiles, uint32_t id, int features) {
   __builtin_prefetch(tiles.geo + (size_t)id * GEO);
-  __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
+  if (!in_line(tiles, features)) __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
 }
 
 // The interval of x, relative to `mx`, that a support covers between dy = d0 and dy = d1 relative to its mean;
 // a little more, so that rounding never cuts a contribution off.
 INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to) {
-  const vf tip = load(g[TIP]), slope = load(g[SLOPE]), l22 = load(g[L22]), zero = all(0);
+  const vf tip = load(g[TIP]), slope = load(g[L12]) * load(g[INV_L11]), l22 = load(g[L22]), zero = all(0);
   const vf right = minimum(maximum(tip, d0), d1), left = minimum(maximum(zero - tip, d0), d1);
   const vf vr = l22 * right, vl = l22 * left, inv = load(g[INV_L11]);
   const vf slack = all(1e-3f) + all(1e-6f) * absolute(slope) * (absolute(right) + absolute(left));
@@ -18,117 +21,225 @@ INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to)
   from = zero - square_root(maximum(reach2 - vl * vl, zero)) * inv - slope * left - slack;
 }
 
-INLINE vf wider_reach(const float (*g)[L]) { return load(g[LIMIT]) * all(1.0001f) + all(1e-4f); }
+INLINE vf wider_reach(const float (*g)[L]) { return (load(g[LOG_OPACITY]) - all(LEAST)) * all(1.0001f) + all(1e-4f); }
 INLINE vf wider_half(const float (*g)[L]) { return load(g[HALF_Y]) * all(1.0001f) + all(1e-3f); }
 
-// Fill recs for entries [first, first + count) of a tile whose corner is (left, top), and list, for each
-// block, the entries whose support may meet its pixel centres.
+// Which of a tile's blocks hold a pixel row that the support of a Gaussian covers some of; `mx`, `my` is its mean
+// relative to the tile's corner. The sixteen lanes are the tile's rows of pixels.
+INLINE unsigned blocks_met(const float* g, float mx, float my, vf rows) {
+  const vf dy = rows - all(my), v = all(g[L22]) * dy;
+  const float slope = g[L12] * g[INV_L11];
+  const vf reach2 = all((g[LOG_OPACITY] - LEAST) * 1.0001f + 1e-4f) - v * v;
+  const vf half = square_root(maximum(reach2, all(0))) * all(g[INV_L11]);
+  const vf middle = all(mx) - all(slope) * dy;
+  const vf slack = all(1e-3f) + all(1e-6f * __builtin_fabsf(slope)) * absolute(dy);
+  const vf from = middle - half - slack, to = middle + half + slack;
+  const unsigned some = bits(reach2 >= all(0));
+  unsigned met = 0;
+  for (int c = 0; c < 4; ++c) {  // the centres of this column of blocks are at 4c + 0.5 to 4c + 3.5
+    unsigned in = some & bits(to >= all(BLOCK * c + 0.5f)) & bits(from <= all(BLOCK * c + 3.5f));
+    in |= in >> 2;
+    in |= in >> 1;
+    met |= (in & 0x1111) << c;
+  }
+  return met;
+}
+
+INLINE void set_rank(float* rec, uint32_t rank) {
+  const uint32_t mark = FIRST_RANK + rank;
+  __builtin_memcpy(rec + R_RANK, &mark, sizeof mark);
+}
+
+// Fill the record of one Gaussian, the `rank`-th of the tile whose corner is (left, top).
+INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec,
+                        float& mx, float& my) {
+  const float* g = tiles.geo + (size_t)id * GEO;
+  const float* f = in_line(tiles, features) ? g + COLOUR : tiles.features + (size_t)id * tiles.stride;
+  mx = (g[X_WHOLE] - left) + g[X_PART];
+  my = (g[Y_WHOLE] - top) + g[Y_PART];
+  rec[R_U0] = -(g[L11] * mx + g[L12] * my);
+  rec[R_V0] = -g[L22] * my;
+  rec[R_L11] = g[L11];
+  rec[R_L12] = g[L12];
+  rec[R_L22] = g[L22];
+  rec[R_LOG_OPACITY] = g[LOG_OPACITY];
+  rec[R_OPACITY] = g[OPACITY];
+  set_rank(rec, rank);
+  for (int j = 0; j < features; j += 4) __builtin_memcpy(rec + R_FEATURES + j, f + j, 4 * sizeof(float));
+}
+
+constexpr int AHEAD = 16;  // Gaussians that are fetched before they are needed
+
+// Fill recs for the entries [begin, begin + count) of a tile's list, and, unless `met` is null, note which blocks
+// they meet.
+template <bool MEET>
 STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int left, int top, uint32_t first,
-                   int count, size_t capacity, int lengths[BLOCKS]) {
+                   uint32_t begin, int count, uint16_t* met) {
   const int stride = rec_stride(features);
-  const uint32_t* ids = tiles.entries + first;
+  const uint32_t* ids = tiles.entries + first + begin;
+  float lines[L];
+  for (int l = 0; l < L; ++l) lines[l] = l + 0.5f;
+  const vf rows = load(lines);
+  for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, ids[k], features);
+  for (int k = 0; k < count; ++k) {
+    if (k + AHEAD < count) prefetch(tiles, ids[k + AHEAD], features);
+    float mx, my;
+    fill_record(tiles, ids[k], begin + (uint32_t)k, features, (float)left, (float)top, scratch.recs + (size_t)k * stride, mx, my);
+    if (MEET) met[k] = (uint16_t)blocks_met(tiles.geo + (size_t)ids[k] * GEO, mx, my, rows);
+  }
+}
+
+constexpr int STEPS = 4;  // Gaussians of a block that are worked on in step
+
+// A record that contributes nothing anywhere, with the rank of the last one before it.
+INLINE void nothing_at(float* rec, int stride, uint32_t rank) {
+  for (int j = 0; j < stride; ++j) rec[j] = 0;
+  rec[R_LOG_OPACITY] = -1e3f;
+  set_rank(rec, rank);
+}
+
+// For each block, the entries that meet it in order, and room for STEPS more.
+STAGE void list_blocks(const uint16_t* met, int count, unsigned wanted, const Scratch& scratch, size_t capacity,
+                       int lengths[BLOCKS]) {
   for (int b = 0; b < BLOCKS; ++b) lengths[b] = 0;
-  for (int k = 0; k < count && k < L; ++k) prefetch(tiles, ids[k]);
+#if defined(__AVX512F__)
   for (int k = 0; k < count; k += L) {
-    alignas(64) float g[GEO][L], rec[L][L];
-    const int n = count - k < L ? count - k : L;
-    for (int l = k + L; l < k + 2 * L && l < count; ++l) prefetch(tiles, ids[l]);
-    transpose_rows([=](int r) { return tiles.geo + (size_t)ids[k + (r < n ? r : 0)] * GEO; }, g[0], L);
-    // mean relative to the tile's corner
-    const vf mx = (load(g[X_WHOLE]) - all((float)left)) + load(g[X_PART]);
-    const vf my = (load(g[Y_WHOLE]) - all((float)top)) + load(g[Y_PART]);
-    store(rec[R_U0], all(0) - (load(g[L11]) * mx + load(g[L12]) * my));
-    store(rec[R_V0], all(0) - load(g[L22]) * my);
-    store(rec[R_L11], load(g[L11]));
-    store(rec[R_L12], load(g[L12]));
-    store(rec[R_L22], load(g[L22]));
-    store(rec[R_OPACITY], load(g[OPACITY]));
-    store(rec[R_LIMIT], load(g[LIMIT]));
-    for (int j = R_UNUSED; j < L; ++j) store(rec[j], all(0));
-    const vf reach2 = wider_reach(g), half = wider_half(g);
-    const unsigned present = (1u << n) - 1;
-    for (int row = 0; row < 4; ++row) {
-      const vf d0 = all(BLOCK * row + 0.5f) - my, d1 = d0 + all(BLOCK - 1);
-      vf from, to;
-      span(g, reach2, d0, d1, from, to);
-      const unsigned hit = bits((d1 >= all(0) - half) & (d0 <= half)) & present;
-      from = from + mx;
-      to = to + mx;
-      for (int c = 0; c < 4; ++c) {  // the centres of this block are at 4c + 0.5 to 4c + 3.5
-        const unsigned in = hit & bits((to >= all(BLOCK * c + 0.5f)) & (from <= all(BLOCK * c + 3.5f)));
-        const int b = 4 * row + c;
-        lengths[b] = append(scratch.lists + b * capacity, lengths[b], (uint32_t)k, in);
+    uint16_t some[L] = {};
+    for (int l = 0; l < L && k + l < count; ++l) some[l] = met[k + l];
+    const __m512i masks = _mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)some));
+    for (int b = 0; b < BLOCKS; ++b)
+      if (wanted >> b & 1)
+        lengths[b] = append(scratch.lists + b * capacity, lengths[b], (uint32_t)k,
+                            _mm512_test_epi32_mask(masks, _mm512_set1_epi32(1 << b)));
+  }
+#else
+  for (int k = 0; k < count; ++k)
+    for (unsigned in = met[k] & wanted; in; in &= in - 1) {
+      const int b = __builtin_ctz(in);
+      scratch.lists[b * capacity + lengths[b]++] = (uint32_t)k;
+    }
+#endif
+}
+
+// Pixel centres of a tile's first column of blocks and of its first row, relative to the tile's corner.
+struct Centres {
+  alignas(64) float x[L], y[L];
+  Centres() {
+    for (int l = 0; l < L; ++l) {
+      x[l] = l % BLOCK + 0.5f;
+      y[l] = l / BLOCK + 0.5f;
+    }
+  }
+};
+
+template <int W>
+struct Pixels {
+  V<float, W> x, y;  // centres relative to the tile's corner
+};
+template <int W>
+INLINE Pixels<W> pixels_of(const Centres& centres, int b, int part) {
+  return {read<float, W>(centres.x + part) + broadcast<float, W>((float)(b % 4 * BLOCK)),
+          read<float, W>(centres.y + part) + broadcast<float, W>((float)(b / 4 * BLOCK))};
+}
+
+// The state of W pixels while Gaussians are drawn over them.
+template <int W>
+struct Light {
+  V<float, W> all;   // product of all (1 - alpha): below T_MIN for good once a pixel is full
+  V<float, W> left;  // the same of what was drawn: the transmittance
+  V<float, W> sum;   // of the weights
+  V<float, W> last;  // rank of the last Gaussian that was drawn, or would have been had it been there
+};
+
+enum State { ST_ALL, ST_LEFT, ST_SUM, ST_LAST, ST_MEDIAN, ST_FEATURES };
+
+template <int W>
+INLINE Light<W> read_light(const float* state) {
+  return {read<float, W>(state + ST_ALL * L), read<float, W>(state + ST_LEFT * L), read<float, W>(state + ST_SUM * L),
+          read<float, W>(state + ST_LAST * L)};
+}
+template <int W>
+INLINE void store_light(float* state, const Light<W>& light) {
+  store(state + ST_ALL * L, light.all);
+  store(state + ST_LEFT * L, light.left);
+  store(state + ST_SUM * L, light.sum);
+  store(state + ST_LAST * L, light.last);
+}
+
+template <int W>
+INLINE V<float, W> at(const float* rec, int j) { return broadcast<float, W>(rec[j]); }
+
+// log2(alpha) before cap and cut, and the u and v that it is made of.
+template <int W>
+struct Exponent {
+  V<float, W> u, v, t;
+};
+template <int W>
+INLINE Exponent<W> exponent(const float* rec, const Pixels<W>& p) {
+  const V<float, W> u = at<W>(rec, R_U0) + p.x * at<W>(rec, R_L11) + p.y * at<W>(rec, R_L12);
+  const V<float, W> v = at<W>(rec, R_V0) + p.y * at<W>(rec, R_L22);
+  return {u, v, at<W>(rec, R_LOG_OPACITY) - u * u - v * v};
+}
+
+// Draw the listed Gaussians over W pixels, STEPS at a time: weighted sums of N features of each; with KEEP, alpha
+// and weight of each, zero where it is dropped, go into rows of LANES. A record without any alpha must follow the
+// list's last one, at `nothing`. Returns how many entries were looked at: all, or enough to fill the pixels.
+template <int W, int N, bool SUM, bool KEEP>
+STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing, const Pixels<W>& pixels,
+                Light<W>& light, float* sums, float* weights, float* alphas) {
+  typedef V<float, W> Value;
+  Light<W> now = light;
+  Value acc[N ? N : 1];
+  for (int f = 0; f < N; ++f) acc[f] = read<float, W>(sums + f * L);
+  for (int j = 0; j < STEPS; ++j) list[length + j] = nothing;
+  int k = 0;
+  while (k < length) {
+    const float* rec[STEPS];
+    Value alpha[STEPS], t[STEPS];
+#pragma GCC unroll 4
+    for (int j = 0; j < STEPS; ++j) {
+      rec[j] = recs + (size_t)list[k + j] * stride;
+      alpha[j] = t[j] = exponent<W>(rec[j], pixels).t;
+    }
+    exp2_of(alpha);
+    M<float, W> live;
+#pragma GCC unroll 4
+    for (int j = 0; j < STEPS; ++j) {
+      alpha[j] = keep(t[j] >= broadcast<float, W>(LEAST), minimum(alpha[j], broadcast<float, W>(ALPHA_MAX)));
+      const Value before = now.all;
+      now.all = before - alpha[j] * before;
+      live = now.all >= broadcast<float, W>(T_MIN);
+      const Value weight = keep(live, alpha[j] * before);
+      now.left = select(live, now.all, now.left);
+      now.last = select(live, at<W>(rec[j], R_RANK), now.last);
+      if (SUM) now.sum = now.sum + weight;
+      for (int f = 0; f < N; ++f) acc[f] = acc[f] + weight * at<W>(rec[j], R_FEATURES + f);
+      if (KEEP) {
+        store(weights + (size_t)(k + j) * L, weight);
+        store(alphas + (size_t)(k + j) * L, keep(live, alpha[j]));
       }
     }
-    float* recs = scratch.recs + (size_t)k * stride;  // room for 16 rows
-    transpose(rec[0], L, recs, stride);
-    for (int l = 0; l < n; ++l) {
-      const float* f = tiles.features + (size_t)ids[k + l] * tiles.stride;
-      for (int j = 0; j < features; ++j) recs[l * stride + R_FEATURES + j] = f[j];
-    }
-  }
-}
-
-struct Block {
-  vf x, y;  // pixel centres relative to the tile's corner
-};
-
-INLINE Block block_pixels(int b) {
-  float x[L], y[L];
-  for (int l = 0; l < L; ++l) {
-    x[l] = (b % 4) * BLOCK + l % BLOCK + 0.5f;
-    y[l] = (b / 4) * BLOCK + l / BLOCK + 0.5f;
-  }
-  return {load(x), load(y)};
-}
-
-struct Light {
-  vf all;   // product of all (1 - alpha): below T_MIN for good once a pixel is full
-  vf left;  // the same of what was drawn: the transmittance
-  vf sum;   // of the weights
-};
-
-struct Contribution {
-  vf alpha, weight;  // zero where dropped
-};
-
-// One Gaussian over the pixels of a block. Returns false once every pixel is full.
-INLINE bool contribute(const float* rec, const Block& block, Light& light, Contribution& c) {
-  const vf u = all(rec[R_U0]) + block.x * all(rec[R_L11]) + block.y * all(rec[R_L12]);
-  const vf v = all(rec[R_V0]) + block.y * all(rec[R_L22]);
-  const vf s = u * u + v * v;
-  vf alpha = minimum(all(rec[R_OPACITY]) * exp2_negative(s), all(ALPHA_MAX));
-  alpha = keep(s <= all(rec[R_LIMIT]), alpha);  // alpha >= 1/255
-  const vf before = light.all;
-  light.all = before - alpha * before;
-  const mask live = light.all >= all(T_MIN);
-  c.alpha = keep(live, alpha);
-  c.weight = c.alpha * before;
-  light.left = select(live, light.all, light.left);
-  return any(live);
-}
-
-// Weighted sums of N features of each listed Gaussian. Stops at the end of the list or when the block is full;
-// returns how many entries were looked at.
-template <int N, bool STORE>
-STAGE int blend(const float* recs, int stride, const uint32_t* list, int length, const Block& block, Light& light,
-                 vf* sums, float* weights) {
-  Light now = light;
-  vf acc[N ? N : 1];
-  for (int f = 0; f < N; ++f) acc[f] = sums[f];
-  int k = 0;
-  for (; k < length; ++k) {
-    const float* rec = recs + (size_t)list[k] * stride;
-    Contribution c;
-    const bool live = contribute(rec, block, now, c);
-    now.sum = now.sum + c.weight;
-    for (int f = 0; f < N; ++f) acc[f] = acc[f] + c.weight * all(rec[R_FEATURES + f]);
-    if (STORE) store(weights + (size_t)k * L, c.weight);
-    if (!live) { ++k; break; }
+    k += STEPS;
+    if (!any(live)) break;
   }
   light = now;
-  for (int f = 0; f < N; ++f) sums[f] = acc[f];
-  return k;
+  for (int f = 0; f < N; ++f) store(sums + f * L, acc[f]);
+  return k < length ? k : length;
+}
+
+// The same for a block, whose pixels are drawn register by register: their state stays in registers so.
+template <int N, bool SUM>
+INLINE int blend_block(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing,
+                       const Centres& centres, int b, float* state) {
+  int looked = 0;
+  for (int part = 0; part < L; part += WIDTH) {
+    Light<WIDTH> light = read_light<WIDTH>(state + part);
+    const int here = blend<WIDTH, N, SUM, false>(recs, stride, list, length, nothing, pixels_of<WIDTH>(centres, b, part),
+                                                 light, state + ST_FEATURES * L + part, nullptr, nullptr);
+    store_light(state + part, light);
+    looked = here > looked ? here : looked;
+  }
+  return looked;
 }
 
 // sums[f] += sum_k weights[k] feature f of list[k], for features [first, last) by fours.
@@ -145,9 +256,6 @@ STAGE void blend_stored(const float* recs, int stride, const uint32_t* list, int
     for (int j = 0; j < 4; ++j) store(sums + (f + j) * L, acc[j]);
   }
 }
-
-// Indices into a block's state: light, then feature sums, then the median depth.
-enum State { ST_ALL, ST_LEFT, ST_SUM, ST_MEDIAN, ST_FEATURES };
 
 // z of the first contribution by which the weights sum to a half or more.
 INLINE void find_median(const float* recs, int stride, const uint32_t* list, int length, const float* weights,
@@ -181,9 +289,29 @@ struct Window {
   int left, top;
 };
 
+// A block within the picture where colours alone are wanted: the usual case, without branches.
+INLINE void write_colours(const Tiles& tiles, const Pictures& out, int x, int y, const float* state) {
+  float colours[3][L];
+  for (int c = 0; c < 3; ++c) {
+    const vf behind = all(out.background ? out.background[c] : 0);
+    store(colours[c], load(state + (ST_FEATURES + c) * L) + load(state + ST_LEFT * L) * behind);
+  }
+  for (int j = 0; j < BLOCK; ++j) {
+    float* row = out.colour + ((size_t)(y + j) * tiles.width + x) * 3;
+    for (int i = 0; i < BLOCK; ++i)
+      for (int c = 0; c < 3; ++c) row[3 * i + c] = colours[c][BLOCK * j + i];
+  }
+}
+
 STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int b, const float* state) {
+  const int x0 = tile.left + (b % 4) * BLOCK, y0 = tile.top + (b / 4) * BLOCK;
+  const bool only_colour = out.channels == 3 && !(out.alpha || out.left || out.depth || out.distance || out.median);
+  if (only_colour && x0 + BLOCK <= tiles.width && y0 + BLOCK <= tiles.height) {
+    write_colours(tiles, out, x0, y0, state);
+    return;
+  }
   for (int l = 0; l < L; ++l) {
-    const int x = tile.left + (b % 4) * BLOCK + l % BLOCK, y = tile.top + (b / 4) * BLOCK + l / BLOCK;
+    const int x = x0 + l % BLOCK, y = y0 + l / BLOCK;
     if (x >= tiles.width || y >= tiles.height) continue;
     const size_t pixel = (size_t)y * tiles.width + x;
     const float left = state[ST_LEFT * L + l], sum = state[ST_SUM * L + l];
@@ -202,45 +330,46 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
 void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
   const Window window = {tile % tiles.across * TILE, tile / tiles.across * TILE};
   const int features = features_of(out), stride = rec_stride(features);
-  const bool stored = (features != 3 && features != 4) || out.median || out.contributors;
+  const bool stored = (features != 3 && features != 4) || (features == 3 && out.alpha) || out.median || out.contributors;
   const int rows = ST_FEATURES + (features + 3) / 4 * 4;
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first;
-  bool full[BLOCKS];
+  const Centres centres;
+  unsigned open = 0;  // blocks that have a pixel which is not full
   for (int b = 0; b < BLOCKS; ++b) {
     float* state = scratch.state + (size_t)b * rows * L;
     for (int j = 0; j < rows * L; ++j) state[j] = 0;
-    full[b] = true;
     for (int l = 0; l < L; ++l) {
       const int x = window.left + (b % 4) * BLOCK + l % BLOCK, y = window.top + (b / 4) * BLOCK + l / BLOCK;
       const bool inside = x < tiles.width && y < tiles.height;
-      state[ST_ALL * L + l] = inside ? 1 : 0;  // pixels outside count as full
-      state[ST_LEFT * L + l] = inside ? 1 : 0;
-      full[b] &= !inside;
+      state[ST_ALL * L + l] = state[ST_LEFT * L + l] = inside ? 1 : 0;  // pixels outside count as full
+      open |= (unsigned)inside << b;
     }
   }
   uint32_t processed = 0;
-  bool busy = true;
-  for (uint32_t done = 0; busy && done < total; done += CHUNK) {
+  constexpr size_t CAPACITY = CHUNK + L;
+  for (uint32_t done = 0; open && done < total; done += CHUNK) {
     const int count = total - done < (uint32_t)CHUNK ? (int)(total - done) : CHUNK;
     int lengths[BLOCKS];
-    prepare(tiles, scratch, features, window.left, window.top, first + done, count, CHUNK + L, lengths);
-    busy = false;
+    uint16_t met[CHUNK];
+    prepare<true>(tiles, scratch, features, window.left, window.top, first, done, count, met);
+    nothing_at(scratch.recs + (size_t)count * stride, stride, done + (uint32_t)count - 1);
+    const unsigned before = open;
+    list_blocks(met, count, before, scratch, CAPACITY, lengths);
+    for (int k = 0; k < count; ++k) met[k] &= (uint16_t)before;
     for (int b = 0; b < BLOCKS; ++b) {
-      if (full[b]) continue;
-      const uint32_t* list = scratch.lists + (size_t)b * (CHUNK + L);
+      if (!(before >> b & 1)) continue;
+      uint32_t* list = scratch.lists + (size_t)b * CAPACITY;
       float* state = scratch.state + (size_t)b * rows * L;
-      const Block block = block_pixels(b);
-      Light light = {load(state + ST_ALL * L), load(state + ST_LEFT * L), load(state + ST_SUM * L)};
-      const vf sum_before = light.sum;
       int looked;
       if (!stored) {
-        vf sums[4];
-        for (int f = 0; f < 4; ++f) sums[f] = load(state + (ST_FEATURES + f) * L);
-        const auto draw = features == 3 ? blend<3, false> : blend<4, false>;
-        looked = draw(scratch.recs, stride, list, lengths[b], block, light, sums, nullptr);
-        for (int f = 0; f < 4; ++f) store(state + (ST_FEATURES + f) * L, sums[f]);
+        const auto draw = features == 3 ? blend_block<3, false> : blend_block<4, true>;
+        looked = draw(scratch.recs, stride, list, lengths[b], (uint32_t)count, centres, b, state);
       } else {
-        looked = blend<0, true>(scratch.recs, stride, list, lengths[b], block, light, nullptr, scratch.weights);
+        Light<L> light = read_light<L>(state);
+        const vf sum_before = light.sum;
+        looked = blend<L, 0, true, true>(scratch.recs, stride, list, lengths[b], (uint32_t)count,
+                                         pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
+        store_light(state, light);
         blend_stored(scratch.recs, stride, list, looked, scratch.weights, features, state + ST_FEATURES * L);
         if (out.median)
           find_median(scratch.recs, stride, list, looked, scratch.weights, sum_before, out.channels,
@@ -254,18 +383,25 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
                    w, tiles.entries[first + done + list[k]]);
           }
       }
-      store(state + ST_ALL * L, light.all);
-      store(state + ST_LEFT * L, light.left);
-      store(state + ST_SUM * L, light.sum);
-      full[b] = !any(light.all >= all(T_MIN));
-      busy |= !full[b];
-      const uint32_t end = done + (full[b] && looked ? list[looked - 1] + 1 : count);
+      uint32_t end = done + count;
+      if (!any(load(state + ST_ALL * L) >= all(T_MIN))) {
+        open &= ~(1u << b);
+        end = done + (looked ? list[looked - 1] + 1 : 0);
+        for (int k = looked; k < lengths[b]; ++k) met[list[k]] &= (uint16_t)~(1u << b);
+      }
       processed = processed > end ? processed : end;
     }
+    if (tiles.blocks) __builtin_memcpy(tiles.blocks + first + done, met, count * sizeof *met);
   }
   tiles.processed[tile] = processed < total ? processed : total;
-  for (int b = 0; b < BLOCKS; ++b)
-    write_block(tiles, out, window, b, scratch.state + (size_t)b * rows * L);
+  for (int b = 0; b < BLOCKS; ++b) {
+    const float* state = scratch.state + (size_t)b * rows * L;
+    write_block(tiles, out, window, b, state);
+    if (!tiles.trace) continue;
+    float* trace = tiles.trace + ((size_t)tile * BLOCKS + b) * TRACE * L;
+    store(trace + TR_LEFT * L, load(state + ST_LEFT * L));
+    store(trace + TR_LAST * L, load(state + ST_LAST * L));
+  }
 }
 
 }  // namespace

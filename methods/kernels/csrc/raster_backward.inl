@@ -1,6 +1,5 @@
-// Gradients of one tile. Per block: the contributions again, front to back; then back to front the gradient
-// by each exponent; then, with sixteen Gaussians as lanes, sums over the pixels. Nothing is shared between
-// tiles, so the result does not depend on threads.
+// Gradients of one tile: for each of its Gaussians, sums over the pixels. Nothing is shared between tiles, so the
+// result does not depend on threads.
 
 namespace {
 
@@ -50,19 +49,6 @@ STAGE void read_block(const Tiles& tiles, const PictureGradients& in, int featur
     out.left[l] = by_left;
     out.median[l] = in.median && inside ? in.median[pixel] : 0;
   }
-}
-
-// The contributions of a block again. Returns how many entries were drawn.
-STAGE int repeat(const float* recs, int stride, const uint32_t* list, int length, const Block& block, Light light,
-                 float* weights, float* alphas) {
-  for (int k = 0; k < length; ++k) {
-    Contribution c;
-    const bool live = contribute(recs + (size_t)list[k] * stride, block, light, c);
-    store(alphas + (size_t)k * L, c.alpha);
-    store(weights + (size_t)k * L, c.weight);
-    if (!live) return k;  // this one contributes nothing
-  }
-  return length;
 }
 
 // What rounding left out of an expected depth: sum w (z - centre) / sum w. Without it a pixel with one Gaussian,
@@ -187,29 +173,33 @@ INLINE void median_backward(const uint32_t* list, int length, const float* weigh
   }
 }
 
-void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
-                   float* sums, int sums_stride) {
+// Any channels, depths: per block the contributions again, then gradients back to front, then sums over pixels.
+STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
+                        float* sums, int sums_stride) {
   const int left = tile % tiles.across * TILE, top = tile / tiles.across * TILE;
   const int stride = rec_stride(features);
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first;
   const int count = (int)tiles.processed[tile];
   for (size_t j = 0; j < (size_t)total * sums_stride; ++j) sums[j] = 0;
   if (count == 0) return;
+  const Centres centres;
   int lengths[BLOCKS];
   const size_t capacity = (size_t)count + L;
-  prepare(tiles, scratch, features, left, top, first, count, capacity, lengths);
+  prepare<false>(tiles, scratch, features, left, top, first, 0, count, nullptr);
+  nothing_at(scratch.recs + (size_t)count * stride, stride, (uint32_t)count - 1);
+  list_blocks(tiles.blocks + first, count, (1u << BLOCKS) - 1, scratch, capacity, lengths);
   for (int b = 0; b < BLOCKS; ++b) {
     const int x = left + (b % 4) * BLOCK, y = top + (b / 4) * BLOCK;
     if (lengths[b] == 0 || x >= tiles.width || y >= tiles.height) continue;
-    const uint32_t* list = scratch.lists + (size_t)b * capacity;
+    uint32_t* list = scratch.lists + (size_t)b * capacity;
     PixelGradients pixel;
     read_block(tiles, in, features, left, top, b, pixel);
-    const Block block = block_pixels(b);
     float ones[L];
     for (int l = 0; l < L; ++l)
       ones[l] = x + l % BLOCK < tiles.width && y + l / BLOCK < tiles.height ? 1 : 0;
-    Light light = {load(ones), load(ones), all(0)};
-    const int k = repeat(scratch.recs, stride, list, lengths[b], block, light, scratch.weights, scratch.alphas);
+    Light<L> light = {load(ones), load(ones), all(0), all(0)};
+    const int k = blend<L, 0, false, true>(scratch.recs, stride, list, lengths[b], (uint32_t)count,
+                                           pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
     if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, sums, sums_stride);
     for (int f = in.channels; f < features; ++f)
       residue(scratch.recs, stride, list, k, f, scratch.weights, pixel.centre[f - in.channels],
@@ -223,6 +213,168 @@ void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch
       reduce(scratch.recs, stride, list + j, k - j < L ? k - j : L, b, features, pixel,
              scratch.weights + (size_t)j * L, scratch.alphas + (size_t)j * L, sums, sums_stride);
   }
+}
+
+// Of a block, while Gaussians are taken away again from the last to the first. `behind` is the gradient-weighted
+// colour of what lies behind, so the gradient by an alpha needs no division by it.
+enum Undrawn { UN_LEFT, UN_BEHIND, UN_BY, UN_LAST = UN_BY + 3, UN_X, UN_Y, UNDRAWN };
+
+constexpr int SUMS = S_FEATURES + 3;
+constexpr unsigned ALL_SUMS = (1u << SUMS) - 1, NO_MODULI = ALL_SUMS & ~(1u << S_ABS_X | 1u << S_ABS_Y);
+
+// One Gaussian over K registers of pixels: `sums` grows, lane by lane, and the pixels' state goes back by one.
+template <int K, bool MODULI>
+INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (&sums)[SUMS]) {
+  typedef V<float, WIDTH> Value;
+  const auto one = [=](float x) { return broadcast<float, WIDTH>(x); };
+  const auto part = [&](int k, int j) { return read<float, WIDTH>(state[k] + j * L); };
+  Exponent<WIDTH> e[K];
+  Value alpha[K], inverse[K], weight[K], g[K];
+#pragma GCC unroll 2
+  for (int k = 0; k < K; ++k) {
+    e[k] = exponent<WIDTH>(rec, {part(k, UN_X), part(k, UN_Y)});
+    alpha[k] = e[k].t;
+  }
+  exp2_of(alpha);
+#pragma GCC unroll 2
+  for (int k = 0; k < K; ++k) {
+    const auto drawn = (e[k].t >= one(LEAST)) & (at<WIDTH>(rec, R_RANK) <= part(k, UN_LAST));
+    alpha[k] = keep(drawn, minimum(alpha[k], one(ALPHA_MAX)));
+    inverse[k] = reciprocal(one(1) - alpha[k]);
+  }
+#pragma GCC unroll 2
+  for (int k = 0; k < K; ++k) {
+    const Value before = part(k, UN_LEFT) * inverse[k], behind = part(k, UN_BEHIND);
+    store(state[k] + UN_LEFT * L, before);
+    weight[k] = before * alpha[k];
+    const Value difference = part(k, UN_BY) * at<WIDTH>(rec, R_FEATURES) + part(k, UN_BY + 1) * at<WIDTH>(rec, R_FEATURES + 1) +
+                             part(k, UN_BY + 2) * at<WIDTH>(rec, R_FEATURES + 2) - behind;
+    store(state[k] + UN_BEHIND * L, behind + alpha[k] * difference);
+    g[k] = weight[k] * difference;
+  }
+  if (rec[R_OPACITY] > ALPHA_MAX)  // no gradient through the clamp
+    for (int k = 0; k < K; ++k) g[k] = keep(alpha[k] < one(ALPHA_MAX), g[k]);
+#pragma GCC unroll 2
+  for (int k = 0; k < K; ++k) {
+    const Value gu = g[k] * e[k].u, gv = g[k] * e[k].v;
+    sums[S_G] = sums[S_G] + g[k];
+    sums[S_GU] = sums[S_GU] + gu;
+    sums[S_GV] = sums[S_GV] + gv;
+    sums[S_GUU] = sums[S_GUU] + gu * e[k].u;
+    sums[S_GUV] = sums[S_GUV] + gu * e[k].v;
+    sums[S_GVV] = sums[S_GVV] + gv * e[k].v;
+    for (int c = 0; c < 3; ++c) sums[S_FEATURES + c] = sums[S_FEATURES + c] + weight[k] * part(k, UN_BY + c);
+    if (MODULI) {
+      sums[S_ABS_X] = sums[S_ABS_X] + absolute(gu);
+      sums[S_ABS_Y] = sums[S_ABS_Y] + absolute(at<WIDTH>(rec, R_L12) * gu + at<WIDTH>(rec, R_L22) * gv);
+    }
+  }
+}
+
+template <int S, int... I>
+INLINE NF other_half(NF a, Lanes<I...>) {
+  return __builtin_shufflevector(a, a, (I ^ S)...);
+}
+
+// Lane i of rows[0] becomes the sum of rows[i] over its lanes, for i in 0 to 2 S - 1; of rows that are not in
+// `there`, bits of S, any number.
+template <int S>
+INLINE void totals(NF* rows, unsigned there) {
+  typedef typename MakeLanes<WIDTH>::type Every;
+#pragma GCC unroll 16
+  for (int i = 0; i < S; ++i) {
+    const bool low = there >> i & 1, high = there >> (i + S) & 1;
+    if (low && high) {
+      exchange<S>(rows[i], rows[i + S], Every());
+      rows[i] = rows[i] + rows[i + S];
+    } else if (low || high) {
+      const NF a = low ? rows[i] : rows[i + S];
+      rows[i] = a + other_half<S>(a, Every());
+    }
+  }
+  if constexpr (S > 1) totals<S / 2>(rows, there | there >> S);
+}
+
+// The row of a Gaussian's sums over all lanes.
+template <unsigned THERE>
+INLINE void store_sums(const V<float, WIDTH> (&sums)[SUMS], float* row) {
+  float kept[L];
+  for (int j = 0; j < L; ++j) kept[j] = THERE >> j & 1 ? 1 : 0;
+#pragma GCC unroll 4
+  for (int first = 0; first < L; first += WIDTH) {
+    const unsigned there = THERE >> first & ((1u << WIDTH) - 1);
+    NF rows[WIDTH] = {};
+#pragma GCC unroll 16
+    for (int j = 0; j < WIDTH; ++j)
+      if (there >> j & 1) rows[j] = sums[first + j].v;
+    if (there) totals<WIDTH / 2>(rows, there);
+    V<float, WIDTH> out = {rows[0]};
+    store(row + first, select(read<float, WIDTH>(kept + first) > broadcast<float, WIDTH>(0), out, broadcast<float, WIDTH>(0)));
+  }
+}
+
+constexpr uint32_t ROWS_AHEAD = 8;  // rows of sums that are fetched before they are written
+
+// Three channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
+// transmittances from those that the forward pass left. Each row is written once.
+template <bool MODULI>
+STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
+  constexpr int FEATURES = 3;
+  const int left = tile % tiles.across * TILE, top = tile / tiles.across * TILE;
+  const int stride = rec_stride(FEATURES);
+  const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first, count = tiles.processed[tile];
+  for (size_t j = (size_t)count * L; j < (size_t)total * L; ++j) sums[j] = 0;
+  if (count == 0) return;
+  const Centres centres;
+  for (int b = 0; b < BLOCKS; ++b) {
+    if (left + (b % 4) * BLOCK >= tiles.width || top + (b / 4) * BLOCK >= tiles.height) continue;
+    PixelGradients pixel;
+    read_block(tiles, in, FEATURES, left, top, b, pixel);
+    float* state = scratch.state + b * UNDRAWN * L;
+    const float* trace = tiles.trace + ((size_t)tile * BLOCKS + b) * TRACE * L;
+    store(state + UN_LEFT * L, load(trace + TR_LEFT * L));
+    store(state + UN_BEHIND * L, load(pixel.left));
+    for (int c = 0; c < 3; ++c) store(state + (UN_BY + c) * L, load(pixel.feature[c]));
+    store(state + UN_LAST * L, load(trace + TR_LAST * L));
+    const Pixels<L> pixels = pixels_of<L>(centres, b, 0);
+    store(state + UN_X * L, pixels.x);
+    store(state + UN_Y * L, pixels.y);
+  }
+  for (uint32_t begin = (count - 1) / CHUNK * CHUNK;; begin -= CHUNK) {
+    const int here = count - begin < (uint32_t)CHUNK ? (int)(count - begin) : CHUNK;
+    prepare<false>(tiles, scratch, FEATURES, left, top, first, begin, here, nullptr);
+    for (int k = here - 1; k >= 0; --k) {
+      const float* rec = scratch.recs + (size_t)k * stride;
+      float* row = sums + (size_t)(begin + k) * L;
+      if (begin + k >= ROWS_AHEAD) __builtin_prefetch(row - ROWS_AHEAD * L, 1);
+      V<float, WIDTH> total_of[SUMS];
+      for (int j = 0; j < SUMS; ++j) total_of[j] = broadcast<float, WIDTH>(0);
+      for (unsigned in_blocks = tiles.blocks[first + begin + k]; in_blocks;) {
+        const int b = __builtin_ctz(in_blocks);
+        in_blocks &= in_blocks - 1;
+        float* const state = scratch.state + b * UNDRAWN * L;
+        if constexpr (WIDTH == L) {
+          const int c = in_blocks ? __builtin_ctz(in_blocks) : b;
+          if (c != b) {
+            in_blocks &= in_blocks - 1;
+            undraw<2, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
+          } else undraw<1, MODULI>(rec, {state}, total_of);
+        } else {
+          for (int part = 0; part < L; part += 2 * WIDTH)
+            undraw<2, MODULI>(rec, {state + part, state + part + WIDTH}, total_of);
+        }
+      }
+      store_sums<MODULI ? ALL_SUMS : NO_MODULI>(total_of, row);
+    }
+    if (begin == 0) break;
+  }
+}
+
+void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
+                   float* sums, int sums_stride) {
+  if (features != 3 || in.channels != 3) backward_any(tiles, in, scratch, features, tile, sums, sums_stride);
+  else if (in.moduli) backward_colour<true>(tiles, in, scratch, tile, sums);
+  else backward_colour<false>(tiles, in, scratch, tile, sums);
 }
 
 }  // namespace

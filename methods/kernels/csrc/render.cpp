@@ -30,15 +30,16 @@ uint64_t pairs_listed() { return listed; }
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
-  return {geo.data(), features.data(), stride, bins.entries.data(), bins.start.data(),
-          processed.data(), across(), camera.width, camera.height};
+  return {geo.data(), features.data(), stride, channels == 3, bins.entries.data(), bins.start.data(),
+          processed.data(), blocks.size() ? blocks.data() : nullptr, trace.size() ? trace.data() : nullptr, across(),
+          camera.width, camera.height};
 }
 
 Projection State::projection(float* radii) { return {geo.data(), features.data(), stride, radii, drawn.data()}; }
 
 size_t State::bytes() const {
-  return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + bins.entries.bytes() +
-         bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
+  return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + blocks.bytes() + trace.bytes() +
+         bins.entries.bytes() + bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
 }
 
 void lay_out(const Model& model, float* radii, int threads, State& state) {
@@ -72,6 +73,8 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
     pictures.ids[i] = -1;
     pictures.weights[i] = 0;
   }
+  state.blocks.resize(state.bins.entries.size());
+  state.trace.resize((size_t)state.tiles() * BLOCKS * TRACE * LANES);
   const Scratches scratch(threads, CHUNK, features_of(pictures));
   const Tiles tiles = state.view();
   parallel(threads, state.tiles(),
@@ -82,6 +85,7 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
 void backward(const Model& model, PictureGradients pictures, const ModelGradients& out, int threads, State& state) {
   StageClock clock;
   const Kernels& k = kernels();
+  pictures.moduli = out.screen_absolute != nullptr;
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
   const int stride = sum_stride(features);
   const Tiles tiles = state.view();

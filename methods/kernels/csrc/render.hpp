@@ -3,11 +3,10 @@
 #include <cstdint>
 
 #include "binning.hpp"
+#include "levels.hpp"
 #include "types.hpp"
 
 namespace splat {
-
-const Kernels& kernels();  // of the SIMD level in use
 
 struct State {
   Camera camera;
@@ -16,6 +15,8 @@ struct State {
   Buffer<float> geo, features;
   Buffer<uint8_t> drawn;
   Buffer<uint32_t> processed;
+  Buffer<uint16_t> blocks;
+  Buffer<float> trace;
   Bins bins;
 
   int across() const { return (camera.width + TILE - 1) / TILE; }

@@ -14,15 +14,13 @@
 #include <vector>
 
 #include "buffer.hpp"
+#include "levels.hpp"
 #include "pool.hpp"
 #include "render.hpp"
 #include "roofline_loops.hpp"
 #include "stages.hpp"
 
-extern const splat::RooflineLoops splat_roofline_portable;
-#if defined(__x86_64__)
-extern const splat::RooflineLoops splat_roofline_avx2, splat_roofline_avx512;
-#endif
+SPLAT_TABLES(splat::RooflineLoops, roofline)
 
 namespace nb = nanobind;
 
@@ -31,14 +29,6 @@ namespace {
 
 using Numbers = std::map<std::string, double>;
 using Rows = nb::ndarray<nb::pytorch, const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-const RooflineLoops& loops() {
-#if defined(__x86_64__)
-  if (!std::strcmp(kernels().name, "avx512")) return splat_roofline_avx512;
-  if (!std::strcmp(kernels().name, "avx2")) return splat_roofline_avx2;
-#endif
-  return splat_roofline_portable;
-}
 
 // Least wall seconds of `repeats` turns in which every thread runs task(thread) once.
 template <class Task>
@@ -82,7 +72,7 @@ double bandwidth(double seconds, int64_t bytes) {
   least_seconds(1, touch);
   const auto passes = [&](int64_t rounds) {
     return [&, rounds](int t) {
-      for (int64_t i = 0; i < rounds; ++i) loops().stream(x.data() + each * t, y.data() + each * t, each);
+      for (int64_t i = 0; i < rounds; ++i) roofline_in_use().stream(x.data() + each * t, y.data() + each * t, each);
     };
   };
   int64_t rounds = 1;
@@ -93,7 +83,7 @@ double bandwidth(double seconds, int64_t bytes) {
 Numbers roofline(double seconds, int64_t bytes) {
   if (!(seconds > 0 && seconds <= 60) || bytes < 1 || bytes > ((int64_t)1 << 33))
     throw std::invalid_argument("seconds must be in (0, 60], bytes in [1, 2^33]");
-  const RooflineLoops& l = loops();
+  const RooflineLoops& l = roofline_in_use();
   Numbers out;
   out["flops"] = rate(seconds, l.fma);
   double blend = 0, backward = 0;

@@ -41,7 +41,9 @@ struct Footing {
 INLINE Footing footing(const Record& r, vf shear, const float* row) {
   const vf y = load(row), u = shear + y * all(r.l12), v = all(r.v0) + y * all(r.l22);
   const vf s = u * u + v * v;
-  const vf alpha = minimum(all(r.opacity) * exp2_negative(s), all(ALPHA_MAX));
+  vf power[] = {all(0) - s};
+  exp2_of(power);
+  const vf alpha = minimum(all(r.opacity) * power[0], all(ALPHA_MAX));
   return {u, v, keep(s <= all(r.limit), alpha)};
 }
 

@@ -13,7 +13,7 @@ class Scratches {
  public:
   Scratches(int threads, size_t rows, int features) {
     rows = (rows + LANES - 1) / LANES * LANES;
-    const size_t recs = rows * rec_stride(features), rows16 = rows * LANES;
+    const size_t recs = (rows + LANES) * rec_stride(features), rows16 = (rows + LANES) * LANES;
     const size_t state = (size_t)BLOCKS * (8 + features) * LANES, lists = (size_t)BLOCKS * (rows + LANES);
     const size_t each = recs + 2 * rows16 + state + lists;
     memory_.resize(each * threads);

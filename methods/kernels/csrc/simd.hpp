@@ -7,6 +7,8 @@
 
 #if defined(__AVX__) || defined(__SSE2__)
 #include <immintrin.h>
+#elif defined(SPLAT_NEON)
+#include <arm_neon.h>
 #endif
 
 #define INLINE static inline __attribute__((always_inline))
@@ -168,6 +170,8 @@ INLINE unsigned bits(M<T, N> m) {
     if constexpr (sizeof m.m == 32 && sizeof(T) == 4) return (unsigned)_mm256_movemask_ps((__m256)m.m);
 #elif defined(__SSE2__)
     if constexpr (sizeof(T) == 4) return (unsigned)_mm_movemask_ps((__m128)m.m);
+#elif defined(SPLAT_NEON)
+    if constexpr (sizeof(T) == 4) return vaddvq_u32(vandq_u32((uint32x4_t)m.m, uint32x4_t{1, 2, 4, 8}));
 #endif
     for (int l = 0; l < N; ++l) r |= (unsigned)(m.m[l] & 1) << l;
     return r;
@@ -187,22 +191,41 @@ INLINE vf keep(mask m, vf a) { return {(NF)_mm512_maskz_mov_ps(m.m, (__m512)a.v)
 INLINE vf select(mask m, vf a, vf b) { return {(NF)_mm512_mask_mov_ps((__m512)b.v, m.m, (__m512)a.v)}; }
 INLINE unsigned bits(mask m) { return m.m; }
 #endif
-INLINE bool any(mask m) { return bits(m) != 0; }
+template <int N>
+INLINE bool any(M<float, N> m) { return bits(m) != 0; }
 
-INLINE vf minimum(vf a, vf b) {
+template <int N>
+INLINE V<float, N> minimum(V<float, N> a, V<float, N> b) {  // b where either is NaN
+  if constexpr (leaf<float, N>) {
 #if defined(__AVX512F__)
-  return {(NF)_mm512_min_ps((__m512)a.v, (__m512)b.v)};
+    return {(NF)_mm512_min_ps((__m512)a.v, (__m512)b.v)};
+#elif defined(__AVX2__)
+    return {(NF)_mm256_min_ps((__m256)a.v, (__m256)b.v)};
+#elif defined(__SSE2__)
+    return {(NF)_mm_min_ps((__m128)a.v, (__m128)b.v)};
+#elif defined(SPLAT_NEON)
+    return {(NF)vminnmq_f32((float32x4_t)a.v, (float32x4_t)b.v)};  // NaN: the other one
 #else
-  return select(a < b, a, b);
+    return select(a < b, a, b);
 #endif
+  } else return {minimum(a.lo, b.lo), minimum(a.hi, b.hi)};
 }
 
-INLINE vf maximum(vf a, vf b) {
+template <int N>
+INLINE V<float, N> maximum(V<float, N> a, V<float, N> b) {  // b where either is NaN
+  if constexpr (leaf<float, N>) {
 #if defined(__AVX512F__)
-  return {(NF)_mm512_max_ps((__m512)a.v, (__m512)b.v)};
+    return {(NF)_mm512_max_ps((__m512)a.v, (__m512)b.v)};
+#elif defined(__AVX2__)
+    return {(NF)_mm256_max_ps((__m256)a.v, (__m256)b.v)};
+#elif defined(__SSE2__)
+    return {(NF)_mm_max_ps((__m128)a.v, (__m128)b.v)};
+#elif defined(SPLAT_NEON)
+    return {(NF)vmaxnmq_f32((float32x4_t)a.v, (float32x4_t)b.v)};  // NaN: the other one
 #else
-  return select(b < a, a, b);
+    return select(a > b, a, b);
 #endif
+  } else return {maximum(a.lo, b.lo), maximum(a.hi, b.hi)};
 }
 
 template <int N>
@@ -214,7 +237,7 @@ INLINE V<float, N> absolute(V<float, N> a) {
 template <class T, int N>
 INLINE V<T, N> square_root(V<T, N> a) {
   if constexpr (leaf<T, N>) {
-    typedef typename V<T, N>::Values Values;
+    [[maybe_unused]] typedef typename V<T, N>::Values Values;
     if constexpr (sizeof(T) == 4) {
 #if defined(__AVX512F__)
       return {(Values)_mm512_sqrt_ps((__m512)a.v)};
@@ -222,6 +245,8 @@ INLINE V<T, N> square_root(V<T, N> a) {
       return {(Values)_mm256_sqrt_ps((__m256)a.v)};
 #elif defined(__SSE2__)
       return {(Values)_mm_sqrt_ps((__m128)a.v)};
+#elif defined(SPLAT_NEON)
+      return {(Values)vsqrtq_f32((float32x4_t)a.v)};
 #endif
     } else {
 #if defined(__AVX512F__)
@@ -230,9 +255,11 @@ INLINE V<T, N> square_root(V<T, N> a) {
       return {(Values)_mm256_sqrt_pd((__m256d)a.v)};
 #elif defined(__SSE2__)
       return {(Values)_mm_sqrt_pd((__m128d)a.v)};
+#elif defined(SPLAT_NEON)
+      return {(Values)vsqrtq_f64((float64x2_t)a.v)};
 #endif
     }
-#if !defined(__SSE2__)
+#if !defined(__SSE2__) && !defined(SPLAT_NEON)
     V<T, N> r;
     for (int l = 0; l < N; ++l) r.v[l] = sizeof(T) == 4 ? (T)__builtin_sqrtf((float)a.v[l]) : (T)__builtin_sqrt(a.v[l]);
     return r;
@@ -240,31 +267,65 @@ INLINE V<T, N> square_root(V<T, N> a) {
   } else return {square_root(a.lo), square_root(a.hi)};
 }
 
-// 2^-s for 0 <= s <= 100, relative error below 2.5e-7; any bits for other s (callers mask those lanes).
-// 2^f on [-1/2, 1/2] is a minimax polynomial with value 1 at 0.
+// t = whole + rest for |t| <= 100: `rest` in [0, 1) with AVX-512 and in [-1/2, 1/2] without, `scale` what
+// times_power needs of t. Any bits for other t (callers mask those lanes).
 template <int N>
-INLINE V<float, N> exp2_negative(V<float, N> s) {
+INLINE V<float, N> fraction(V<float, N> t, V<float, N>& scale) {
   if constexpr (leaf<float, N>) {
-    const NF t = -s.v;
 #if defined(__AVX512F__)
-    const NF whole = (NF)_mm512_roundscale_ps((__m512)t, 0);
+    scale = t;  // vscalef rounds down itself
+    return {(NF)_mm512_reduce_ps((__m512)t.v, 1)};
 #else
-    const NF shifted = t + 12582912.0f;  // 1.5 * 2^23: the low bits now hold the nearest integer
-    const NF whole = shifted - 12582912.0f;
+    scale.v = t.v + 12582912.0f;  // 1.5 * 2^23: the low bits now hold the nearest integer
+    return {t.v - (scale.v - 12582912.0f)};
 #endif
-    const NF f = t - whole;
-    NF p = NF{} + 0.00132647272f;
-    p = p * f + 0.00967151264f;
-    p = p * f + 0.05550733743f;
-    p = p * f + 0.2402224209f;
-    p = p * f + 0.6931469776f;
-    p = p * f + 1.0f;
+  } else return {fraction(t.lo, scale.lo), fraction(t.hi, scale.hi)};
+}
+template <int N>
+INLINE V<float, N> times_power(V<float, N> p, V<float, N> scale) {  // p 2^whole
+  if constexpr (leaf<float, N>) {
 #if defined(__AVX512F__)
-    return {(NF)_mm512_scalef_ps((__m512)p, (__m512)whole)};
+    return {(NF)_mm512_scalef_ps((__m512)p.v, (__m512)scale.v)};
 #else
-    return {(NF)((NI)p + ((NI)shifted << 23))};
+    return {(NF)((NI)p.v + ((NI)scale.v << 23))};
 #endif
-  } else return {exp2_negative(s.lo), exp2_negative(s.hi)};
+  } else return {times_power(p.lo, scale.lo), times_power(p.hi, scale.hi)};
+}
+
+// t[k] = 2^t[k] for |t[k]| <= 100, relative error below 2.5e-7; any bits for others. 2^rest is a minimax polynomial
+// with value 1 at 0. The K are worked on in step: one alone waits for each of its own operations.
+template <int K, int N>
+INLINE void exp2_of(V<float, N> (&t)[K]) {
+#if defined(__AVX512F__)
+  constexpr float factors[] = {0.009017030708f, 0.05579991266f, 0.2401644439f, 0.6931512952f, 1.0f};
+  constexpr float highest = 0.00186713005f;
+#else
+  constexpr float factors[] = {0.00967151264f, 0.05550733743f, 0.2402224209f, 0.6931469776f, 1.0f};
+  constexpr float highest = 0.00132647272f;
+#endif
+  V<float, N> scale[K], p[K];
+#pragma GCC unroll 8
+  for (int k = 0; k < K; ++k) t[k] = fraction(t[k], scale[k]);
+#pragma GCC unroll 8
+  for (int k = 0; k < K; ++k) p[k] = broadcast<float, N>(highest);
+#pragma GCC unroll 8
+  for (float factor : factors)
+#pragma GCC unroll 8
+    for (int k = 0; k < K; ++k) p[k] = p[k] * t[k] + broadcast<float, N>(factor);
+#pragma GCC unroll 8
+  for (int k = 0; k < K; ++k) t[k] = times_power(p[k], scale[k]);
+}
+
+// 1 / x for x in [1e-30, 1e30], relative error below 2.5e-7.
+template <int N>
+INLINE V<float, N> reciprocal(V<float, N> x) {
+#if defined(__AVX512F__)
+  if constexpr (N == 16) {  // a guess of 14 bits and one step of Newton's method
+    const NF r = (NF)_mm512_rcp14_ps((__m512)x.v);
+    return {r + r * (1.0f - x.v * r)};
+  }
+#endif
+  return broadcast<float, N>(1) / x;
 }
 
 // The exponent field of doubles: p 2^n for n in the low bits of `shifted` = n + 2^52 + 2^51.
@@ -338,16 +399,13 @@ INLINE void transpose(const float* in, ptrdiff_t stride, float* out, ptrdiff_t o
   transpose_rows([=](int r) { return in + r * stride; }, out, out_stride);
 }
 
+#if defined(__AVX512F__)
 // Append first + l for each set bit l of `chosen`. May write 16 numbers, so leave room for them.
 INLINE int append(uint32_t* list, int length, uint32_t first, unsigned chosen) {
-#if defined(__AVX512F__)
   const __m512i lanes = _mm512_add_epi32(_mm512_set1_epi32((int)first), _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0));
   _mm512_storeu_si512(list + length, _mm512_maskz_compress_epi32((__mmask16)chosen, lanes));
   return length + __builtin_popcount(chosen);
-#else
-  for (; chosen; chosen &= chosen - 1) list[length++] = first + (uint32_t)__builtin_ctz(chosen);
-  return length;
-#endif
 }
+#endif
 
 }  // namespace

@@ -17,23 +17,32 @@ constexpr float T_MIN = 1e-4f;
 constexpr double BLUR = 0.3;
 constexpr double WHITEN = 0.84932180028801904272;  // sqrt(log2(e) / 2): exponents are powers of 2
 
-// One projected Gaussian. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky factor of
-// the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
-// alpha = opacity 2^-(u^2 + v^2), and the support is u^2 + v^2 <= limit.
+// One projected Gaussian, a line of the cache. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky
+// factor of the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
+// alpha = opacity 2^-(u^2 + v^2), and the support is where that is 1/255 or more.
 enum Geo {
   X_WHOLE, X_PART, Y_WHOLE, Y_PART,  // mean in pixels = whole + part: float32 alone loses 1e-4 px at 1000
   L11, L12, L22, OPACITY,
-  LIMIT,     // log2(255 opacity)
-  SLOPE,     // l12 / l11: how the ellipse's middle moves with dy
-  TIP,       // dy at the ellipse's rightmost point
-  INV_L11,
-  HALF_X, HALF_Y,  // half-extents of the support in pixels
-  DEPTH, DISTANCE,
+  LOG_OPACITY,  // log2(opacity)
+  TIP,          // dy at the ellipse's rightmost point
+  INV_L11,      // l12 times it is how the ellipse's middle moves with dy
+  HALF_Y,       // half-extent of the support in pixels
+  COLOUR,       // where there are three channels: what tiles need of most pictures is in this line
+  DEPTH = COLOUR + 3,
   GEO
 };
 
-// One Gaussian as a tile sees it: position relative to the tile's corner, then its features.
-enum Rec { R_U0, R_V0, R_L11, R_L12, R_L22, R_OPACITY, R_LIMIT, R_UNUSED, R_FEATURES };
+// One Gaussian as a tile sees it: u and v at the tile's corner, its rank in the tile's list, then its features.
+// alpha = 2^(log2(opacity) - u^2 - v^2) down to 2^LEAST = 1/255.
+enum Rec { R_U0, R_V0, R_L11, R_L12, R_L22, R_LOG_OPACITY, R_OPACITY, R_RANK, R_FEATURES };
+constexpr float LEAST = -7.99435343685885793f;
+
+// A rank as the bits of a float that is no denormal: numbers of this kind are ordered as ranks are.
+constexpr uint32_t FIRST_RANK = 0x3f800000;
+
+// What the forward pass leaves of a block for the backward pass: transmittances, and the rank of the last Gaussian
+// of each pixel, 0 where there is none.
+enum Trace { TR_LEFT, TR_LAST, TRACE };
 
 // One row of gradient sums over the pixels of a tile, with g = d loss / d ln(alpha).
 enum Sum { S_G, S_GU, S_GV, S_GUU, S_GUV, S_GVV, S_ABS_X, S_ABS_Y, S_FEATURES };
@@ -78,9 +87,12 @@ struct Tiles {
   const float* geo;
   const float* features;
   int stride;                  // floats between the features of two Gaussians
+  bool coloured;               // whether geo has their colours
   const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
   const uint32_t* start;       // [tiles + 1] into entries
   uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
+  uint16_t* blocks;            // [entries]: bit b where block b draws the Gaussian, for those looked at; or null
+  float* trace;                // [tiles, BLOCKS, TRACE, LANES]; null with `blocks`
   int across;                  // tiles in a row
   int width, height;
 };
@@ -102,6 +114,7 @@ struct PictureGradients {  // d loss / d output; null is zero
   const float* background;
   const float *alpha_value, *depth_value, *distance_value;
   const float *colour, *alpha, *depth, *distance, *median;
+  bool moduli;  // whether sums of absolute gradients by the 2D means are wanted
 };
 
 struct ModelGradients {  // all written in full; null where not asked for
@@ -121,13 +134,16 @@ struct Loss {
   const float *image, *truth;  // [height, width, channels]
   const uint8_t* mask;         // [height, width] or null
   int width, height, channels;
-  int row_floats;              // of a row with its margins
+  int margin;                  // floats that the window reaches to the side, up to a multiple of LANES
   float l1_weight, ssim_weight;
   float taps[6];               // the window from its middle outwards
-  float* maps;                 // [height, 3, row_floats]
   double* sums;                // [height, 2]: |a - b|, SSIM
-  float* gradient;             // [height, width, channels]
+  float* gradient;             // [height, width, channels] or null
 };
+
+constexpr int LOSS_STRIP = 320;  // floats of a row that are compared at once
+constexpr int loss_margin(int channels) { return (5 * channels + LANES - 1) / LANES * LANES; }
+inline size_t loss_scratch(int margin) { return (size_t)87 * LOSS_STRIP + (size_t)112 * margin; }
 
 struct AdamTensor {
   float *value, *first, *second;
@@ -147,17 +163,17 @@ struct AdamRate {
 struct Kernels {
   const char* name;
   void (*project)(const Camera&, const Model&, const Projection&, int64_t first, int64_t last);
-  void (*footprints)(const float* geo, const uint8_t* drawn, int down, Footprint*, int64_t first, int64_t last);
-  void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, Span*, int64_t first,
-                int64_t last);
+  // of the Gaussians ids[first] to ids[last - 1]; all that they write goes by that order
+  void (*footprints)(const float* geo, const uint32_t* ids, int down, Footprint*, int64_t first, int64_t last);
+  void (*spans)(const float* geo, const uint32_t* ids, const Footprint*, const uint32_t* span_start, int across, Span*,
+                uint32_t* touched, int64_t first, int64_t last);
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
                         float* sums, int sums_stride);
   void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,
                            int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
                            const ModelGradients&, int64_t first, int64_t last);
-  void (*loss_maps)(const Loss&, float* scratch, int first, int last);
-  void (*loss_gradient)(const Loss&, float* scratch, int first, int last);
+  void (*loss_rows)(const Loss&, float* scratch, int first, int last);
   void (*adam)(const AdamRate&, const AdamTensor&, int64_t begin, int64_t end);
   void (*exp2)(const float* x, float* y, int64_t count);
 };

@@ -71,6 +71,18 @@ def test_value_and_gradient_are_the_references(simd_level, size, channels, seed,
     assert compare_gradients(gradient, true_gradient).good(GRADIENT)
 
 
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize(("width", "channels"), [(107, 3), (321, 1), (230, 3), (90, 4)])
+def test_images_wider_than_a_strip(simd_level, width, channels, masked):
+    """Kernels work in strips of 320 floats; what lies left and right of one is in its windows."""
+    image, truth, mask = pair(14, width, channels, 5)
+    (true, true_gradient), (value, gradient) = both(image, truth, mask if masked else None, 0.2)
+    assert abs(float(value.detach()) - float(true.detach())) < VALUE
+    assert compare_gradients(gradient, true_gradient).good(GRADIENT)
+    with torch.no_grad():  # without a gradient the same value
+        assert native.photometric(image, truth, mask=mask if masked else None) == value
+
+
 def test_equal_images_have_no_loss(simd_level):
     _, truth, _ = pair(20, 30, 3, 1)
     assert abs(float(native.photometric(truth, truth))) < 1e-6

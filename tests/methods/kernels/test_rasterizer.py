@@ -1,6 +1,7 @@
 """The native rasterizer against the float64 reference on random scenes, at every SIMD level."""
 
 import inspect
+from dataclasses import replace
 
 import pytest
 import torch
@@ -189,6 +190,35 @@ def test_bits_do_not_depend_on_threads(simd_level, threads):
     assert torch.equal(one.depth, many.depth)
     for a, b in zip(one_gradients[:-1], many_gradients[:-1], strict=True):
         assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("names", [("colour",), ("colour", "alpha", "depth")])
+def test_tiles_with_more_gaussians_than_are_prepared_at_once(simd_level, names):
+    """Pixels see hundreds of faint Gaussians, and fill up behind two opaque ones in some places only."""
+    scene = random_scene(900, 4, width=23, height=19)
+    faint = 0.005 + 0.04 * scene.opacities
+    opacities = torch.where(torch.arange(900) % 90 == 0, torch.tensor(0.98), faint)
+    assert_twins(replace(scene, opacities=opacities, scales=2 * scene.scales), names, seed=4)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+def test_many_gaussians_are_sorted_alike_by_any_number_of_threads(threads):
+    """The sort shares out its work from 16384 on; a fifth of these depths is equal."""
+    scene = random_scene(70_000, 3, width=40, height=30)
+    means = torch.where(torch.arange(70_000)[:, None] % 5 == 0, scene.means[:1], scene.means)
+    arguments = (means, *(t.detach() for t in scene.arguments(torch.float32)[1:4]))
+    before = torch.get_num_threads()
+    pictures = []
+    try:
+        for count in (1, threads):
+            torch.set_num_threads(count)
+            out = native.rasterize(scene.camera, *arguments, sh=scene.sh, contributors=4)
+            pictures.append(out)
+    finally:
+        torch.set_num_threads(before)
+    one, many = pictures
+    assert torch.equal(one.colour, many.colour)
+    assert torch.equal(one.contributor_ids, many.contributor_ids)
 
 
 def test_exp2_is_within_its_stated_error(simd_level):
