@@ -44,6 +44,7 @@ struct V<T, N, true> {
 };
 typedef V<float, WIDTH>::Values NF;
 typedef V<float, WIDTH>::Bits NI;
+typedef uint32_t NU __attribute__((vector_size(4 * WIDTH)));  // lanes that are masked may overflow: that is defined
 
 // True or false in each lane.
 template <class T, int N, bool LEAF = (N * sizeof(T) <= BYTES)>
@@ -287,7 +288,7 @@ INLINE V<float, N> times_power(V<float, N> p, V<float, N> scale) {  // p 2^whole
 #if defined(__AVX512F__)
     return {(NF)_mm512_scalef_ps((__m512)p.v, (__m512)scale.v)};
 #else
-    return {(NF)((NI)p.v + ((NI)scale.v << 23))};
+    return {(NF)((NU)p.v + ((NU)scale.v << 23))};
 #endif
   } else return {times_power(p.lo, scale.lo), times_power(p.hi, scale.hi)};
 }
