@@ -27,8 +27,10 @@ PIXELS_A_POINT = 4
 grow) 25.3 dB with 129,000; caliterra loses 0.7 dB where it starts from 12,000 points of 24,715."""
 GROWTH = Density(start=1500, gradient=4e-4, reset_interval=0, least_interval=100)
 """Density control of a run without opacity resets, which cost a short run more than they mend."""
-NUMBERS = 59
-"""Numbers of a Gaussian with harmonics of degree 3; 11 + 3 (degree + 1)^2."""
+LEAST_EXPOSURE = 0.02
+"""Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
+GROWTH_A_PASS = 1.25
+"""Largest factor by which a densification is taken to raise the number of Gaussians."""
 LEAST_STEPS, MOST_STEPS = 100, 30_000
 """Steps of the shortest run that is planned, and of the longest."""
 WORTH = 0.3
@@ -131,10 +133,6 @@ def candidates(asked: AutoSettings, facts: SceneFacts) -> list[Candidate]:
             because=f"photos differ by {100 * math.expm1(facts.exposure):.0f} % in brightness",
         ))  # fmt: skip
     return [one for one in found if getattr(asked, one.setting) is None]
-
-
-LEAST_EXPOSURE = 0.02
-"""Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
 
 
 def compete(
@@ -270,8 +268,8 @@ def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed
 def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count: int) -> float:
     """Wall seconds of a training of so many steps, photos read before.
 
-    The number of Gaussians is taken to grow evenly from the points to the cap, or as far as two
-    fifths more in each densification get it, between the first and the last densification.
+    The number of Gaussians is taken to grow evenly from the points to the cap, or as far as
+    `GROWTH_A_PASS` in each densification gets it, between the first and the last densification.
 
     Args:
         settings: Schedules, cap and sizes.
@@ -298,7 +296,3 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
         factor = settings.resolution.factor(int(step) + 1, count)
         total += speed.step(gaussians, factor) * count / parts
     return total * settings.views_per_step
-
-
-GROWTH_A_PASS = 1.25
-"""Largest factor by which a densification is taken to raise the number of Gaussians."""
