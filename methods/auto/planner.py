@@ -153,13 +153,11 @@ def compete(
 
     Returns: The settings with what won, and a choice for each setting that competed.
     """
-    if not tried or not left():
-        return settings, ()
-    best, told, trials = score(settings), {}, {one.setting: 0 for one in tried}
-    for one in tried:
+    told: dict[str, list[str]] = {}
+    best = score(settings) if tried and left() else ()
+    for one in tried if best else ():
         if not left():
             break
-        trials[one.setting] += 1
         found = score(replace(settings, **{one.setting: one.value}))
         gain = sum(a - b for a, b in zip(found, best, strict=True)) / len(best)
         line = f"{one.value}: {gain:+.2f} dB on {len(best)} held-out training views"
@@ -169,9 +167,11 @@ def compete(
     return settings, tuple(
         Choice(
             component=name.replace("_", " "), value=str(getattr(settings, name)),
-            because="probe: " + "; ".join(told[name]) if name in told else "no time to probe",
+            because="probe: " + "; ".join(told[name])
+            if name in told
+            else "usual; no time to probe",
         )
-        for name in trials
+        for name in dict.fromkeys(one.setting for one in tried)
     )  # fmt: skip
 
 
