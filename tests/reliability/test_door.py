@@ -15,7 +15,7 @@ READS = re.compile(
 ASKED_BEFORE = {
     "datasets/adapters/llff.py", "datasets/adapters/mega_nerf.py", "datasets/array_files.py",
     "datasets/colmap_model.py", "datasets/ingesting/survey.py", "datasets/ingesting/upright.py",
-    "datasets/photos.py", "methods/storage/gltf.py", "methods/storage/packed/records.py",
+    "datasets/photos.py", "datasets/png_rows.py", "methods/storage/gltf.py", "methods/storage/packed/records.py",
     "methods/storage/packed/rows.py", "methods/storage/spz.py", "metrics/lpips.py", "reports/store.py",
     "src/splatproof/base/files.py",
 }  # fmt: skip
@@ -24,7 +24,7 @@ OURS = {
     "datasets/ingesting/ingest.py", "datasets/procedural/exporting.py", "datasets/procedural/plan.py",
     "datasets/triangulation.py", "methods/training/snapshots.py", "reports/dashboard/assets.py",
     "reports/page.py", "src/splatproof/viewing/server.py", "suites/claim_checks/bits.py",
-    "suites/claim_checks/trained.py", "suites/gallery/pictures.py",
+    "suites/claim_checks/trained.py", "suites/gallery/pictures.py", "suites/marks.py",
     "suites/studies/instructions/measure.py",
 }  # fmt: skip
 """They read what the package brings, or has itself just written."""
