@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from matplotlib.ticker import ScalarFormatter
+from matplotlib.ticker import NullFormatter
 from strips import crops, save_strips
 
 from splatproof.datasets.catalogue.opening import open_scene
@@ -124,7 +124,7 @@ def curves(rows: Sequence[Row], docs: Path) -> None:
         axes.plot(*zip(*points, strict=True), **style, marker="o", markersize=2.5,
                   label=row.row if row.seed == min(r.seed for r in rows) else None)  # fmt: skip
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xticks([5, 10, 20, 30, 60], labels=["5", "10", "20", "30", "60"])
     axes.set_xlabel("wall seconds since the scene was opened", fontsize=8)
     axes.set_ylabel("PSNR of held-out views, dB", fontsize=8)
