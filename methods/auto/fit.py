@@ -85,12 +85,12 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         chosen, choices = made.plan.settings, made.plan.choices
         start = _started(scene, chosen, run)
         spent = time.perf_counter() - began
-        run.on_stage("plan", spent)
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
             stored = {"key": key, "settings": asdict(chosen), "spent": spent,
                       "choices": [asdict(one) for one in choices]}  # fmt: skip
             write_text(kept, json.dumps(stored))
+    run.on_stage("plan", spent)  # of the first attempt, where this one goes on
     for one in choices:
         run.say(f"{one.component}: {one.value} ({one.because})")
         run.on_fact(f"plan: {one.component}", f"{one.value} ({one.because})")
@@ -169,8 +169,9 @@ class Recount:
         each = max(1e-6, (seconds - self.began) / (step - self.first))
         left = max(0, int((self.seconds - seconds) / each))
         self.next = step + max(MEASURED, left // 2)
-        self.tell(step + left)
-        return min(step + left, MOST_STEPS)
+        steps = min(step + left, MOST_STEPS)
+        self.tell(steps)
+        return steps
 
 
 def remembering(scene: Scene, image_bytes: int) -> Scene:
