@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import QhullError
 from torch import Tensor
 from torch.nn.functional import max_pool2d
@@ -164,6 +163,8 @@ def _sparse_depth(
     inside = (z > camera.near) & ((at >= 0) & (at < size)).all(dim=1)
     if int(inside.sum()) < FEWEST:
         return None
+    from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator  # slow to import
+
     where, disparity = at[inside].numpy(), 1 / z[inside].numpy()
     # the points are far sparser than pixels: a small picture of them is enlarged
     small = tuple(min(MOST_CELLS, length) for length in (camera.width, camera.height))

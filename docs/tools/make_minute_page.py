@@ -121,11 +121,15 @@ def curves(rows: Sequence[Row], docs: Path) -> None:
         style = {"color": COLOURS[number % len(COLOURS)], "linewidth": 1.2,
                  "linestyle": ("-", "--", ":")[number // len(COLOURS) % 3]}  # fmt: skip
         points = [(seconds, means["psnr"]) for seconds, means in row.timed]
+        if row.total > points[-1][0]:
+            points.append((row.total, row.final["psnr"]))
         axes.plot(*zip(*points, strict=True), **style, marker="o", markersize=2.5,
                   label=row.row if row.seed == min(r.seed for r in rows) else None)  # fmt: skip
     axes.set_xscale("log")
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xticks([5, 10, 20, 30, 60], labels=["5", "10", "20", "30", "60"])
+    last = max(row.total for row in rows)
+    ticks = [5, 10, 20, 30, 60, *(late for late in (120, 300, 600) if late < last)]
+    axes.set_xticks(ticks, labels=[str(tick) for tick in ticks])
     axes.set_xlabel("wall seconds since the scene was opened", fontsize=8)
     axes.set_ylabel("PSNR of held-out views, dB", fontsize=8)
     axes.set_title(f"{rows[0].scene}, {rows[0].protocol}: a line a seed", fontsize=9)

@@ -112,7 +112,7 @@ planted).
 
 - The same bits on another machine, another version of torch or another SIMD level: results then agree within the
   budgets of [performance](performance.md).
-- Resuming a study: its rows are measured side by side, so it starts over; what was measured is kept.
+- Resuming a study: it starts over, but for the speed study, which goes on after the last whole case.
 - What a full disk, a broken memory or a network file system without locks does to files.
 - Hashes in `make setup`: the files that are locked (`make setup-locked`) hold torch's CPU build, which PyPI does not have,
   and all extras. On a machine that asks PyPI alone it could never apply, so `make setup` does not try.

@@ -15,18 +15,21 @@ from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.auto.facts import SceneFacts, facts_of
+from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.planner import (
     MOST_STEPS,
+    PIXELS_A_GAUSSIAN,
     AutoPlan,
     Choice,
     candidates,
     compete,
     plan,
+    training_seconds,
     usual,
 )
 from splatproof.methods.auto.probe import PIXELS, better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
-from splatproof.methods.auto.speed import measure
+from splatproof.methods.auto.speed import Speed, measure
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
@@ -34,6 +37,7 @@ from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.threads import threads
@@ -206,26 +210,46 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         read_ahead(scene, READING * settings.seconds)
         facts = facts_of(scene, run.image_bytes)
         chosen = usual(settings, facts)
+        matching = planned_matching(scene, settings, facts, chosen.most_points, run)
+        chosen = replace(
+            chosen, dense_cell=matching.cell,
+            dense=replace(chosen.dense, partners=matching.partners),
+        )  # fmt: skip
         speed = measure(scene, chosen, run)
-        choices: tuple[Choice, ...] = ()
-        probe = probe_of(scene, run) if settings.probe_share else None
-        if probe is not None:
-            ends = clock() + settings.probe_share * settings.seconds
-            each = PROBE_STEPS * speed.step(
-                float(min(facts.points, chosen.most_points or facts.points)),
-                max(1.0, math.sqrt(facts.width * facts.height / PIXELS)),
-            )
-            tried = replace(chosen, iterations=PROBE_STEPS)
-            won, choices = compete(
-                tried, candidates(settings, facts), probe.score, better, _left(clock, ends, each)
-            )
-            chosen = replace(won, iterations=chosen.iterations)
-    left = settings.seconds * (1 - RESERVE) - (clock() - started)
+        chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
+    left = settings.seconds * (1 - RESERVE) - (clock() - started) - matching.seconds
+    choices = (matching.choice, *choices)
     return Planned(plan=plan(settings, facts, chosen, choices, speed, left), facts=facts)
 
 
+def _probed(
+    scene: Scene, asked: AutoSettings, facts: SceneFacts, usual: Settings, speed: Speed, run: Run
+) -> tuple[Settings, tuple[Choice, ...]]:
+    """The usual settings with what won in short trainings from sparse points, and why."""
+    began = time.perf_counter()
+    probe = probe_of(scene, run) if asked.probe_share else None
+    if probe is None:
+        return usual, ()
+    most = max(1000, facts.views * PIXELS // PIXELS_A_GAUSSIAN)
+    tried = replace(
+        usual, iterations=PROBE_STEPS, dense_cell=0.0, density=replace(usual.density, most=most),
+    )  # fmt: skip
+    factor = max(1.0, math.sqrt(facts.width * facts.height / PIXELS))
+    small = replace(tried, resolution=Resolution(coarsest=factor, full_from=1.0))
+    left = _left(
+        time.perf_counter, began + asked.probe_share * asked.seconds,
+        training_seconds(small, facts, speed, PROBE_STEPS),
+    )  # fmt: skip
+    won, choices = compete(tried, candidates(asked, facts), probe.score, better, left)
+    return replace(
+        won, iterations=usual.iterations, dense_cell=usual.dense_cell, density=usual.density
+    ), choices
+
+
 def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:
-    """Whether there is time for one more training of the probe; at first for two, since one says nothing.
+    """Whether there is time for one more training of the probe.
+
+    Before the first for three, of which one is the usual settings': fewer say nothing.
 
     Args:
         clock: Seconds.
@@ -237,6 +261,6 @@ def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:
     def left() -> bool:
         times.append(clock())
         longest = max(each, *(b - a for a, b in pairwise(times)))
-        return times[-1] + longest * (2 if len(times) == 2 else 1) <= ends
+        return times[-1] + longest * (3 if len(times) == 2 else 1) <= ends
 
     return left

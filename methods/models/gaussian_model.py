@@ -117,8 +117,9 @@ class GaussianModel(Model):
                 if name in self.schedules:
                     rows[name].grad = gradient
             if drawn is not own and "opacity_logits" in self.schedules:
-                given = gradients["opacity_logits"]
-                rows["opacity_logits"].grad = torch.autograd.grad(drawn, own, given)[0]
+                # as grad(drawn, own, given), for which torch imports a whole algebra system: a second
+                total = (drawn * gradients["opacity_logits"]).sum()
+                rows["opacity_logits"].grad = torch.autograd.grad(total, own)[0]
 
         return NativeTensors(
             tensors=rows | {"opacity_logits": drawn}, degree=self.drawn_degree(moment), leave=leave

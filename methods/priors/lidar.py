@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from scipy.interpolate import LinearNDInterpolator
 from scipy.ndimage import maximum_filter
 from scipy.spatial import Delaunay, QhullError
 
@@ -58,6 +57,8 @@ def completed(camera: Camera, sweep: Sweep) -> DepthPrior:
         sweep: The sweep of its moment.
     Source: triangulation and interpolation: SciPy (Qhull); what is hidden and filled: ours.
     """
+    from scipy.interpolate import LinearNDInterpolator  # slow to import, and few scenes have sweeps
+
     pixels, disparity = visible(camera, sweep)
     height, width = camera.height, camera.width
     filled, valid = np.zeros((height, width)), np.zeros((height, width), bool)

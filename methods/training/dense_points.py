@@ -1,7 +1,10 @@
 """Points where structure from motion has none: training photos matched by flow, triangulated, merged."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,6 +15,7 @@ from torch import Tensor
 
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.progress import bar
+from splatproof.methods.training.least_vectors import least_vectors
 from splatproof.reference.supervision.dense_initialisation import (
     DensePoints,
     DenseSettings,
@@ -27,6 +31,8 @@ from splatproof.reference.types.scene import Scene, SparsePoints, View
 
 LEAST_MATCHES = 4
 """Number of matches that a voxel needs; with fewer it holds nothing but stray ones."""
+FARTHEST = 2**20
+"""Voxels from the corner beyond which a match is no place: three such numbers are one of 64 bits."""
 APART = 0.7
 """Cells between a new point and the nearest sparse one, at least: the sparse ones are better."""
 
@@ -61,12 +67,47 @@ def with_dense_points(
     corner = positions[torch.from_numpy(np.unique(seen.indices)).long()].amin(dim=0)
     images, voxels = ImageCache(image_bytes), Voxels(edge, corner)
     with bar(f"matching {len(pairs)} pairs of photos") as report:
-        for done, (a, b) in enumerate(pairs):
-            shared = positions[seen_by_both(seen, a, b)]
-            found = match(views[a], views[b], shared, images, settings)
-            voxels.add(found, (scene.train[a], scene.train[b]))
+        found = partial(_found, views, positions, seen, images, settings)
+        for done, (pair, points) in enumerate(in_order(found, pairs)):
+            voxels.add(points, (scene.train[pair[0]], scene.train[pair[1]]))
             report(done + 1, len(pairs))
     return extended(scene, voxels.points(), APART * edge)
+
+
+def _found(
+    views: Sequence[View],
+    positions: Float[Tensor, "n 3"],
+    seen: csr_array,
+    images: ImageCache,
+    settings: DenseSettings,
+    pair: tuple[int, int],
+) -> DensePoints:
+    first, second = pair
+    shared = positions[seen_by_both(seen, first, second)]
+    return match(views[first], views[second], shared, images, settings)
+
+
+def in_order(
+    work: Callable[[tuple[int, int]], DensePoints], pairs: Sequence[tuple[int, int]]
+) -> Iterator[tuple[tuple[int, int], DensePoints]]:
+    """Pairs and what they give, in the pairs' order, made on torch's number of threads.
+
+    No more results than threads wait for their turn, so memory does not grow with the pairs.
+
+    Args:
+        work: Makes the points of a pair; from several threads at once.
+        pairs: Any number.
+    """
+    threads = torch.get_num_threads()
+    waiting: deque[tuple[tuple[int, int], Future[DensePoints]]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        for pair in pairs:
+            waiting.append((pair, pool.submit(work, pair)))
+            if len(waiting) > threads:
+                first, one = waiting.popleft()
+                yield first, one.result()
+        for first, one in waiting:
+            yield first, one.result()
 
 
 def footprint(views: Sequence[View], positions: Float[Tensor, "n 3"], seen: csr_array) -> float:
@@ -111,7 +152,9 @@ def match(
     warp, certainty = match_by_flow(image, other, plane)
     if first.load_mask is not None:
         certainty = certainty * first.load_mask()
-    return points_of_pair(first.camera, second.camera, image, warp.double(), certainty, settings)
+    return points_of_pair(
+        first.camera, second.camera, image, warp.double(), certainty, settings, least_vectors
+    )
 
 
 class Voxels:
@@ -127,63 +170,82 @@ class Voxels:
         """
         self.edge = edge
         self._corner = corner.double().numpy()
-        self._keys = np.zeros((0, 3), np.int64)
+        self._keys = np.zeros(0, np.int64)
         self._sums = np.zeros((0, 8))
-        self._tracks = np.zeros((0, 4), np.int64)
+        self._new: list[tuple[np.ndarray, np.ndarray]] = []
+        self._tracks: dict[int, np.ndarray] = {}
 
     def add(self, found: DensePoints, views: tuple[int, int]) -> None:
-        """Take the points of one pair in.
+        """Take the points of one pair in; those more than a million voxels from the corner are dropped.
 
         Args:
             found: Any number of points of the pair.
             views: Indices into the scene's views of the two views.
         """
-        positions, weights = found.positions.numpy(), found.scores.numpy()[:, None]
-        ones = np.ones_like(weights)
-        rows = [weights * positions, weights * found.colours.numpy(), weights, ones]
-        cells = np.floor((positions - self._corner) / self.edge).astype(np.int64)
-        keys, sums = summed(cells, np.hstack(rows))
+        cells = np.floor((found.positions.numpy() - self._corner) / self.edge)
+        near = (np.abs(cells) < FARTHEST).all(axis=1)
+        positions, colours = found.positions.numpy()[near], found.colours.numpy()[near]
+        weights = found.scores.numpy()[near, None]
+        rows = [weights * positions, weights * colours, weights, np.ones_like(weights)]
+        keys, sums = summed(packed(cells[near].astype(np.int64)), np.hstack(rows))
         for view in views:
-            track = np.hstack([keys, np.full((len(keys), 1), view)])
-            self._tracks = np.unique(np.concatenate([self._tracks, track]), axis=0)
-        self._keys, self._sums = summed(
-            np.concatenate([self._keys, keys]), np.concatenate([self._sums, sums])
-        )
+            known = self._tracks.get(view)
+            self._tracks[view] = keys if known is None else np.union1d(known, keys)
+        self._new.append((keys, sums))
+        # merged once they are as many as what is there, so that a pair's cost does not grow with the others
+        if sum(len(one) for one, _ in self._new) >= len(self._keys):
+            self._merge()
+
+    def _merge(self) -> None:
+        keys, sums = zip((self._keys, self._sums), *self._new, strict=True)
+        self._keys, self._sums = summed(np.concatenate(keys), np.concatenate(sums))
+        self._new = []
 
     def points(self) -> SparsePoints:
         """One point a voxel with enough matches, in the order of the voxels."""
+        self._merge()
         kept = self._sums[:, 7] >= LEAST_MATCHES
         means = self._sums[kept, :6] / self._sums[kept, 6:7]
-        # voxels and tracks are sorted by the same key, so the rows of kept voxels are in order
-        owner = np.searchsorted(ordered(self._keys), ordered(self._tracks[:, :3]))
-        rows = kept[owner]
-        starts = np.concatenate([[0], np.bincount(owner, minlength=len(kept))[kept].cumsum()])
+        known = self._keys[kept]
+        owners, views = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for view in sorted(self._tracks):
+            rows = np.searchsorted(self._keys, self._tracks[view])
+            owners.append(np.searchsorted(known, self._keys[rows[kept[rows]]]))
+            views.append(np.full(len(owners[-1]), view))
+        owner = np.concatenate(owners)
+        starts = np.concatenate([[0], np.bincount(owner, minlength=len(known)).cumsum()])
+        # views were visited in rising order, so each voxel's stay in it
+        order = np.argsort(owner, kind="stable")
         return SparsePoints(
             positions=torch.from_numpy(means[:, :3]),
             colours=torch.from_numpy((means[:, 3:] * 255).round().clip(0, 255).astype(np.uint8)),
             track_starts=torch.from_numpy(starts),
-            track_views=torch.from_numpy(self._tracks[rows, 3]),
+            track_views=torch.from_numpy(np.concatenate(views)[order]),
         )
 
 
+def packed(cells: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    """One number a cell, in the same order.
+
+    Args:
+        cells: Whole numbers from -FARTHEST to FARTHEST, without the ends.
+    """
+    x, y, z = (cells + FARTHEST).T
+    return (x * (2 * FARTHEST) + y) * (2 * FARTHEST) + z
+
+
 def summed(
-    keys: Int64[np.ndarray, "n 3"], rows: Float64[np.ndarray, "n c"]
-) -> tuple[Int64[np.ndarray, "m 3"], Float64[np.ndarray, "m c"]]:
+    keys: Int64[np.ndarray, " n"], rows: Float64[np.ndarray, "n c"]
+) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, "m c"]]:
     """Sorted distinct keys and the sum of the rows of each.
 
     Args:
-        keys: Key of each row; three whole numbers.
-        rows: Values that are added up.
+        keys: Key of each row.
+        rows: Values that are added up, in their order.
     """
-    distinct, owner = np.unique(keys, axis=0, return_inverse=True)
-    owner = owner.reshape(-1)
+    distinct, owner = np.unique(keys, return_inverse=True)
     columns = [np.bincount(owner, column, len(distinct)) for column in rows.T]
     return distinct, np.stack(columns, axis=1)
-
-
-def ordered(keys: Int64[np.ndarray, "n 3"]) -> np.ndarray:
-    """Keys as single values that sort as the rows do."""
-    return np.ascontiguousarray(keys).view([("x", "i8"), ("y", "i8"), ("z", "i8")])[:, 0]
 
 
 def extended(scene: Scene, found: SparsePoints, apart: float) -> Scene:

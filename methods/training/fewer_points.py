@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float, Int
+from torch import Tensor
 
-from splatproof.methods.training.dense_points import ordered, summed
+from splatproof.reference.types.cells import unique_rows
 from splatproof.reference.types.scene import Scene, SparsePoints
 
 HALVINGS = 30
@@ -29,39 +29,42 @@ def with_at_most(scene: Scene, most: int) -> Scene:
     points = scene.points
     if len(points) <= most:
         return scene
-    positions = points.positions.double().numpy()
-    corner = positions.min(axis=0)
-    size = float((positions.max(axis=0) - corner).max()) or 1.0  # all in one place
+    positions = points.positions.double()
+    corner = positions.amin(dim=0)
+    size = float((positions.amax(dim=0) - corner).max()) or 1.0  # all in one place
     low, high = size * 2.0**-HALVINGS, 2 * size
     for _ in range(HALVINGS):
         middle = (low * high) ** 0.5
-        if len(np.unique(_cells(positions, corner, middle), axis=0)) > most:
+        if len(unique_rows(_cells(positions, corner, middle))[0]) > most:
             low = middle
         else:
             high = middle
-    return replace(scene, points=_merged(points, _cells(positions, corner, high)))
+    return replace(scene, points=_merged(points, unique_rows(_cells(positions, corner, high))[1]))
 
 
 def _cells(
-    positions: Float64[np.ndarray, "n 3"], corner: Float64[np.ndarray, "3"], edge: float
-) -> np.ndarray:
-    return np.floor((positions - corner) / edge).astype(np.int64)
+    positions: Float[Tensor, "n 3"], corner: Float[Tensor, "3"], edge: float
+) -> Int[Tensor, "n 3"]:
+    return ((positions - corner) / edge).floor().long()
 
 
-def _merged(points: SparsePoints, cells: np.ndarray) -> SparsePoints:
+def _merged(points: SparsePoints, owner: Int[Tensor, " n"]) -> SparsePoints:
     """One point a cell, in the order of the cells."""
-    ones = np.ones((len(cells), 1))
-    rows = np.hstack([points.positions.double().numpy(), points.colours.double().numpy(), ones])
-    keys, sums = summed(cells, rows)
-    means = sums[:, :6] / sums[:, 6:]
-    owner = np.searchsorted(ordered(keys), ordered(cells))
-    lengths = points.track_starts.diff().numpy()
-    pairs = np.stack([np.repeat(owner, lengths), points.track_views.numpy()], axis=1)
-    pairs = np.unique(pairs, axis=0)
-    counts = np.bincount(pairs[:, 0], minlength=len(keys))
+    count = int(owner.max()) + 1
+    members = torch.bincount(owner, minlength=count)[:, None]
+    places, colours = (
+        values.new_zeros(count, 3, dtype=torch.float64).index_add_(0, owner, values.double())
+        / members
+        for values in (points.positions, points.colours)
+    )
+    pairs = torch.stack(
+        [owner.repeat_interleave(points.track_starts.diff()), points.track_views], dim=1
+    )
+    pairs = unique_rows(pairs)[0]
+    counts = torch.bincount(pairs[:, 0], minlength=count)
     return SparsePoints(
-        positions=torch.from_numpy(means[:, :3]),
-        colours=torch.from_numpy(means[:, 3:].round().clip(0, 255).astype(np.uint8)),
-        track_starts=torch.from_numpy(np.concatenate([[0], counts.cumsum()])),
-        track_views=torch.from_numpy(pairs[:, 1]),
+        positions=places,
+        colours=colours.round().clamp(0, 255).byte(),
+        track_starts=torch.cat([counts.new_zeros(1), counts.cumsum(0)]),
+        track_views=pairs[:, 1],
     )

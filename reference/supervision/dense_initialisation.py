@@ -1,6 +1,7 @@
 """Dense co-visibility initialisation: match pairs, triangulate, score, merge in voxels."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from splatproof.base.errors import UsageError
 from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.cells import unique_rows
 from splatproof.reference.types.scene import SparsePoints
+
+Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
+"""The unit vectors that make |A h| least, of either sign."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,11 +154,21 @@ def _angle(a: Float[Tensor, "*n 3"], b: Float[Tensor, "*n 3"]) -> Float[Tensor, 
     return torch.rad2deg(torch.atan2(across, (a * b).sum(dim=-1)))
 
 
+def least_vectors(systems: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n 4"]:
+    """Right singular vector of the smallest singular value of each system.
+
+    Args:
+        systems: Homogeneous equations A, one a row.
+    """
+    return torch.linalg.svd(systems)[2][:, 3]
+
+
 def triangulate(
     camera_a: Camera,
     camera_b: Camera,
     pixels_a: Float[Tensor, "n 2"],
     pixels_b: Float[Tensor, "n 2"],
+    solver: Solver = least_vectors,
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:
     """Two-view linear triangulation (DLT) in normalised coordinates, and the rays' angle.
 
@@ -166,6 +180,7 @@ def triangulate(
         camera_b: Camera of image B, at another place than camera A.
         pixels_a: Positions in image A, pixels.
         pixels_b: Positions of the same things in image B, pixels.
+        solver: What solves the homogeneous equations.
 
     Returns: World points (non-finite where the rays are parallel) and angles in degrees.
 
@@ -182,8 +197,7 @@ def triangulate(
         pose = torch.cat([rotation, shift[:, None]], dim=1)
         rows += [ray[:, i, None] * pose[2] - pose[i] for i in (0, 1)]
         directions.append(ray @ rotation)
-    _, _, axes = torch.linalg.svd(torch.stack(rows, dim=1))
-    homogeneous = axes[:, 3]
+    homogeneous = solver(torch.stack(rows, dim=1))
     points = origin + baseline * homogeneous[:, :3] / homogeneous[:, 3:]
     return points, _angle(directions[0], directions[1])
 
@@ -214,6 +228,7 @@ def points_of_pair(
     warp: Float[Tensor, "h w 2"],
     certainty: Float[Tensor, "h w"],
     settings: DenseSettings,
+    solver: Solver = least_vectors,
 ) -> DensePoints:
     """Points of one matched pair: u_B = u_A + W(u_A), triangulated, scored and filtered.
 
@@ -227,6 +242,7 @@ def points_of_pair(
         warp: W in pixels: pixel u_A of image A lies at u_A + W(u_A) in image B.
         certainty: Certainty of the match at each pixel of image A, in [0, 1].
         settings: Thresholds of certainty, angle and score, and sigma.
+        solver: What solves the equations of the triangulation.
 
     Source: DPGS, Sec. 3.1.
     """
@@ -240,7 +256,7 @@ def points_of_pair(
     colours = image_a[kept]
     if torch.equal(camera_a.centre, camera_b.centre):
         at_a, at_b, sure, colours = at_a[:0], at_b[:0], sure[:0], colours[:0]
-    positions, angle = triangulate(camera_a, camera_b, at_a, at_b)
+    positions, angle = triangulate(camera_a, camera_b, at_a, at_b, solver)
     back_a, z_a = project_points(camera_a, positions)
     back_b, z_b = project_points(camera_b, positions)
     scores = reliability(

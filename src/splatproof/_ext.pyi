@@ -23,6 +23,49 @@ def compiler() -> str:
 def exp2(x: Tensor, y: Tensor) -> None:
     """y = 2^x for x in [-100, 0], as the kernels compute it."""
 
+class CodecTables:
+    """Tables of the logistic function."""
+
+    def __init__(self, stretch: Tensor, squash: Tensor) -> None: ...
+
+def morton_of_cells(cells: Tensor, codes: Tensor) -> None:
+    """Places of cells on the Morton curve."""
+
+def cells_of_morton(codes: Tensor, cells: Tensor) -> None:
+    """Cells of places on the Morton curve."""
+
+def nearest_before(cells: Tensor, window: int, nearest: Tensor) -> None:
+    """The three nearest of those just before each."""
+
+def encode_gaps(tables: CodecTables, codes: Tensor) -> bytes:
+    """A stream of codes that never decrease."""
+
+def decode_gaps(tables: CodecTables, data: bytes, codes: Tensor) -> None:
+    """The codes of such a stream, written into zeros."""
+
+def encode_columns(
+    tables: CodecTables, codes: Tensor, bits: Tensor, nearest: Tensor, side: Tensor
+) -> bytes:
+    """A stream of columns."""
+
+def decode_columns(
+    tables: CodecTables, data: bytes, bits: Tensor, nearest: Tensor, side: Tensor, codes: Tensor
+) -> None:
+    """The columns of such a stream, written into zeros."""
+
+def encode_harmonics(tables: CodecTables, codes: Tensor, nearest: Tensor, classes: Tensor) -> bytes:
+    """A stream of codes of harmonics."""
+
+def decode_harmonics(
+    tables: CodecTables, data: bytes, nearest: Tensor, classes: Tensor, codes: Tensor
+) -> None:
+    """The columns of such a stream, written into zeros."""
+
+def restore_harmonics(
+    codes: Tensor, classes: Tensor, base: float, opponent: Tensor, sh: Tensor
+) -> None:
+    """SH coefficients of codes."""
+
 def stage_seconds() -> dict[str, float]:
     """Wall seconds of project, bin, blend, blend_backward and project_backward of the last calls."""
 

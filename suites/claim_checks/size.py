@@ -8,14 +8,14 @@ from typing import Any
 from splatproof.base.errors import MissingError
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.suites.claim_checks.check import Check, Measurement
 from splatproof.suites.claim_checks.trained import PROTOCOL, fit, scene
 from splatproof.suites.studies import size
+from splatproof.suites.studies.size_formats import formats
 
 STEPS, QUICK_STEPS = 1000, 60
-OURS = f"gate {FileSettings().gate}"
+OURS = "standard"
 """Name of our packed file as it is written by default, in the study of sizes."""
 
 
@@ -51,7 +51,7 @@ def row(name: str, reduced: bool) -> dict[str, Any]:
         reduced: Whether the model is trained for fewer steps.
     Raises: MissingError for a format that this machine cannot write.
     """
-    kind = next(one for one in size.formats() if one.name == name)
+    kind = next(one for one in formats() if one.name == name)
     steps, protocol = QUICK_STEPS if reduced else STEPS, load_protocol(PROTOCOL)
     with tempfile.TemporaryDirectory(prefix="splatproof-") as folder:
         written = Path(folder) / "model"

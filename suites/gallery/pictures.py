@@ -128,6 +128,13 @@ COMPONENTS = (
         ),
     ),
     Component(
+        title="The small file: codes and their coder",
+        modules=("reference/compression/quantisers", "reference/compression/gaps", "reference/compression/columns",
+                 "reference/compression/harmonics", "reference/compression/mixing", "reference/compression/logistic",
+                 "reference/compression/range_coder"),
+        source="ours; context mixing: Mahoney 2005; what it costs is in size.md",
+    ),
+    Component(
         title="Metrics",
         modules=("metrics/ssim", "metrics/ldr_flip", "metrics/colour_difference", "metrics/gradient",
                  "metrics/seam", "metrics/seam_released", "metrics/geometry", "metrics/depth",

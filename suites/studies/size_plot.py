@@ -1,69 +1,64 @@
-"""Picture of the size study: bytes against the loss of PSNR, and what the bytes are."""
+"""Picture of the size study: curves of bytes against the loss of PSNR, scene by scene."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.suites.gallery.drawing import COLOURS, panels, save
 
 Row = dict[str, Any]
+CURVES = ("ours, small", "ours, fast", "ours, small, pruned", "version 2", "spz 3", "spz 4", "png grid",
+          "palette")  # fmt: skip
+"""Those that are drawn, in this order of colours; files of 79 bytes and more are left out."""
+SPREAD = 0.1
+"""Loss in dB up to which the axis is linear."""
+
+
+SIDES = {"psnr_change": "held-out", "seen_change": "training"}
 
 
 def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Write size.png into the folder; nothing where no row has a size.
+    """Write size_held-out.png and size_training.png into the folder, where rows have such losses.
 
     Args:
         rows: Rows of the size study.
-        folder: Folder of the picture.
+        folder: Folder of the pictures.
     """
-    held = [row for row in rows if "bytes_each" in row]
-    if not held:
-        return []
-    figure, (left, right) = panels(2, width=13.0, ratio=0.7)
-    swept = sorted((r for r in held if r["format"].startswith("gate 0")), key=lambda r: r["gate"])
-    left.plot([r["bytes_each"] for r in swept], [-r["psnr_change"] for r in swept],
-              color=COLOURS[0], lw=1, zorder=1)  # fmt: skip
-    for row in held:
-        kind = 2 if row["format"].startswith("spz") else 0 if row in swept else 1
-        at = (row["bytes_each"], -row["psnr_change"])
-        left.scatter(*at, s=22, color=COLOURS[kind], zorder=2)
-    for x, y, names in _together(held):
-        label = left.annotate(names, (x, y), xytext=(0, 5), textcoords="offset points",
-                              fontsize=7, rotation=90, ha="center", va="bottom")  # fmt: skip
-        label.set_in_layout(False)  # many names at one place would leave no room for the axes
-    left.set_xscale("log")
-    left.set_xticks([20, 30, 50, 80, 120, 240], ["20", "30", "50", "80", "120", "240"])
-    left.minorticks_off()
-    left.margins(0.1, 0.3)
-    left.set_xlabel("bytes a primitive")
-    left.set_ylabel("PSNR lost on held-out views (dB)")
-    left.set_title(f"{held[0]['scene']}: {held[0]['primitives']} primitives, "
-                   f"{held[0]['psnr']:.2f} dB", fontsize=9)  # fmt: skip
-    split = [row for row in held if "positions" in row]
-    start = np.zeros(len(split))
-    for i, part in enumerate(PARTS):
-        size = np.array([row[part] for row in split])
-        right.barh([row["format"] for row in split], size, left=start, color=COLOURS[i], label=part)
-        start += size
-    right.invert_yaxis()
-    right.legend(fontsize=7)
-    right.tick_params(labelsize=8)
-    right.set_xlabel("bytes a primitive, by part")
-    save(figure, folder / "size.png")
-    return [folder / "size.png"]
+    found = []
+    for side, name in SIDES.items():
+        held = [row for row in rows if side in row]
+        if held:
+            found.append(folder / f"size_{name}.png")
+            _losses(held, side, name, found[-1])
+    return found
 
 
-def _together(rows: Sequence[Row]) -> list[tuple[float, float, str]]:
-    """Where to write which names: rows that lie on one another share a label."""
-    labels: list[tuple[float, float, list[str]]] = []
-    for row in rows:
-        x, y = row["bytes_each"], -row["psnr_change"]
-        near = [held for a, b, held in labels if abs(a / x - 1) < 0.04 and abs(b - y) < 0.03]
-        if near:
-            near[0].append(row["format"])
-        else:
-            labels.append((x, y, [row["format"]]))
-    return [(x, y, ", ".join(names)) for x, y, names in labels]
+def _losses(rows: Sequence[Row], side: str, name: str, path: Path) -> None:
+    """One picture: a panel a scene."""
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    figure, axes = panels(len(scenes), width=4.6 * max(len(scenes), 2), ratio=0.9)
+    for scene, axis in zip(scenes, axes, strict=True):
+        mine = [row for row in rows if row["scene"] == scene]
+        for colour, curve in zip(COLOURS, CURVES, strict=True):
+            points = sorted((r["bytes_each"], -r[side]) for r in mine if r["curve"] == curve)
+            if points:
+                line = "-" if len(points) > 1 else ""
+                axis.plot(*zip(*points, strict=True), line, marker="o", ms=4, lw=1.2, color=colour,
+                          label=curve)  # fmt: skip
+        axis.axhline(SPREAD, color="#bbbbbb", lw=0.8, zorder=0)
+        axis.set_xscale("log")
+        axis.set_yscale("symlog", linthresh=SPREAD)
+        ticks = (7, 10, 14, 20, 30, 50, 80)
+        axis.set_xticks(ticks, [str(t) for t in ticks])
+        axis.minorticks_off()
+        losses = (-0.05, 0, 0.05, 0.1, 0.2, 0.5, 1, 2, 5)
+        axis.set_yticks(losses, [f"{t:g}" for t in losses])
+        axis.set_ylim(-SPREAD / 2, None)
+        axis.set_xlabel("bytes a Gaussian")
+        axis.set_ylabel(f"PSNR lost on {name} views (dB)")
+        axis.set_title(
+            f"{scene}: {mine[0]['primitives']:,} Gaussians, {mine[0]['psnr']:.2f} dB held out",
+            fontsize=9,
+        )
+    axes[0].legend(fontsize=7)
+    save(figure, path)

@@ -13,6 +13,7 @@ from splatproof.suites.studies import (
     priors,
     seen,
     size,
+    size_page,
     size_plot,
     stability,
     stability_plot,
@@ -32,7 +33,9 @@ class Study:
     rows: Callable[..., Iterator[dict[str, Any]]]
     """Called with quick=True or False; a row that holds ok = False failed."""
     options: frozenset[str] = frozenset()
-    """Which of "wait" and "backend" `rows` takes too."""
+    """Which of "wait", "backend" and "only" `rows` takes too."""
+    resumes: bool = False
+    """Whether `rows` takes the rows of an earlier call that was ended (kept=)."""
     pictures: Callable[[Sequence[dict[str, Any]], Path], list[Path]] | None = None
     """Draws the rows into a folder and returns the files."""
     page: Callable[[Mapping[str, str], Sequence[dict[str, Any]], Sequence[str]], str] | None = None
@@ -50,10 +53,12 @@ STUDIES = {
     ),
     "speed": Study(
         description="time, memory and error of everything that has a twin",
-        columns=("component", "twin", "case", "forward_ms", "backward_ms", "max_abs_error",
+        columns=("component", "twin", "case", "forward_ms", "backward_ms", "ratio", "ratio_low",
+                 "ratio_high", "max_abs_error",
                  "rms_error", "grad_rel_l2", "discontinuity_pixels", "peak_mb", "share", "value", "unit",
                  "disturbed_percent", "ok", "note"),
-        rows=speed.rows, options=frozenset({"wait", "backend"}), pictures=speed.pictures,
+        rows=speed.rows, options=frozenset({"wait", "backend", "only"}), resumes=True,
+        pictures=speed.pictures,
         page=speed_page.page, logged=True,
     ),
     "instructions": Study(
@@ -69,10 +74,10 @@ STUDIES = {
         rows=partition.rows,
     ),
     "size": Study(
-        description="bytes of a trained model against what they cost: formats, gates, order, codes",
-        columns=("scene", "format", "gate", "bytes_each", "psnr_change", "psnr_to_model",
+        description="bytes of trained models against what they cost: our files, .spz, images, palettes, .ply",
+        columns=("scene", "format", "bytes_each", "psnr_change", "seen_change", "psnr_to_model",
                  "write_millions_s", "read_millions_s", *PARTS, "note"),
-        rows=size.rows, pictures=size_plot.draw, logged=True,
+        rows=size.rows, pictures=size_plot.draw, page=size_page.page, logged=True,
     ),
     "memory": Study(
         description="layered memory against plain accumulation: points and guide-depth error",

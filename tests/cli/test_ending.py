@@ -134,6 +134,49 @@ def test_what_an_import_makes_of_a_signal_is_the_signals(number, how, capsys):
     assert [signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+@pytest.mark.parametrize(
+    ("number", "how"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")]
+)
+def test_a_signal_that_comes_inside_a_destructor_is_not_lost(number, how, capsys):
+    """Python prints a traceback of what is raised there, drops it and goes on."""
+
+    class Dying:
+        def __del__(self) -> None:
+            signal.raise_signal(number)
+
+    def action() -> int:
+        Dying()
+        time.sleep(20)
+        return 0
+
+    before = sys.unraisablehook, signal.getsignal(signal.SIGALRM), signal.getsignal(number)
+    began = time.perf_counter()
+    assert ending.ended(action) == 128 + number
+    assert time.perf_counter() - began < 10
+    assert capsys.readouterr().err == f"bench: {how}; the same command continues where it stopped\n"
+    assert before == (
+        sys.unraisablehook,
+        signal.getsignal(signal.SIGALRM),
+        signal.getsignal(number),
+    )
+
+
+def test_other_errors_of_a_destructor_are_told_as_ever(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", lambda lost: told.append(lost.exc_type))
+
+    class Dying:
+        def __del__(self) -> None:
+            raise ValueError
+
+    def action() -> int:
+        Dying()
+        return 0
+
+    assert ending.ended(action) == 0
+    assert told == [ValueError]
+
+
 def test_our_own_faults_are_raised():
     def wrong() -> int:
         raise RuntimeError("of ours")

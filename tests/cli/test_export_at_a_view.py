@@ -20,6 +20,7 @@ from splatproof.methods.models.decoded import DecodedModel, loader
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.registry import METHODS
+from splatproof.methods.storage.packed.coded_writer import CodeSettings
 from splatproof.methods.storage.ply import read_ply
 from splatproof.methods.training.schedules import Rates
 from splatproof.metrics.protocol_files import load_protocol
@@ -116,7 +117,9 @@ def test_a_view_of_the_models_own_scene_at_another_time(moving, tmp_path, capsys
     assert not torch.equal(want.means, at(3, 1.75).means)
     back = load_reconstruction(packed)
     assert isinstance(back, ExplicitModel)
-    assert torch.equal(back.model.means.sort(dim=0)[0], want.means.sort(dim=0)[0])
+    off = back.model.means.sort(dim=0)[0] - want.means.sort(dim=0)[0]
+    middle = want.log_scales.median(dim=1).values.exp()
+    assert off.abs().max() <= CodeSettings().position / 2 * middle.quantile(0.5) * 1.001
     assert (back.mode, back.shift.tolist()) == ("antialiased", SHIFT.tolist())
     assert load_origin(packed) == ORIGIN
 

@@ -202,6 +202,20 @@ def test_export(fitted, tmp_path, capsys, inside):
     assert said["frame"] == "as trained"
 
 
+def test_packed_files_of_every_quality_and_of_the_version_before(fitted, tmp_path, capsys):
+    sizes = {}
+    for words in ("--quality=fine", "", "--quality=coarse", "--profile=fast", "--gate=0.02"):
+        path = tmp_path / f"{words}.spgs"
+        options = [words] if words else []
+        assert main(["export", str(fitted / "model"), "--packed", str(path), *options]) == 0
+        sizes[words] = path.stat().st_size
+        assert main(["export", str(path), "--ply", str(tmp_path / "m.ply")]) == 0
+    assert sizes["--quality=coarse"] < sizes[""] < sizes["--quality=fine"] < sizes["--gate=0.02"]
+    assert sizes[""] != sizes["--profile=fast"]
+    versions = {words: (tmp_path / f"{words}.spgs").read_bytes()[4] for words in sizes}
+    assert versions == {words: 2 if "gate" in words else 3 for words in sizes}
+
+
 def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys, asked):
     packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0
@@ -224,6 +238,12 @@ def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys, ask
     before = sorted(tmp_path.rglob("*"))
     assert main(["export", str(fitted), "--ply", str(tmp_path / "b.ply"), "--gate", "0"]) == 2
     assert "--gate is for --packed" in capsys.readouterr().err
+    for name in ("--quality=fine", "--profile=fast"):
+        assert main(["export", str(fitted), "--ply", str(tmp_path / "b.ply"), name]) == 2
+        assert "is for --packed FILE" in capsys.readouterr().err
+        both = ["--packed", str(tmp_path / "b.spgs"), "--gate", "0.02", name]
+        assert main(["export", str(fitted), *both]) == 2
+        assert "leave one out" in capsys.readouterr().err
     assert main(["export", str(fitted), "--packed", str(tmp_path / "b.spgs"), "--local"]) == 2
     assert "--local is for --ply" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before

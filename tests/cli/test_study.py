@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from splatproof.cli import main
+from splatproof.cli.study import kept_rows
 from splatproof.suites.studies import study
 
 
@@ -80,6 +81,95 @@ def test_rows_without_a_page_are_refused(tmp_path, capsys):
         assert main(["study", "speed", *rows, *more]) == 2
         assert "--rows makes a page again" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_page_of_some_cases_is_refused(tmp_path, capsys):
+    assert main(["study", "speed", "--only", "adam", "--page", str(tmp_path / "page.md")]) == 2
+    assert "without --only" in capsys.readouterr().err
+
+
+def test_a_study_that_was_stopped_goes_on_after_the_last_whole_case(monkeypatch, tmp_path, capsys):
+    asked, failing = [], [True]
+
+    def rows(*, quick: bool, only: str | None, kept: list[dict]) -> Iterator[dict]:
+        asked.append((only, [row["case"] for row in kept]))
+        yield from kept
+        for case in ("1", "1", "2", "2", "3"):
+            if case not in {row["case"] for row in kept}:
+                if case == "3" and failing.pop():
+                    raise KeyboardInterrupt
+                yield {"component": "x", "case": case, "ok": True}
+
+    made = study.Study(
+        description="resumed",
+        columns=("case",),
+        rows=rows,
+        options=frozenset({"only"}),
+        resumes=True,
+    )
+    monkeypatch.setitem(study.STUDIES, "resumed", made)
+    words = ["study", "resumed", "--out", str(tmp_path)]
+    assert main(words) == 130
+    assert "the same command goes on" in capsys.readouterr().err
+    failing.append(False)
+    assert main(words) == 0
+    # of the last case nobody knows whether it is whole
+    assert asked == [(None, []), (None, ["1", "1"])]
+    lines = (tmp_path / "resumed.jsonl").read_text().splitlines()
+    assert [json.loads(line)["case"] for line in lines] == ["1", "1", "2", "2", "3"]
+    failing.append(False)
+    assert main(words) == 0
+    assert asked[-1] == (None, []), "a study that came to its end is measured anew"
+
+
+def test_a_stopped_study_that_is_stopped_again_at_once_loses_nothing(monkeypatch, tmp_path):
+    def rows(*, quick: bool, kept: list[dict]) -> Iterator[dict]:
+        if not kept:
+            yield {"component": "x", "case": "1"}
+            yield {"component": "x", "case": "2"}
+        raise KeyboardInterrupt
+
+    made = study.Study(description="stopped", columns=("case",), rows=rows, resumes=True)
+    monkeypatch.setitem(study.STUDIES, "stopped", made)
+    words = ["study", "stopped", "--out", str(tmp_path)]
+    assert main(words) == 130
+    before = (tmp_path / "stopped.jsonl").read_text()
+    assert main(words) == 130
+    assert (tmp_path / "stopped.jsonl").read_text() == before
+
+
+@pytest.mark.parametrize("text", ["{", "[1]\n", "{}\n", "null\n"])
+def test_rows_that_others_wrote_into_start_the_study_over(tmp_path, text):
+    begun, file = tmp_path / "a.begun.json", tmp_path / "a.jsonl"
+    begun.write_text("{}")
+    file.write_text(text)
+    assert kept_rows(begun, file, {}) == []
+    begun.write_text("{")
+    assert kept_rows(begun, file, {}) == []
+
+
+@pytest.mark.parametrize("more", [["--only", "x/*"], ["--quick"]])
+def test_other_words_start_over(monkeypatch, tmp_path, more):
+    asked = []
+
+    def rows(*, quick: bool, only: str | None, kept: list[dict]) -> Iterator[dict]:
+        asked.append(len(kept))
+        yield {"component": "x", "case": "1"}
+        yield {"component": "x", "case": "2"}
+        raise KeyboardInterrupt
+
+    made = study.Study(
+        description="stopped",
+        columns=("case",),
+        rows=rows,
+        options=frozenset({"only"}),
+        resumes=True,
+    )
+    monkeypatch.setitem(study.STUDIES, "stopped", made)
+    words = ["study", "stopped", "--out", str(tmp_path)]
+    for line in (words, words, [*words, *more]):
+        assert main(line) == 130
+    assert asked == [0, 1, 0]
 
 
 def test_a_page_is_written_with_its_rows_and_made_again_from_them(monkeypatch, tmp_path, capsys):

@@ -15,6 +15,7 @@ from splatproof.methods.kernels.blocks import block_weights, render_blocks
 from splatproof.methods.kernels.loss import photometric
 from splatproof.methods.kernels.rasterizer import native_camera, rasterize
 from splatproof.methods.kernels.step import ViewGradients, observe
+from splatproof.reference.compression.logistic import squash, stretch
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -235,7 +236,39 @@ def flood(draw: random.Random) -> None:
         _ext.set_backward_rows(2**22)
 
 
+def codes(draw: random.Random) -> None:
+    """Coders of codes: what they wrote comes back, and no stream, shape or index ends the process."""
+    n, g = draw.choice(COUNTS), torch.Generator().manual_seed(draw.getrandbits(31))
+
+    def whole(*shape: int, low: int = 0, high: int = 8) -> Tensor:
+        return spoiled(draw, torch.randint(low, high, shape, generator=g, dtype=torch.int32))
+
+    tables = _ext.CodecTables(*(torch.from_numpy(table) for table in (stretch(), squash())))
+    cells, near = whole(n, 3, high=2**21), torch.empty(n, 3, dtype=torch.int32)
+    _ext.nearest_before(cells, draw.choice((-1, 0, 1, 128)), near)
+    places = torch.empty(n, dtype=torch.int64)
+    _ext.morton_of_cells(cells, places)
+    places = places.sort().values if draw.random() < 0.9 else places
+    classes, side, bits = whole(n, high=7), whole(n, high=99), whole(3, low=3, high=14)
+    near = near if draw.random() < 0.9 else whole(n, 3, low=-3, high=n + 3)
+    small, colours = whole(3, n), whole(draw.choice((0, 9, 10)), n, low=-20, high=20)
+    streams = [
+        _ext.encode_gaps(tables, places), _ext.encode_columns(tables, small, bits, near, side),
+        _ext.encode_harmonics(tables, colours, near, classes),
+    ]  # fmt: skip
+    streams.append(draw.randbytes(draw.randrange(200)))
+    streams.append(draw.choice(streams)[: draw.randrange(200)])
+    _ext.decode_gaps(tables, draw.choice(streams), torch.zeros_like(places))
+    _ext.decode_columns(tables, draw.choice(streams), bits, near, side, torch.zeros_like(small))
+    back = torch.zeros_like(colours)
+    _ext.decode_harmonics(tables, draw.choice(streams), near, classes, back)
+    sh = torch.empty(n, len(colours) // 3, 3)
+    opponent = numbers(draw, 3, 3).double()
+    _ext.restore_harmonics(back, classes, draw.choice((0.1, float("nan"))), opponent, sh)
+
+
 CASES: dict[str, Callable[[random.Random], None]] = {
     "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
     "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
+    "codes": codes,
 }  # fmt: skip

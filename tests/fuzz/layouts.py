@@ -14,7 +14,9 @@ import zstandard
 
 from fuzz.layout import Layout, Part
 from fuzz.mutations import changed_bytes, changed_json, changed_text
-from splatproof.methods.storage.packed.records import LENGTH, START, RecordWriter
+from splatproof.methods.storage.packed.coded_chunk import PARTS as CODED_PARTS
+from splatproof.methods.storage.packed.records import CODED as CODED_VERSION
+from splatproof.methods.storage.packed.records import LENGTH, START, RecordWriter, split_streams
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.reference.compression import container
 
@@ -135,6 +137,54 @@ def _join_packed(contents: list[bytes]) -> bytes:
 
 PACKED = Layout(_split_packed, _join_packed)
 """Records with right seals, streams unpacked."""
+
+
+def _split_coded(head: int) -> Callable[[bytes], list[Part]]:
+    """Header, then per chunk and stream what it holds; zstd comes after `head` bytes, or never (0)."""
+
+    def split(data: bytes) -> list[Part]:
+        contents, at = [], START.size
+        while at < len(data):
+            (length,) = LENGTH.unpack_from(data, at)
+            at += LENGTH.size + 32
+            contents.append(data[at : at + length])
+            at += length
+        parts: list[Part] = [(changed_json, contents[0])]
+        for chunk in contents[1:]:
+            for place, stream in enumerate(split_streams(chunk, len(CODED_PARTS))):
+                before = head - (place == 0)
+                if head and stream[before - 1] & 4:
+                    stream = stream[:before] + zstandard.ZstdDecompressor().decompress(
+                        stream[before:]
+                    )
+                parts.append((changed_bytes, stream))
+        return parts
+
+    return split
+
+
+def _join_coded(head: int) -> Callable[[list[bytes]], bytes]:
+    def join(contents: list[bytes]) -> bytes:
+        file = BytesIO()
+        writer = RecordWriter(file, CODED_VERSION)
+        writer.add(contents[0])
+        streams = []
+        for place, stream in enumerate(contents[1:]):
+            before = head - (place % len(CODED_PARTS) == 0)
+            if head and len(stream) >= before and stream[before - 1] & 4:
+                stream = stream[:before] + zstandard.ZstdCompressor(level=1).compress(
+                    stream[before:]
+                )
+            streams.append(struct.pack("<I", len(stream)) + stream)
+        for first in range(0, len(streams), len(CODED_PARTS)):
+            writer.add(b"".join(streams[first : first + len(CODED_PARTS)]))
+        return file.getvalue()
+
+    return join
+
+
+CODED_SMALL, CODED_FAST = (Layout(_split_coded(head), _join_coded(head)) for head in (0, 2))
+"""Version 3 with right seals; in its fast profile with streams unpacked."""
 
 
 def _split_container(data: bytes) -> list[Part]:

@@ -20,6 +20,8 @@ from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.camera_files import read_cameras
 from splatproof.methods.storage.gltf import read_gltf, write_gltf
+from splatproof.methods.storage.packed.coded_chunk import Profile
+from splatproof.methods.storage.packed.coded_writer import CodeSettings, write_coded
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import FileSettings, write_packed
 from splatproof.methods.storage.ply import read_mode, read_ply, write_ply
@@ -101,6 +103,26 @@ def packed(folder: Path) -> Target:
     )  # fmt: skip
 
 
+def packed_3(profile: Profile) -> Callable[[Path], Target]:
+    """Packed models of version 3."""
+
+    def build(folder: Path) -> Target:
+        kept = CodeSettings(profile=profile)
+        samples = _written(
+            folder,
+            ".spgs",
+            lambda p: write_coded(p, random_gaussians(20, degree=1), settings=kept),
+            lambda p: write_coded(p, random_gaussians(3, degree=0), settings=kept),
+        )
+        layout = layouts.CODED_SMALL if profile == "small" else layouts.CODED_FAST
+        return Target(
+            path=folder / "model.spgs", samples=samples, layout=layout,
+            read=lambda path: read_packed(path, threads=1)[0],
+        )  # fmt: skip
+
+    return build
+
+
 def packed_1(folder: Path) -> Target:
     """Packed models of version 1."""
     stored = packing.pack(random_gaussians(8, degree=1), packing.PackSettings())
@@ -162,5 +184,5 @@ def cameras(folder: Path) -> Target:
 
 MODELS: dict[str, Callable[[Path], Target]] = {
     "gaussians ply": gaussians_ply, "spz 3": spz(3), "spz 4": spz(4), "glb": glb, "packed": packed,
-    "packed 1": packed_1, "model.json": description, "model.safetensors": tensors, "cameras": cameras,
+    "packed 1": packed_1, "packed 3": packed_3("small"), "packed 3 fast": packed_3("fast"), "model.json": description, "model.safetensors": tensors, "cameras": cameras,
 }  # fmt: skip

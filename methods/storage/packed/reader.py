@@ -1,11 +1,9 @@
-"""Reading packed models: whole, or a chunk at a time, of either version."""
+"""Reading packed models: whole, or a chunk at a time, of any version."""
 
-import json
 import os
-import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 import numpy as np
@@ -15,35 +13,35 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes, size_of
-from splatproof.base.memory import GROWTH, SMALL, check_growth, check_room
-from splatproof.base.numbers import finite
+from splatproof.base.memory import GROWTH, SMALL, check_room
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
-    Origin,
     write_description,
 )
 from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
-from splatproof.methods.storage.packed.records import VERSION, records, version_of
+from splatproof.methods.storage.packed import coded_reader
+from splatproof.methods.storage.packed.header import check_claims, facts_of, read_header
+from splatproof.methods.storage.packed.records import (
+    CODED,
+    VERSION,
+    chunk_records,
+    records,
+    split_streams,
+    version_of,
+)
 from splatproof.methods.storage.packed.streams import expand
-from splatproof.methods.storage.packed.writer import FORMAT, PARTS, PackedFacts, in_order
+from splatproof.methods.storage.packed.writer import PARTS, PackedFacts, in_order
 from splatproof.reference.compression import container, packing
 from splatproof.reference.compression.affine_codes import STEPS
 from splatproof.reference.types.gaussians import Gaussians
 
 MOST_BYTES = 2**35
 """Largest unpacked model that read_packed opens (145 million primitives of degree 3)."""
-LARGEST_CHUNK = 2**20
 KINDS = {"positions": (3, "<f4"), "opacity": (1, "<f2"), "rotation": (4, "<f2"),
          "scale": (3, "<f2"), "dc": (3, "<f2"), "kept": (1, "|u1"), "rest": (0, "|u1")}  # fmt: skip
 """Columns and type of each part; rest has 3 (bands - 1) columns."""
-
-ADDED: dict[str, tuple[type, ...]] = {
-    "variant": (str,), "scene": (str,), "protocol": (dict,), "seed": (int, NoneType),
-    "pose_noise": (str,), "depth_prior": (str,),
-}  # fmt: skip
-"""Types of the fields of Origin that the first files of version 2 lack."""
 
 
 def read_packed(
@@ -52,7 +50,7 @@ def read_packed(
     """The Gaussians of a packed file in float32, in the file's order, and what it says of them.
 
     Args:
-        path: A file by write_packed, or by reference.compression.container (version 1).
+        path: A file by write_coded, write_packed, or by reference.compression.container (version 1).
         threads: Number of threads that unpack; None: one for each core.
         most_bytes: Largest unpacked size; files that claim to have a larger one are refused.
 
@@ -78,7 +76,7 @@ def unpack_packed(path: str | Path, folder: str | Path, *, threads: int | None =
     """Write a packed model as a model folder, a few chunks in memory at a time.
 
     Args:
-        path: A file by write_packed, or by reference.compression.container (version 1, which is in
+        path: A file by write_coded, write_packed, or by reference.compression.container (version 1, which is in
             memory as a whole).
         folder: Where model.safetensors and model.json are written.
         threads: Number of threads that unpack; None: one for each core.
@@ -124,60 +122,21 @@ def _opened(
             raise DataError(f"{path}: {error}") from None
         _check_finite(path, model)
         return PackedFacts(), None, iter([model])
-    if version != VERSION:
+    if version not in (VERSION, CODED):
         raise DataError(
-            f"{path}: packed model of version {version}, this splatproof reads 1 and {VERSION}; use "
-            "the version that wrote it"
+            f"{path}: packed model of version {version}, this splatproof reads 1 to {CODED}; use the "
+            "version that wrote it"
         )
-    stream = records(path)
-    header = _header(path, next(stream, b""))
-    count, bands, size = header["primitives"], header["bands"], header["chunk"]
-    if -(-count // size) * 32 > path.stat().st_size:
-        raise DataError(f"{path}: claims {count} primitives, more than it can hold")
-    check_growth(path, 4 * count * (11 + 3 * bands), path.stat().st_size)
-    if 4 * count * (11 + 3 * bands) > most_bytes:
-        raise DataError(f"{path}: claims {count} primitives; that is over {most_bytes} bytes")
-    table = _table(path, next(stream, b""), 3 * (bands - 1))
-    facts = PackedFacts(
-        mode=header["mode"], shift=torch.tensor(header["shift"], dtype=torch.float64),
-        units=header["units"], origin=_origin(header),
-    )  # fmt: skip
-    return facts, header, _chunks(path, stream, header, table, threads or os.cpu_count() or 1)
-
-
-def _header(path: Path, content: bytes) -> dict[str, Any]:
-    """The header record, checked."""
-    kinds = {"primitives": int, "bands": int, "chunk": int, "units": str, "method": str,
-             "settings": dict, "mode": str, "shift": list, "packing": dict}  # fmt: skip
-    try:
-        header = json.loads(content)
-        if header["format"] != FORMAT:
-            raise ValueError(f"format {header['format']!r}, expected {FORMAT!r}")
-        for name, kind in kinds.items():
-            if type(header[name]) is not kind:
-                raise ValueError(f"{name} is {header[name]!r}, expected {kind.__name__}")
-        for name, types in ADDED.items():
-            if name in header and type(header[name]) not in types:
-                words = " or ".join(kind.__name__ for kind in types)
-                raise ValueError(f"{name} is {header[name]!r}, expected {words}")
-        shift = header["shift"]
-        if len(shift) != 3 or any(finite(value) is None for value in shift):
-            raise ValueError(f"shift is {shift!r:.80}, expected three finite numbers")
-        if header["mode"] not in ("classic", "antialiased"):
-            raise ValueError(f"mode is {header['mode']!r}, expected 'classic' or 'antialiased'")
-        if header["bands"] not in (1, 4, 9, 16) or header["primitives"] < 0:
-            raise ValueError(f"{header['primitives']} primitives of {header['bands']} SH bands")
-        if not 1 <= header["chunk"] <= LARGEST_CHUNK:
-            raise ValueError(f"chunks of {header['chunk']}, expected up to {LARGEST_CHUNK}")
-        return header
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise DataError(f"{path}: header of a packed model that is none ({error})") from None
-
-
-def _origin(header: dict[str, Any]) -> Origin:
-    """Where a model comes from; what its file does not say is unknown."""
-    added = {name: header[name] for name in ADDED if name in header}
-    return Origin(method=header["method"], settings=header["settings"], **added)
+    stream, workers = records(path), threads or os.cpu_count() or 1
+    coded = version == CODED
+    header = read_header(path, next(stream, b""), coded_reader.ADDED if coded else {})
+    check_claims(path, header, most_bytes)
+    if coded:
+        decode = coded_reader.decoder(path, header)
+    else:
+        bands = header["bands"]
+        decode = partial(_gaussians, bands, _table(path, next(stream, b""), 3 * (bands - 1)))
+    return facts_of(header), header, _chunks(path, stream, header, decode, workers)
 
 
 def _table(path: Path, content: bytes, dims: int) -> Float32[Tensor, "d 256"]:
@@ -193,33 +152,21 @@ def _chunks(
     path: Path,
     stream: Iterator[bytes],
     header: dict[str, Any],
-    table: Float32[Tensor, "d 256"],
+    decode: Callable[[int, bytes], Gaussians],
     workers: int,
 ) -> Iterator[Gaussians]:
     """Gaussians of each chunk; refuses chunks that are missing or too many."""
-    count, size = header["primitives"], header["chunk"]
-    starts = range(0, count, size)
 
-    def numbered() -> Iterator[tuple[int, bytes]]:
-        found = 0
-        for found, content in enumerate(stream, start=1):
-            if found > len(starts):
-                break
-            yield min(size, count - starts[found - 1]), content
-        if found != len(starts):
-            raise DataError(
-                f"{path}: {found} chunks or more, expected {len(starts)}: the file was cut or joined"
-            )
-
-    def decode(item: tuple[int, bytes]) -> Gaussians:
+    def part(item: tuple[int, bytes]) -> Gaussians:
         try:
-            part = _gaussians(*item, header["bands"], table)
-        except (DataError, struct.error) as error:
+            found = decode(*item)
+        except DataError as error:
             raise DataError(f"{path}: a chunk that is none ({error})") from None
-        _check_finite(path, part)
-        return part
+        _check_finite(path, found)
+        return found
 
-    return in_order(decode, numbered(), workers)
+    numbered = chunk_records(path, stream, header["primitives"], header["chunk"])
+    return in_order(part, numbered, workers)
 
 
 def _check_finite(path: Path, part: Gaussians) -> None:
@@ -230,16 +177,11 @@ def _check_finite(path: Path, part: Gaussians) -> None:
 
 
 def _gaussians(
-    count: int, content: bytes, bands: int, table: Float32[Tensor, "d 256"]
+    bands: int, table: Float32[Tensor, "d 256"], count: int, content: bytes
 ) -> Gaussians:
-    """The Gaussians of one chunk."""
-    streams, at = {}, 0
-    for name in PARTS:
-        (length,) = struct.unpack_from("<I", content, at)
-        streams[name] = content[at + 4 : at + 4 + length]
-        at += 4 + length
-    if at != len(content):
-        raise DataError(f"{len(content)} bytes of streams, expected {at}")
+    """The Gaussians of one chunk of version 2."""
+    parts: list[str] = list(PARTS)
+    streams = dict(zip(parts, split_streams(content, len(parts)), strict=True))
 
     def floats(name: str) -> Tensor:
         columns, kind = KINDS[name]

@@ -14,18 +14,27 @@ from splatproof.base.errors import DataError
 from splatproof.reference.compression.container import MAGIC
 
 VERSION = 2
-"""Version of files in this layout; version 1 is reference.compression.container's."""
+"""Version of files of half-precision and 8-bit numbers (writer); version 1 is
+reference.compression.container's."""
+CODED = 3
+"""Version of files of codes (coded_writer)."""
 START = struct.Struct("<4sH")
 LENGTH = struct.Struct("<Q")
+STREAM = struct.Struct("<I")
 
 
 class RecordWriter:
     """Appends sealed records to an open file."""
 
-    def __init__(self, file: BinaryIO) -> None:
-        """Write magic and version."""
+    def __init__(self, file: BinaryIO, version: int = VERSION) -> None:
+        """Write magic and version.
+
+        Args:
+            file: An open file.
+            version: VERSION or CODED.
+        """
         self._file = file
-        self._seal = START.pack(MAGIC, VERSION)
+        self._seal = START.pack(MAGIC, version)
         file.write(self._seal)
 
     def add(self, content: bytes) -> None:
@@ -51,7 +60,7 @@ def version_of(path: Path) -> int:
 
 
 def records(path: Path) -> Iterator[bytes]:
-    """The records of a file of this version, each checked before it is given out.
+    """The records of a file of version 2 or 3, each checked before it is given out.
 
     Raises: DataError where the file was cut, altered or joined with something.
     """
@@ -73,6 +82,50 @@ def records(path: Path) -> Iterator[bytes]:
                     "altered; copy it again"
                 )
             yield content
+
+
+def chunk_records(
+    path: Path, stream: Iterator[bytes], count: int, size: int
+) -> Iterator[tuple[int, bytes]]:
+    """Number of primitives and content of each chunk.
+
+    Args:
+        path: The file, for errors.
+        stream: Its records after those that are no chunks.
+        count: Number of primitives of the file.
+        size: Number of primitives of each chunk but the last.
+    Raises: DataError where chunks are missing or too many.
+    """
+    starts = range(0, count, size)
+    found = 0
+    for found, content in enumerate(stream, start=1):
+        if found > len(starts):
+            break
+        yield min(size, count - starts[found - 1]), content
+    if found != len(starts):
+        raise DataError(
+            f"{path}: {found} chunks or more, expected {len(starts)}: the file was cut or joined"
+        )
+
+
+def split_streams(content: bytes, number: int) -> list[bytes]:
+    """The streams of a chunk, each after its length in bytes (u32).
+
+    Args:
+        content: The chunk.
+        number: How many streams there are.
+    Raises: DataError where lengths and content disagree.
+    """
+    streams, at = [], 0
+    for _ in range(number):
+        if at + STREAM.size > len(content):
+            raise DataError(f"{len(content)} bytes of streams, expected more than {at}")
+        (length,) = STREAM.unpack_from(content, at)
+        streams.append(content[at + STREAM.size : at + STREAM.size + length])
+        at += STREAM.size + length
+    if at != len(content):
+        raise DataError(f"{len(content)} bytes of streams, expected {at}")
+    return streams
 
 
 def _seal(before: bytes, length: bytes, content: bytes) -> bytes:

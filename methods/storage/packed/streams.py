@@ -17,7 +17,9 @@ SAMPLE = 8192
 Entropy = Literal["none", "zstd"]
 
 
-def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) -> bytes:
+def squeeze(
+    rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool, level: int = LEVEL
+) -> bytes:
     """Bytes of an array of n primitives: a byte that says how, then the stream.
 
     With planes, byte b of column c of all primitives lies together, and, where a sample gets
@@ -30,6 +32,7 @@ def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) 
         entropy: "zstd" compresses the stream, "none" only rearranges it.
         planes: Whether bytes of one kind lie together; False keeps the array as it is, row after
             row.
+        level: zstd's level, 1 to 22: smaller files for more seconds.
 
     Source: byte planes as in Blosc's shuffle filter; choice by sample: ours.
     """
@@ -37,9 +40,9 @@ def squeeze(rows: Shaped[np.ndarray, "n c"], entropy: Entropy, *, planes: bool) 
     how = (PLANES if planes else 0) | (ZSTD if entropy == "zstd" and rows.size else 0)
     if how == PLANES | ZSTD:
         sample = bits[:SAMPLE]
-        if len(_stream(sample, how | DELTA)) < len(_stream(sample, how)):
+        if len(_stream(sample, how | DELTA, LEVEL)) < len(_stream(sample, how, LEVEL)):
             how |= DELTA
-    return bytes([how]) + _stream(bits, how)
+    return bytes([how]) + _stream(bits, how, level)
 
 
 def expand(data: bytes, count: int, columns: int, kind: str) -> Shaped[np.ndarray, "n c"]:
@@ -78,10 +81,10 @@ def expand(data: bytes, count: int, columns: int, kind: str) -> Shaped[np.ndarra
     return bits.view(kind).T
 
 
-def _stream(bits: Shaped[np.ndarray, "n c"], how: int) -> bytes:
+def _stream(bits: Shaped[np.ndarray, "n c"], how: int, level: int) -> bytes:
     """The array after the steps that `how` names."""
     if not how & PLANES:
-        return _packed(bits.tobytes(), how)
+        return _packed(bits.tobytes(), how, level)
     lanes = np.ascontiguousarray(bits.T)
     if how & DELTA:
         size = 8 * bits.dtype.itemsize
@@ -89,9 +92,9 @@ def _stream(bits: Shaped[np.ndarray, "n c"], how: int) -> bytes:
         lanes = (steps << 1) ^ -(steps >> (size - 1))
     columns, count = lanes.shape
     planes = lanes.view(np.uint8).reshape(columns, count, lanes.itemsize).transpose(0, 2, 1)
-    return _packed(planes.tobytes(), how)
+    return _packed(planes.tobytes(), how, level)
 
 
-def _packed(raw: bytes, how: int) -> bytes:
+def _packed(raw: bytes, how: int, level: int) -> bytes:
     """Entropy-coded if `how` says so."""
-    return zstandard.ZstdCompressor(level=LEVEL).compress(raw) if how & ZSTD else raw
+    return zstandard.ZstdCompressor(level=level).compress(raw) if how & ZSTD else raw

@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 from splatproof.base.errors import MissingError, SplatproofError, UsageError
 from splatproof.base.signals import ENDING
@@ -25,6 +26,8 @@ OF_THE_NAME = (
     errno.EINVAL, errno.ENOTEMPTY,
 )  # fmt: skip
 """What is wrong with a path that a user gave, or that was taken away meanwhile."""
+AGAIN = 0.01
+"""Seconds after which a signal is raised again that nothing could hear."""
 _WHERE = "SPLATPROOF_DEBUG=1 shows where"
 NO_MEMORY = "can't allocate memory"
 """Words of torch's error for it, which has no type of its own."""
@@ -64,15 +67,32 @@ def _noted() -> Iterator[list[int]]:
         came.append(number)
         raise KeyboardInterrupt
 
+    def again(lost: Any) -> None:
+        # it came inside a destructor or a callback, where Python drops what is raised
+        if came and lost.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, AGAIN)
+        else:
+            hook(lost)
+
+    def alarm(number: int, _: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
     main = threading.current_thread() is threading.main_thread()
+    hook = sys.unraisablehook
     before = {number: signal.getsignal(number) for number in ENDING} if main else {}
     if before.get(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for work in the background
         del before[signal.SIGINT]
     for number in before:
         signal.signal(number, note)
+    if main:
+        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, alarm) or signal.SIG_DFL
+        sys.unraisablehook = again
     try:
         yield came
     finally:
+        if main:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            sys.unraisablehook = hook
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -1,7 +1,8 @@
 """`bench export MODEL`: a trained model as a file that other tools open."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -12,14 +13,11 @@ from splatproof.cli.baking import UNSEEN, Seen, baked, view_of
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from splatproof.methods.contracts.reconstruction import Origin, Reconstruction
+    from splatproof.methods.contracts.reconstruction import Reconstruction
+    from splatproof.methods.storage.packed.writer import PackedReport
     from splatproof.reference.rasterizer.rasterize import Mode
     from splatproof.reference.types.gaussians import Gaussians
     from splatproof.reference.types.scene import View
-
-
-GATE = 0.02
-"""Mean size of the view-dependent colour below which a packed Gaussian loses it."""
 
 
 def export(
@@ -29,6 +27,8 @@ def export(
     spz: Path | None = None,
     gltf: Path | None = None,
     packed: Path | None = None,
+    quality: Literal["fine", "standard", "coarse"] | None = None,
+    profile: Literal["small", "fast"] | None = None,
     gate: float | None = None,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     seen: Annotated[Seen, tyro.conf.arg(name="")] = UNSEEN,
@@ -41,7 +41,9 @@ def export(
     render`, `bench score` and `bench export` take every kind wherever they take a model folder.
 
     A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
-    opacity, scale and colour, and fewer for what depends on the view: small, and not the same.
+    opacity, scale and colour, and fewer for what depends on the view: small, and not the same. A packed
+    file is the smallest: every number in steps that the image hardly sees, entropy-coded. `bench study
+    size` measures what each costs.
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
@@ -59,8 +61,12 @@ def export(
         spz: Path of the .spz file to write, the small format of web viewers.
         gltf: Path of the .glb file to write: binary glTF with the extension KHR_gaussian_splatting.
         packed: Path of the packed file to write.
-        gate: With --packed: a Gaussian whose view-dependent colour is smaller than this on average,
-            in units of colour (0 to 1), loses it; 0 keeps all. None: 0.02.
+        quality: With --packed: how fine its steps are. None: standard.
+        profile: With --packed: how its codes become bytes. small: the smallest file; fast: up to a
+            quarter larger, and read several times as fast. None: small.
+        gate: With --packed: write version 2 of the file instead, which older versions of splatproof
+            read: half precision, 8-bit harmonics, and a Gaussian whose view-dependent colour is
+            smaller than this on average, in units of colour (0 to 1), loses it; 0 keeps all.
         local: With --ply: keep the scene's local frame, with all properties in float32, so that any
             viewer reads it.
         seen: The one view that the model is written at.
@@ -70,7 +76,8 @@ def export(
     from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
-    from splatproof.methods.storage.packed.writer import PackedFacts
+    from splatproof.methods.storage.packed.coded_writer import QUALITIES, write_coded
+    from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
     from splatproof.methods.storage.spz import write_spz
 
     if ply is None and spz is None and gltf is None and packed is None:
@@ -88,6 +95,13 @@ def export(
             remove_stale(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
+    for name, asked in (("quality", quality), ("profile", profile)):
+        if asked is not None and packed is None:
+            raise UsageError(f"--{name} is for --packed FILE; add it or leave --{name} out")
+        if asked is not None and gate is not None:
+            raise UsageError(
+                f"--gate writes version 2 of the file, which has no --{name}; leave one out"
+            )
     if gate is not None:
         in_range(gate, "--gate")
     if ply is None and local:
@@ -97,7 +111,13 @@ def export(
     gaussians = baked(loaded, view)
     if packed is not None:
         origin = load_origin(model_path(model))
-        _pack(loaded, gaussians, view, origin, packed, GATE if gate is None else gate)
+        told = PackedFacts(**_known(loaded), origin=origin)
+        if gate is None:
+            kept = replace(QUALITIES[quality or "standard"], profile=profile or "small")
+            report = write_coded(packed, gaussians, settings=kept, facts=told)
+        else:
+            report = write_packed(packed, gaussians, settings=FileSettings(gate=gate), facts=told)
+        _tell_packed(packed, report, view)
     facts = PackedFacts(**_known(loaded))
     if facts.mode == "antialiased" and (ply or spz or gltf):
         output.log(
@@ -152,19 +172,8 @@ def _ply(
     output.emit(record, f"{path}: {len(gaussians)} Gaussians{words}, positions {frame}")
 
 
-def _pack(
-    model: "Reconstruction",
-    gaussians: "Gaussians",
-    view: "View | None",
-    origin: "Origin",
-    path: Path,
-    gate: float,
-) -> None:
-    """Write a packed file and say how small it is."""
-    from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
-
-    facts = PackedFacts(**_known(model), origin=origin)
-    report = write_packed(path, gaussians, settings=FileSettings(gate=gate), facts=facts)
+def _tell_packed(path: Path, report: "PackedReport", view: "View | None") -> None:
+    """Say how small a packed file is."""
     each = report.bytes / max(report.primitives, 1)
     seen, words = _looks(view)
     record = {"packed": str(path), "gaussians": report.primitives, "bytes": report.bytes,

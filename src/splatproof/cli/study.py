@@ -3,14 +3,14 @@
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.base.files import read_json, write_text
+from splatproof.base.files import read_json, read_text, write_text
 from splatproof.cli import output
 from splatproof.cli.binding import bound
 from splatproof.methods.contracts.backends import get_backend
@@ -31,13 +31,14 @@ def run_study(
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     wait: float = 300.0,
     backend: str = "cpu",
+    only: str | None = None,
     page: Path | None = None,
     rows: Path | None = None,
 ) -> int:
     """Print a table of the study's rows and keep them in OUT/STUDY.jsonl, a JSON object a line.
 
-    Rows are kept as they come; a study that is stopped starts over. Pictures, where the study draws
-    any, go to OUT/STUDY/. With --json each row is a line on stdout as soon as it is measured. The
+    Rows are kept as they come. The speed study goes on after the last whole case where it was stopped, if
+    machine, code and options are the same; others start over. Pictures, where the study draws any, go to OUT/STUDY/. With --json each row is a line on stdout as soon as it is measured. The
     exit code is 1 if a row is over its error budget.
 
     Args:
@@ -45,8 +46,11 @@ def run_study(
         out: Folder for the rows and pictures.
         quick: Measure the reduced form: fewer and smaller cases.
         wait: Seconds that the whole study may lose while it waits for other processes to leave the
-            machine idle; after that it refuses rows. With --quick it never waits.
+            machine idle; after that rows have no times, but ratios of implementations that took turns.
+            With --quick it never waits.
         backend: Name of the rasterizer whose implementations are measured beside those of the CPU.
+        only: Measure only the cases that match this pattern on component/case, e.g. "rasterizer/*" or
+            "adam"; "roofline" is the engine's stages.
         page: Also write the study's Markdown page to this file, its rows as JSON beside it and its
             pictures to images/ beside it.
         rows: Measure nothing: write the page again from the rows in this JSON file, which an earlier
@@ -59,6 +63,8 @@ def run_study(
     study = STUDIES[name]
     if not 0 <= wait < math.inf:
         raise UsageError(f"--wait is {wait}, expected seconds, 0 or more")
+    if only is not None and page is not None:
+        raise UsageError("--page shows every case: give it without --only")
     if rows is not None:
         if page is None or quick:
             raise UsageError("--rows makes a page again from its rows: give --page, not --quick")
@@ -66,7 +72,9 @@ def run_study(
         return 0
     machine = _machine(study, backend)
     file = out / f"{name}.jsonl"
-    found = _measure(name, study, quick, {"wait": wait, "backend": backend}, file)
+    found = _measure(
+        name, study, quick, {"wait": wait, "backend": backend, "only": only}, file, machine
+    )
     if not output.wants_json():
         _print_table(study.columns, found)
     failed = [row for row in found if row.get("ok") is False]
@@ -86,22 +94,33 @@ def run_study(
 def _command(name: str, study: Study) -> Callable[..., int]:
     """The command of one study, without the options that it takes no notice of."""
     obeyed = {"out", "quick", *study.options, *(("page", "rows") if study.page else ())}
-    without = {"wait", "backend", "page", "rows"} - obeyed
+    without = {"wait", "backend", "only", "page", "rows"} - obeyed
     title = f"{study.description[0].upper()}{study.description[1:]}."
     return bound(run_study, {"name": name}, without=without, title=title)
 
 
-def _measure(name: str, study: Study, quick: bool, given: dict[str, Any], file: Path) -> list[Row]:
+def _measure(
+    name: str, study: Study, quick: bool, given: Row, file: Path, machine: Mapping[str, str]
+) -> list[Row]:
     """All rows, told and kept in the file as they come: a kill loses only what is being measured."""
     options = {option: given[option] for option in study.options}
     if "backend" in study.options:
         get_backend(given["backend"])
+    begun, known = file.with_suffix(".begun.json"), {}
+    if study.resumes:
+        of = {"quick": quick, "machine": dict(machine)}
+        of |= {key: value for key, value in options.items() if key != "wait"}  # changes no case
+        known = {"kept": kept_rows(begun, file, of)}
+        write_text(begun, json.dumps(of))
+        if known["kept"]:
+            output.log(f"{len(known['kept'])} rows of a study that was stopped are kept")
     rows: list[Row] = []
-    write_text(file, "")
+    if not known.get("kept"):  # else a kill before the first row would lose them
+        write_text(file, "")
     try:
         with output.progress() as bar:
             task = bar.add_task(name, total=None, values="")
-            for row in study.rows(quick=quick, **options):
+            for row in study.rows(quick=quick, **options, **known):
                 rows.append(row)
                 lines = (
                     json.dumps(output.finite(held), ensure_ascii=False) + "\n" for held in rows
@@ -110,12 +129,34 @@ def _measure(name: str, study: Study, quick: bool, given: dict[str, Any], file: 
                 bar.update(task, completed=len(rows), values=str(row.get("case", "")))
                 if output.wants_json():
                     output.print_record(row)
-    except KeyboardInterrupt:  # rows are measured side by side: nothing to go on from
-        output.warn(
-            f"interrupted: {len(rows)} rows are kept in {file}; the same command starts over"
-        )
+    except KeyboardInterrupt:
+        goes = "goes on" if study.resumes else "starts over"
+        output.warn(f"interrupted: {len(rows)} rows are kept in {file}; the same command {goes}")
         raise SystemExit(130) from None
+    begun.unlink(missing_ok=True)
     return rows
+
+
+def kept_rows(begun: Path, file: Path, of: Row) -> list[Row]:
+    """Rows of an earlier call of the same words that did not come to its end.
+
+    Args:
+        begun: File that says what is being measured; it is removed at the end.
+        file: Rows so far, a JSON object a line.
+        of: What is to be measured now.
+
+    Returns: Those of whole cases: the last case that is there may be short of some.
+    """
+    if not (begun.is_file() and file.is_file()):
+        return []
+    try:
+        if read_json(begun) != json.loads(json.dumps(of)):
+            return []
+        rows = [json.loads(line) for line in read_text(file).splitlines()]
+        cases = [(row["component"], row["case"]) for row in rows]
+    except (DataError, ValueError, KeyError, TypeError):  # others wrote into them: start over
+        return []
+    return [row for row, case in zip(rows, cases, strict=True) if case != cases[-1]]
 
 
 def _machine(study: Study, backend: str) -> dict[str, str]:

@@ -84,8 +84,8 @@ def test_a_probe_decides_within_its_share():
     asked = AutoSettings(seconds=100.0, steps=10, probe_share=0.5, opacity_weight=0.0)
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
-    assert names == ["dropout", "points", "Gaussians", "steps"]
-    assert found.plan.choices[0].because.startswith("probe: ")
+    assert names == ["matched points", "dropout", "points", "Gaussians", "steps"]
+    assert found.plan.choices[1].because.startswith("probe: ")
 
 
 def test_photos_are_read_once_and_only_as_long_as_there_is_time():

@@ -127,6 +127,37 @@ def test_threads_of_the_flow_do_not_matter(yard: Scene, dense: Scene):
     assert torch.equal(alone.points.colours, dense.points.colours)
 
 
+def test_threads_that_match_do_not_matter(yard: Scene, dense: Scene):
+    before = torch.get_num_threads()
+    torch.set_num_threads(3 if before == 1 else 1)
+    try:
+        other = with_dense_points(yard, CELL, 2**28, DenseSettings())
+    finally:
+        torch.set_num_threads(before)
+    assert torch.equal(other.points.positions, dense.points.positions)
+    assert torch.equal(other.points.track_views, dense.points.track_views)
+
+
+def test_a_pair_that_fails_says_so():
+    def work(pair: tuple[int, int]) -> DensePoints:
+        raise UsageError(f"pair {pair}")
+
+    with pytest.raises(UsageError, match=r"pair \(0, 1\)"):
+        list(dense_points.in_order(work, [(0, 1), (1, 2)]))
+
+
+def test_matches_beyond_all_voxels_are_no_points():
+    far = torch.tensor(
+        [[0.5, 0.5, 0.5]] * 4 + [[1e300, 0, 0]] * 4 + [[-(2.0**21), 0, 0]] * 4
+    ).double()
+    voxels = Voxels(1.0, torch.zeros(3))
+    voxels.add(
+        DensePoints(positions=far, colours=torch.zeros(12, 3), scores=torch.ones(12).double()),
+        (0, 1),
+    )
+    assert voxels.points().positions.tolist() == [[0.5, 0.5, 0.5]]
+
+
 def test_masked_pixels_give_no_points(yard: Scene):
     """With everything masked but the left half, no point is seen first in a right half."""
     camera = yard.train_views[0].camera

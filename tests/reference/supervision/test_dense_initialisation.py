@@ -80,8 +80,8 @@ def test_noisy_matches_give_the_same_points_wherever_the_scene_lies(seed, scale,
         pose[:3, :3] = one.rotation @ turn.T
         pose[:3, 3] = scale * one.world_to_camera[:3, 3] - pose[:3, :3] @ shift
         placed.append(replace(one, world_to_camera=pose))
-    want, angle = dense.triangulate(a, b, *at)
-    got, angle_there = dense.triangulate(*placed, *at)
+    want, angle = dense.triangulate(a, b, at[0], at[1])
+    got, angle_there = dense.triangulate(placed[0], placed[1], at[0], at[1])
     assert_close(angle_there, angle)
     # noise of a pixel moves a point to a hundred baselines away at times, where 1e-16 weighs more
     near = want.norm(dim=1) < 100

@@ -268,7 +268,7 @@ def test_a_point_of_a_plot_leads_to_its_row(page: Page):
 
 
 KEY_BEFORE_CLOSE_IS_HEARD = """() => {
-  document.querySelector("dialog").close();  // its event comes later: the dialog still stands, closed
+  document.querySelector("dialog[open]").close();  // its event comes later: the dialog still stands, closed
   document.dispatchEvent(new KeyboardEvent("keydown", { key: "j" }));
 }"""
 

@@ -25,8 +25,9 @@ from splatproof.methods.storage.packed import records as packing_records
 from splatproof.methods.storage.packed import rows as packing_rows
 from splatproof.methods.storage.packed import streams as packing_streams
 from splatproof.methods.storage.packed import writer as packing
+from splatproof.methods.storage.packed.header import ADDED
 from splatproof.methods.storage.packed.morton import morton_codes, morton_order
-from splatproof.methods.storage.packed.reader import ADDED, read_packed, unpack_packed
+from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import FolderRows
 from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
@@ -259,7 +260,7 @@ def test_joined_reordered_and_shortened_files_are_refused(folder):
     refused(folder, head + b"".join([*parts[:2], parts[3], parts[2], *parts[4:]]))
     assert "chunks" in refused(folder, head + b"".join(parts[:-1]))
     assert "not a packed model" in refused(folder, b"ply\n" + data)
-    assert "version 3" in refused(folder, data[:4] + b"\3\0" + data[6:])
+    assert "version 4" in refused(folder, data[:4] + b"\4\0" + data[6:])
     refused(folder, b"")
 
 

@@ -127,18 +127,70 @@ def test_a_new_twin_appears_in_every_row(only_line):
         assert row["error_case"] == "10"
 
 
-def test_a_disturbed_row_is_refused_and_a_quiet_one_is_not(only_line, monkeypatch):
+def test_a_disturbed_row_has_ratios_and_no_times_and_a_quiet_one_both(only_line, monkeypatch):
     monkeypatch.setattr(idle, "LOOK_SECONDS", 0.001)
+    monkeypatch.setattr(speed, "BUSY_SECONDS", 0.2)
     monkeypatch.setattr(idle.Watch, "percent", lambda self: 40.0)
     rows = list(speed.rows(quick=False, wait=0.01, open_session=Here))
     assert {(row["forward_ms"], row["backward_ms"], row["ok"]) for row in rows} == {
-        (None, None, False)
+        (None, None, True)
     }
+    assert {(row["ratio_low"], row["ratio"], row["ratio_high"]) for row in rows} == {(1, 1, 1)}
     assert all("others used 40 % of a core" in row["note"] for row in rows)
     assert all(row["max_abs_error"] < 1e-6 for row in rows)  # errors need no idle machine
     monkeypatch.setattr(idle.Watch, "percent", lambda self: 4.0)
-    assert all(row["ok"] and row["forward_ms"] > 0
+    assert all(row["ok"] and row["forward_ms"] > 0 and row["ratio"] == 1
                for row in speed.rows(quick=False, wait=0.0, open_session=Here))  # fmt: skip
+
+
+def test_ratios_are_of_neighbouring_turns():
+    """A machine that slows down tenfold between rounds: times say nothing, their ratios do."""
+    rounds = [
+        {
+            "a": [(slow, 2 * slow)] * 3,
+            "b": [(2 * slow, 5 * slow)],
+            "forward": [(6 * slow, math.nan)],
+        }
+        for slow in (1.0, 10.0, 3.0)
+    ]
+    assert speed.ratios(rounds, "b", "a") == pytest.approx((7 / 3, 7 / 3, 7 / 3))
+    assert speed.ratios(rounds, "forward", "a")[1] == pytest.approx(2.0)
+    assert speed.ratios(rounds, "absent", "a") == (None, None, None)
+    assert speed.ratios([], "a", "a") == (None, None, None)
+
+
+@pytest.mark.parametrize(("rounds", "left_out"), [(2, 0), (5, 0), (6, 0), (9, 1), (15, 3)])
+def test_an_interval_of_ratios_holds_the_median_as_often_as_it_says(rounds, left_out):
+    turns = [{"a": [(1.0, math.nan)], "b": [(float(i), math.nan)]} for i in range(1, rounds + 1)]
+    low, _, high = speed.ratios(turns, "b", "a")
+    assert (low, high) == (1 + left_out, rounds - left_out)
+    # scipy's table of the binomial, independently
+    if rounds >= 6:
+        from scipy.stats import binom
+
+        assert (
+            2 * binom.cdf(left_out, rounds, 0.5) <= 0.05 < 2 * binom.cdf(left_out + 1, rounds, 0.5)
+        )
+
+
+def test_one_case_alone_and_none_that_is_not_there(only_line):
+    rows = list(speed.rows(quick=True, only="line/20", open_session=Here))
+    assert [(row["case"], row["error_case"]) for row in rows] == [("20", "10")]
+    assert len(list(speed.rows(quick=True, only="line", open_session=Here))) == 2
+    assert list(speed.rows(quick=True, only="roofline", open_session=Here)) == []
+    with pytest.raises(UsageError, match="line/10, line/20, roofline"):
+        list(speed.rows(quick=True, only="lime/*", open_session=Here))
+
+
+def test_cases_that_are_there_are_not_measured_again(only_line):
+    kept = [
+        row | {"forward_ms": 7.0}
+        for row in speed.rows(quick=True, only="line/10", open_session=Here)
+    ]
+    rows = list(speed.rows(quick=True, kept=kept, open_session=Here))
+    assert [row["case"] for row in rows] == ["10", "20"]
+    assert rows[0] == kept[0]
+    assert rows[1]["forward_ms"] != 7.0
 
 
 def test_quiet_rounds_count_though_others_were_disturbed(only_line, monkeypatch):
