@@ -229,6 +229,8 @@ def harmonic_codes(
 
     Source: ours.
     """
+    if not np.isfinite(rest).all():
+        raise DataError("SH: not all finite: clean the model first")
     r, g, b = np.moveaxis(rest, 2, 0)
     channels = np.stack([row[0] * r + row[1] * g + row[2] * b for row in OPPONENT], axis=2)
     steps = np.ldexp(base, found - WIDEST)[:, None, None]

@@ -11,6 +11,7 @@ from splatproof.base.errors import SplatproofError
 from splatproof.reference.checks.agreement import compare_gradients
 from splatproof.suites.hard_cases import (
     blocks,
+    coders,
     components,
     gaussians,
     images,
@@ -23,7 +24,7 @@ from splatproof.suites.hard_cases.case import HardCase
 from splatproof.suites.hard_cases.rising import Rising
 from splatproof.suites.studies import ladders
 
-CASES: tuple[HardCase, ...] = (*components.CASES, *blocks.CASES, *images.CASES)
+CASES: tuple[HardCase, ...] = (*components.CASES, *blocks.CASES, *coders.CASES, *images.CASES)
 """One difficult input each."""
 RISING: tuple[Rising, ...] = (*rising_blocks.CASES, *rising_views.CASES, *rising_metrics.CASES)
 """A difficulty each that is raised rung by rung."""
