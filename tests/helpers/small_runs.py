@@ -1,7 +1,11 @@
 """Runs of seconds whose models are hashed: run as a script it prints name and hash of each."""
 
 import hashlib
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from torch import Tensor
@@ -38,6 +42,32 @@ CITIES: dict[str, tuple[str, dict[str, Any]]] = {
                         {"refine": RefineSettings(optimizer="sgd", sh_dc=1e-3)}),
 }  # fmt: skip
 
+PHOTOS = "photos"
+"""Name of the hash of what the runs are trained on: drawn by the reference, so by torch and MKL."""
+
+
+def hashes() -> dict[str, str]:
+    """Hashes of all runs by name, and PHOTOS, made in a process of its own.
+
+    Kernels and torch work at their lowest level there, and MKL in the way that it promises to be
+    the same on every processor; else it rounds by the processor's maker and caches.
+    """
+    process = subprocess.run(
+        [sys.executable, "-P", __file__],
+        env=os.environ | {
+            "SPLATPROOF_SIMD": "portable", "ATEN_CPU_CAPABILITY": "default",
+            "MKL_CBWR": "COMPATIBLE", "PYTHONPATH": str(Path(__file__).parents[1]),
+        },
+        capture_output=True, text=True, timeout=600, check=True,
+    )  # fmt: skip
+    return dict(line.split("\t") for line in process.stdout.splitlines())
+
+
+def photos() -> str:
+    """Hash of the photos of both scenes."""
+    views = [*tiny_scene().views, *small_scene(60).views]
+    return digest({f"{i:03d}": view.load() for i, view in enumerate(views)})
+
 
 def digest(arrays: dict[str, Tensor]) -> str:
     """Hash of named arrays."""
@@ -67,6 +97,7 @@ def city(name: str) -> str:
 
 
 if __name__ == "__main__":
+    print(PHOTOS, photos(), sep="\t")
     for backend in ("cpu", "reference"):
         for name in THREEDGS:
             print(f"3dgs {name} {backend}", threedgs(name, backend), sep="\t")

@@ -58,14 +58,14 @@ def test_the_filter_widens_and_keeps_what_a_gaussian_holds():
 
 
 def test_without_its_filter_it_is_3dgs():
+    """Before the first densification: from there on what rounding differs by grows, by machine."""
     run = replace(RUN, backend="reference")
-    off = replace(SHORT, smoothing=0.0)
-    plain = Settings(iterations=60, sh_degree=1, density=DENSITY, antialiased=True)
-    one = baked(fit(tiny_scene(), off, run))
+    ten = replace(SHORT, iterations=10, smoothing=0.0)
+    plain = Settings(iterations=10, sh_degree=1, density=DENSITY, antialiased=True)
+    one = baked(fit(tiny_scene(), ten, run))
     other = baked(get_method("3dgs").fit(tiny_scene(), plain, run))
-    assert len(one.means) == len(other.means)
-    torch.testing.assert_close(one.means, other.means, atol=1e-3, rtol=0)
-    on = baked(fit(tiny_scene(), replace(SHORT, smoothing=3.0), run))
+    torch.testing.assert_close(one.means, other.means, atol=1e-5, rtol=0)
+    on = baked(fit(tiny_scene(), replace(ten, smoothing=3.0), run))
     assert on.scales.min() > 2 * one.scales.min()
 
 
