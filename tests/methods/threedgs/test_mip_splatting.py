@@ -65,8 +65,14 @@ def test_without_its_filter_it_is_3dgs():
     one = baked(fit(tiny_scene(), ten, run))
     other = baked(get_method("3dgs").fit(tiny_scene(), plain, run))
     torch.testing.assert_close(one.means, other.means, atol=1e-5, rtol=0)
-    on = baked(fit(tiny_scene(), replace(ten, smoothing=3.0), run))
-    assert on.scales.min() > 2 * one.scales.min()
+
+
+def test_a_wide_filter_leaves_no_small_gaussian():
+    smallest = [
+        baked(fit(tiny_scene(), replace(SHORT, smoothing=width), RUN)).scales.min()
+        for width in (0.0, 3.0)
+    ]
+    assert smallest[1] > 2 * smallest[0]
 
 
 def test_the_filters_follow_the_gaussians_through_densification():
