@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import UsageError
-from splatproof.reference.rasterizer import rotation
+from splatproof.reference.rasterizer import rotation, spherical_harmonics
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
 from splatproof.reference.types.camera import Camera
@@ -29,8 +29,8 @@ def rasterize(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     *,
-    colours: Float[Tensor, "n c"] | None = None,
-    sh: Float[Tensor, "n k 3"] | None = None,
+    colours: Float[Tensor, "u c"] | None = None,
+    sh: Float[Tensor, "m k 3"] | None = None,
     background: Float[Tensor, " c"] | None = None,
     mode: Mode = "classic",
     distance: bool = False,
@@ -46,7 +46,8 @@ def rasterize(
         quaternions: Rotations (w, x, y, z), normalised here; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
         opacities: Opacity of each Gaussian, in [0, 1].
-        colours: Colour of each Gaussian, any number of channels; give this or `sh`.
+        colours: Colour of each Gaussian, any number of channels; give this or `sh`, or both:
+            harmonics of the first Gaussians, and colours of 3 channels of all others.
         sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
         background: Colour behind everything; None is black.
         mode: How opacities are compensated: "classic" not at all, "antialiased" by gsplat.
@@ -56,12 +57,13 @@ def rasterize(
         probe: Where gradients by the 2D means are left, for density control; None: nowhere.
 
     Raises: UsageError for `distance`, `median` and `contributors`, which gsplat does not give;
-        ValueError if not exactly one of `colours` and `sh` is given.
+        ValueError if neither `colours` nor `sh` is given.
 
     Source: gsplat's documented `rasterization`.
     """
-    if (colours is None) == (sh is None):
-        raise ValueError("give exactly one of colours and sh")
+    if sh is None or colours is not None:
+        colours = spherical_harmonics.seen_colours(means, camera.centre, sh, colours)
+        sh = None
     if distance or median or contributors:
         raise UsageError("backend 'cuda' has no distance, median depth or contributors; use 'cpu'")
     features, degree = (sh, round((sh.shape[1]) ** 0.5) - 1) if sh is not None else (colours, None)

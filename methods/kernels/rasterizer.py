@@ -31,8 +31,8 @@ def rasterize(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     *,
-    colours: Float[Tensor, "n c"] | None = None,
-    sh: Float[Tensor, "n k 3"] | None = None,
+    colours: Float[Tensor, "u c"] | None = None,
+    sh: Float[Tensor, "m k 3"] | None = None,
     background: Float[Tensor, " c"] | None = None,
     mode: Mode = "classic",
     distance: bool = False,
@@ -48,7 +48,8 @@ def rasterize(
         quaternions: Rotations (w, x, y, z), normalised here; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
         opacities: Opacity of each Gaussian, in [0, 1].
-        colours: Colour of each Gaussian, 1 to 32 channels; give this or `sh`.
+        colours: Colour of each Gaussian, 1 to 32 channels; give this or `sh`, or both: harmonics of
+            the first Gaussians, and colours of 3 channels of all others.
         sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
         background: Colour behind everything; None is black.
         mode: "antialiased" scales opacity by sqrt(det(Sigma2 - 0.3 I) / det(Sigma2)).
@@ -59,8 +60,8 @@ def rasterize(
 
     Returns: The image, in float32.
 
-    Raises: ValueError unless exactly one of `colours` and `sh` is given, everything is float32 on the
-        CPU and the shapes fit together, with at most 32 channels.
+    Raises: ValueError unless `colours`, `sh` or both are given, everything is float32 on the CPU and
+        the shapes fit together, with at most 32 channels.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4 to 6; Cholesky form, tiles of exact
         ellipses and the division-free backward pass: ours.
@@ -94,15 +95,17 @@ def check_model(
         quaternions: Rotations, n x 4.
         scales: Standard deviations, n x 3.
         opacities: Opacities, n.
-        colours: Colours, n x c with c from 1 to 32; None where there are harmonics.
-        sh: Spherical-harmonic coefficients, n x k x 3 with k in DEGREES; None where there are
-            colours.
+        colours: Colours, n x c with c from 1 to 32, or of the last Gaussians n - m x 3; None where
+            all have harmonics.
+        sh: Spherical-harmonic coefficients, n x k x 3 with k in DEGREES, or of the first Gaussians
+            m x k x 3; None where all have colours.
 
     Raises: ValueError, naming the argument, what was found and what was expected.
     """
-    if (colours is None) == (sh is None):
-        raise ValueError("give exactly one of colours and sh")
+    if colours is None and sh is None:
+        raise ValueError("give colours, sh or both")
     n = len(means) if means.ndim else 0
+    lit = n if sh is None or colours is None or not sh.ndim else len(sh)
     expected: dict[str, tuple[Tensor, tuple[int, ...]]] = {
         "means": (means, (n, 3)),
         "quaternions": (quaternions, (n, 4)),
@@ -110,13 +113,13 @@ def check_model(
         "opacities": (opacities, (n,)),
     }
     if colours is not None:
-        channels = colours.shape[-1] if colours.ndim else 0
-        expected["colours"] = (colours, (n, channels))
+        channels = 3 if sh is not None else colours.shape[-1] if colours.ndim else 0
+        expected["colours"] = (colours, (n if sh is None else n - lit, channels))
         if not 1 <= channels <= MAX_CHANNELS:
             raise ValueError(f"colours has {channels} channels, expected 1 to {MAX_CHANNELS}")
     if sh is not None:
         count = sh.shape[1] if sh.ndim == 3 else 0
-        expected["sh"] = (sh, (n, count, 3))
+        expected["sh"] = (sh, (lit, count, 3))
         if count not in DEGREES:
             raise ValueError(
                 f"sh has shape {tuple(sh.shape)}, expected ({n}, k, 3), k in {DEGREES}"

@@ -165,11 +165,14 @@ def gaussians_of(splats: Splats) -> Gaussians:
     Raises: UsageError for colours of other than 3 channels.
     """
     sh = splats.sh
-    if sh is None:
-        assert splats.colours is not None
+    if splats.colours is not None:
         if splats.colours.shape[1] != 3:
             raise UsageError(f"colours have {splats.colours.shape[1]} channels, expected 3 to bake")
-        sh = ((splats.colours - 0.5) / C0)[:, None]
+        constant = ((splats.colours - 0.5) / C0)[:, None]
+        if sh is not None:
+            constant = torch.nn.functional.pad(constant, (0, 0, 0, sh.shape[1] - 1))
+        sh = constant if sh is None else torch.cat([sh, constant])
+    assert sh is not None
     return Gaussians(
         means=splats.means.cpu(),
         quaternions=splats.quaternions.cpu(),

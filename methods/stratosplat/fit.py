@@ -94,19 +94,22 @@ def started(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
     Raises: DataError if there is nothing to start from.
     """
     seen = disturbed(scene, settings.noise_of("completion"), run.seed)
+    cell = 0.0 if settings.init == "sfm" else settings.dense_cell
+    drawn = 0 if settings.completes else settings.random_points  # what is drawn guides nothing
+
+    def pointed() -> Scene:
+        return initialise.with_points(
+            seen, run, random_points=drawn, dense_cell=cell, dense=settings.dense
+        )
+
     if not settings.completes:
-        pointed = initialise.with_points(
-            seen, run, random_points=settings.random_points,
-            dense_cell=settings.dense_cell if settings.init == "dense" else 0.0,
-            dense=settings.dense,
-        )  # fmt: skip
-        return pointed.points
+        return pointed().points
     initialise.require_points(scene)
     key = run_key(scene, settings, run, *_priors(scene, settings))
     path = None if run.folder is None else run.folder / "checkpoint" / "completion.safetensors"
     points = _kept(path, key)
     if points is None:
-        points = _completed(seen, settings, run)
+        points = _completed(pointed(), settings, run)
         if path is not None:
             write_tensors(path, vars(points), {"key": key})
     return points

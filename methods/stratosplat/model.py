@@ -13,7 +13,6 @@ from splatproof.methods.stratosplat.settings import Planes
 from splatproof.methods.stratosplat.virtual import NETWORK, Stack, ViewSites, asked, view_sites
 from splatproof.methods.training.schedules import Rates, log_linear
 from splatproof.reference.layered_memory import multi_plane
-from splatproof.reference.rasterizer import spherical_harmonics
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
@@ -91,16 +90,13 @@ class HybridModel(GaussianModel):
         return multi_plane.decoded(asked(self.parameters.shared, found), found.sites)
 
     def splats(self, view: View, moment: Moment) -> Splats:
-        """Explicit Gaussians with the colours that they show this view, and the virtual ones after them.
+        """Explicit Gaussians with their harmonics, and the virtual ones with their colours after them.
 
         Args:
             view: Its camera counts.
             moment: As for explicit Gaussians alone.
         """
         explicit, virtual = super().splats(view, moment), self.virtual(view.camera)
-        assert explicit.sh is not None
-        assert virtual.colours is not None
-        towards = spherical_harmonics.directions_to(explicit.means, view.camera.centre)
         rows = torch.arange(len(explicit))
         assert virtual.rows is not None
         return Splats(
@@ -108,7 +104,8 @@ class HybridModel(GaussianModel):
             quaternions=torch.cat([explicit.quaternions, virtual.quaternions]),
             scales=torch.cat([explicit.scales, virtual.scales]),
             opacities=torch.cat([explicit.opacities, virtual.opacities]),
-            colours=torch.cat([spherical_harmonics.colour(explicit.sh, towards), virtual.colours]),
+            sh=explicit.sh,
+            colours=virtual.colours,
             rows=torch.cat([rows, virtual.rows]),
         )
 

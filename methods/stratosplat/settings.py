@@ -79,11 +79,13 @@ class StratoSplat(Settings):
     of a 30,000 iteration run; a shorter run shrinks them."""
 
     dense_cell: float = 4.0
-    """About how many pixels added points lie apart where `init` is dense; not read elsewhere."""
+    """About how many pixels points lie apart that are matched between photos before anything else, where
+    `init` is not sfm; 0: none are. Depths are completed from them too: of few small photos structure from
+    motion leaves too few (the paper's have thousands, and its completion network knows more than ours)."""
     init: Start = "layered"
     """What explicit Gaussians start from: sfm: the sparse points; dense: points matched between photos
-    besides (DPGS's initialisation); independent: the depth of each photo completed by its own sparse points
-    and prior; layered: each also by the memory of those before it (the paper)."""
+    besides (DPGS's initialisation); independent: the depth of each photo completed by its own points and
+    prior; layered: each also by the memory of those before it (the paper)."""
     noise: Level = "none"
     """Level of noise on the training poses, as the option --pose-noise has it, for a stage alone."""
     noise_stage: Stage = "all"

@@ -245,7 +245,7 @@ def summed(
     """
     distinct, owner = np.unique(keys, return_inverse=True)
     columns = [np.bincount(owner, column, len(distinct)) for column in rows.T]
-    return distinct, np.stack(columns, axis=1)
+    return distinct, np.stack(columns, axis=1).astype(np.float64, copy=False)  # of none: integers
 
 
 def extended(scene: Scene, found: SparsePoints, apart: float) -> Scene:

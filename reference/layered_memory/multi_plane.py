@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from splatproof.reference.rasterizer import spherical_harmonics
 from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
@@ -223,15 +222,13 @@ def render_joint(
 
     Source: StratoSplat, Sec. 3.3, "Joint Training".
     """
-    assert virtual.colours is not None
-    towards = spherical_harmonics.directions_to(explicit.means, camera.centre)
-    seen = spherical_harmonics.colour(explicit.sh, towards)
     return rasterize(
         camera,
         torch.cat([explicit.means, virtual.means]),
         torch.cat([explicit.quaternions, virtual.quaternions]),
         torch.cat([explicit.scales, virtual.scales]),
         torch.cat([explicit.opacities, virtual.opacities]),
-        colours=torch.cat([seen, virtual.colours]),
+        sh=explicit.sh,
+        colours=virtual.colours,
         background=background,
     )

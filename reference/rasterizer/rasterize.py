@@ -26,8 +26,8 @@ def rasterize(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     *,
-    colours: Float[Tensor, "n c"] | None = None,
-    sh: Float[Tensor, "n k 3"] | None = None,
+    colours: Float[Tensor, "u c"] | None = None,
+    sh: Float[Tensor, "m k 3"] | None = None,
     background: Float[Tensor, " c"] | None = None,
     mode: Mode = "classic",
     distance: bool = False,
@@ -43,7 +43,8 @@ def rasterize(
         quaternions: (w, x, y, z), normalised here; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
         opacities: Opacity of each Gaussian, in [0, 1].
-        colours: Colour of each Gaussian, any number of channels; give this or `sh`.
+        colours: Colour of each Gaussian, any number of channels; give this or `sh`, or both:
+            harmonics of the first Gaussians, and colours of 3 channels of all others.
         sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, evaluated along mean - centre.
         background: Colour behind everything; None is black.
         mode: "antialiased" scales opacity by sqrt(det(Sigma2 - 0.3 I) / det(Sigma2)).
@@ -54,16 +55,11 @@ def rasterize(
 
     Returns: The image; all of it in the dtype of `means`.
 
-    Raises: ValueError if not exactly one of `colours` and `sh` is given.
+    Raises: ValueError if neither `colours` nor `sh` is given, or both for another number of Gaussians.
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4 to 6.
     """
-    if (colours is None) == (sh is None):
-        raise ValueError("give exactly one of colours and sh")
-    if sh is not None:
-        towards = spherical_harmonics.directions_to(means, camera.centre)
-        colours = spherical_harmonics.colour(sh, towards)
-    assert colours is not None
+    colours = spherical_harmonics.seen_colours(means, camera.centre, sh, colours)
     flat = projection.project(camera, means, rotation.half_covariance(quaternions, scales))
     if mode == "antialiased":
         opacities = opacities * flat.compensation

@@ -62,3 +62,30 @@ def colour(sh: Float[Tensor, "n k 3"], directions: Float[Tensor, "n 3"]) -> Floa
     degree = {1: 0, 4: 1, 9: 2, 16: 3}[sh.shape[1]]
     raw = torch.einsum("nk,nkc->nc", basis(directions, degree), sh) + 0.5
     return torch.where(raw > 0, raw, 0)
+
+
+def seen_colours(
+    means: Float[Tensor, "n 3"],
+    centre: Float[Tensor, "3"],
+    sh: Float[Tensor, "m k 3"] | None,
+    colours: Float[Tensor, "u c"] | None,
+) -> Float[Tensor, "n c"]:
+    """Colours that a camera sees: of the first Gaussians by their harmonics, of the others as given.
+
+    Args:
+        means: World positions of the Gaussians in scene units.
+        centre: Camera centre in the world, scene units.
+        sh: Coefficients of the first m Gaussians, k in {1, 4, 9, 16}; None: of none.
+        colours: Colours of the other u = n - m; None: of none.
+
+    Raises: ValueError if neither is given, or m + u is not n.
+    """
+    if sh is None and colours is None:
+        raise ValueError("give colours, sh or both")
+    given = [len(values) for values in (sh, colours) if values is not None]
+    if sum(given) != len(means):
+        raise ValueError(f"{len(means)} Gaussians, but {given} harmonics and colours")
+    parts = [] if colours is None else [colours]
+    if sh is not None:
+        parts.insert(0, colour(sh, directions_to(means[: len(sh)], centre)))
+    return parts[0] if len(parts) == 1 else torch.cat(parts)

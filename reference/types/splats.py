@@ -21,10 +21,10 @@ class Splats:
     """Standard deviations in scene units, >= 0."""
     opacities: Float[Tensor, " n"]
     """Opacities in [0, 1]."""
-    sh: Float[Tensor, "n k 3"] | None = None
-    """Spherical-harmonic coefficients, k in {1, 4, 9, 16}; exactly one of `sh` and `colours`."""
-    colours: Float[Tensor, "n c"] | None = None
-    """Colours of 1 to 32 channels."""
+    sh: Float[Tensor, "m k 3"] | None = None
+    """Spherical-harmonic coefficients, k in {1, 4, 9, 16}; beside `colours`, of the first m splats."""
+    colours: Float[Tensor, "u c"] | None = None
+    """Colours of 1 to 32 channels; beside `sh`, those of the other u = n - m splats, 3 channels."""
     rows: Int[Tensor, " n"] | None = None
     """Row of the model that each splat was decoded from; -1: from none (virtual). None: splat i is
     row i."""
@@ -35,8 +35,9 @@ class Splats:
 
     def __post_init__(self) -> None:
         """Refuse splats with no colour or two."""
-        if (self.sh is None) == (self.colours is None):
-            raise ValueError("give exactly one of sh and colours")
+        given = [len(values) for values in (self.sh, self.colours) if values is not None]
+        if not given or sum(given) != len(self):
+            raise ValueError(f"{len(self)} splats with colours and harmonics of {given}")
 
     def __len__(self) -> int:
         """Return the number of splats."""

@@ -80,7 +80,7 @@ def test_rasterize_draws_with_the_backend_that_is_named():
         assert torch.allclose(drawn, want, atol=1e-4)
     with pytest.raises(sp.UsageError, match="did you mean 'cpu'"):
         sp.rasterize(where, *given, sh=sh, backend="cpus")
-    with pytest.raises(ValueError, match="exactly one of colours and sh"):
+    with pytest.raises(ValueError, match="give colours, sh or both"):
         sp.rasterize(where, *given)
 
 

@@ -67,6 +67,12 @@ INLINE Coefficients<T> coefficients(const Model& model, T* sh, T* sh_rest) {
   return {sh, sh ? sh + 3 : nullptr, stored, stored};
 }
 
+// How many of the Gaussians [first, first + count) have coefficients; the others have colours.
+INLINE int with_sh(const Model& model, int64_t first, int count) {
+  const int64_t left = model.sh_count - first;
+  return left < 0 ? 0 : left < count ? (int)left : count;
+}
+
 // Fetch the coefficients of Gaussians [first, first + count), to be read or written.
 template <bool WRITE, class T>
 STAGE void fetch_sh(Coefficients<T> c, int64_t first, int count) {

@@ -173,8 +173,9 @@ INLINE V<double, N> round_down(V<double, N> x) {
 void project(const Camera& cam, const Model& model, const Projection& out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    if (model.sh && i + L < last)
-      fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, last - i < 2 * L ? (int)(last - i) - L : L);
+    if (i + L < last)
+      fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L,
+                      with_sh(model, i + L, last - i < 2 * L ? (int)(last - i) - L : L));
     Lane16 in;
     gather(model, i, count, in);
     alignas(64) float geo[GEO][L], radius[L], dir[3][L], distance[L];
@@ -220,17 +221,17 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
     }
     if (!drawn) continue;
     float* features = out.features + i * out.stride;
-    if (model.sh) {
-      sh_colour(model, i, count, dir, geo + COLOUR);
-      for (int l = 0; l < count; ++l)
+    const int lit = with_sh(model, i, count);
+    if (lit) {
+      sh_colour(model, i, lit, dir, geo + COLOUR);
+      for (int l = 0; l < lit; ++l)
         for (int c = 0; c < 3; ++c) features[l * out.stride + c] = geo[COLOUR + c][l];
-    } else {
-      for (int l = 0; l < count; ++l)
-        for (int c = 0; c < model.channels; ++c)
-          features[l * out.stride + c] = model.colours[(i + l) * model.channels + c];
-      for (int c = 0; c < 3; ++c)
-        for (int l = 0; l < L; ++l) geo[COLOUR + c][l] = model.channels == 3 && l < count ? features[l * out.stride + c] : 0;
     }
+    for (int l = lit; l < count; ++l)
+      for (int c = 0; c < model.channels; ++c)
+        features[l * out.stride + c] = model.colours[(i + l - model.sh_count) * model.channels + c];
+    for (int c = 0; c < 3; ++c)
+      for (int l = lit; l < L; ++l) geo[COLOUR + c][l] = model.channels == 3 && l < count ? features[l * out.stride + c] : 0;
     if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
     else
       for (int l = 0; l < count; ++l)

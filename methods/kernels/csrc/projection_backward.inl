@@ -40,17 +40,17 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
     if (i + L < last) {  // while this group is worked on, what the next one needs comes in
       fetch_sums(sums, sums_stride, slot_start, slots, i + L, last - i < 2 * L ? last : i + 2 * L);
       if (model.sh) {
-        const int next = last - i < 2 * L ? (int)(last - i) - L : L;
+        const int next = with_sh(model, i + L, last - i < 2 * L ? (int)(last - i) - L : L);
         fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, next);
         fetch_sh<true>(coefficients(model, out.sh, out.sh_rest), i + L, next);
       }
     }
     float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[L] = {}, screen[4][L] = {};
-    const int channels = model.channels;
+    const int channels = model.channels, lit = with_sh(model, i, count);
     if (slot_start[i] == slot_start[i + count]) {  // none was drawn
-      if (model.sh) sh_clear(model, i, count, out);
-      if (out.colours)
-        for (int64_t j = i * channels; j < (i + count) * channels; ++j) out.colours[j] = 0;
+      sh_clear(model, i, lit, out);
+      for (int l = lit; out.colours && l < count; ++l)
+        for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = 0;
     } else {
       Lane16 in;
       gather(model, i, count, in);
@@ -60,7 +60,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
       for (int l = 0; l < L; ++l)
         visible[l] = l < count && slot_start[i + l] < slot_start[i + l + 1];
       float towards[3][L] = {}, dir[3][L];
-      if (model.sh) {
+      if (lit) {
         float colour[3][L];
         for (int l = 0; l < L; l += HALF) {
           const Ray ray = ray_to(cam, in, l);
@@ -72,15 +72,14 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
           const float* value = drawn.features + (i + (l < count ? l : 0)) * drawn.stride;
           for (int c = 0; c < 3; ++c) {
             // no gradient where the colour is clamped at 0
-            colour[c][l] = visible[l] && value[c] > 0 ? g[S_FEATURES + c][l] : 0;
+            colour[c][l] = l < lit && visible[l] && value[c] > 0 ? g[S_FEATURES + c][l] : 0;
             dir[c][l] = visible[l] ? dir[c][l] : 0;
           }
         }
-        sh_backward(model, i, count, dir, colour, out, towards);
-      } else if (out.colours) {
-        for (int l = 0; l < count; ++l)
-          for (int c = 0; c < channels; ++c) out.colours[(i + l) * channels + c] = g[S_FEATURES + c][l];
+        sh_backward(model, i, lit, dir, colour, out, towards);
       }
+      for (int l = lit; out.colours && l < count; ++l)
+        for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = g[S_FEATURES + c][l];
       for (int l = 0; l < L; l += HALF) {
         Ewa e;
         ewa(cam, model, in, l, e);

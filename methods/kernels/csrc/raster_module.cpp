@@ -33,12 +33,14 @@ Camera make_camera(const In<double, 2>& k, const In<double, 2>& pose, int width,
 Model ModelArrays::model() const {
   const size_t n = means.shape(0);
   const int stored = (int)((sh ? sh->shape(1) : 0) + (sh_rest ? sh_rest->shape(1) : 0));
+  const size_t lit = sh ? sh->shape(0) : 0, plain = colours ? colours->shape(0) : 0;
   const bool good = means.shape(1) == 3 && quaternions.shape(0) == n && quaternions.shape(1) == 4 &&
                     scales.shape(0) == n && scales.shape(1) == 3 && opacities.shape(0) == n &&
-                    (colours ? colours->shape(0) == n && colours->shape(1) <= MAX_CHANNELS
-                             : sh && sh->shape(0) == n && sh->shape(2) == 3 && sh_used >= 1 && sh_used <= stored &&
-                                   (stored == 1 || stored == 4 || stored == 9 || stored == 16) &&
-                                   (!sh_rest || (sh->shape(1) == 1 && sh_rest->shape(0) == n && sh_rest->shape(2) == 3)));
+                    (sh || colours) && lit + plain == n &&
+                    (!colours || (sh ? colours->shape(1) == 3 : colours->shape(1) <= MAX_CHANNELS)) &&
+                    (!sh || (sh->shape(2) == 3 && sh_used >= 1 && sh_used <= stored &&
+                             (stored == 1 || stored == 4 || stored == 9 || stored == 16))) &&
+                    (!sh_rest || (sh && sh->shape(1) == 1 && sh_rest->shape(0) == lit && sh_rest->shape(2) == 3));
   if (!good || n >> 31) throw std::invalid_argument("the Gaussians' arrays do not fit together");
   Model m = {};
   m.means = means.data();
@@ -49,6 +51,7 @@ Model ModelArrays::model() const {
   m.sh = data(sh);
   m.sh_rest = data(sh_rest);
   m.count = (int64_t)n;
+  m.sh_count = (int64_t)lit;
   m.channels = colours ? (int)colours->shape(1) : 3;
   m.sh_used = sh_used;
   m.sh_stored = stored;
@@ -148,9 +151,9 @@ void render_backward(State& state, const ModelArrays& arrays, Background backgro
   check_rows(quaternions, n, 4, "quaternions gradient");
   check_rows(scales, n, 3, "scales gradient");
   check_rows(opacities, n, 1, "opacities gradient");
-  check_rows(colours, n, model.channels, "colours gradient");
+  check_rows(colours, n - model.sh_count, model.channels, "colours gradient");
   check(!arrays.sh_rest, "sh_rest");
-  check_rows(sh, n, (size_t)3 * model.sh_stored, "sh gradient");
+  check_rows(sh, model.sh_count, (size_t)3 * model.sh_stored, "sh gradient");
   check_rows(screen, n, 2, "screen gradient");
   check_rows(screen_absolute, n, 2, "absolute screen gradient");
   PictureGradients p = {};

@@ -57,10 +57,11 @@ struct Camera {
 
 struct Model {
   const float *means, *quaternions, *scales, *opacities;
-  const float* colours;  // [n, channels], or null
-  const float* sh;       // [n, sh_stored, 3], or [n, 1, 3] beside sh_rest, or null
-  const float* sh_rest;  // [n, sh_stored - 1, 3], or null
+  const float* colours;  // [n - sh_count, channels], of the last Gaussians, or null
+  const float* sh;       // [sh_count, sh_stored, 3], or [sh_count, 1, 3] beside sh_rest, or null
+  const float* sh_rest;  // [sh_count, sh_stored - 1, 3], or null
   int64_t count;
+  int64_t sh_count;      // of the first Gaussians, whose colours depend on where they are seen from
   int channels;          // of the image
   int sh_used, sh_stored;
   bool raw;              // scales are logarithms, opacities logits

@@ -40,8 +40,8 @@ def rasterize(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     *,
-    colours: Float[Tensor, "n c"] | None = None,
-    sh: Float[Tensor, "n k 3"] | None = None,
+    colours: Float[Tensor, "u c"] | None = None,
+    sh: Float[Tensor, "m k 3"] | None = None,
     background: Float[Tensor, " c"] | None = None,
     mode: Mode = "classic",
     backend: str = "cpu",
@@ -56,14 +56,15 @@ def rasterize(
         quaternions: Rotations (w, x, y, z) of any norm; zero is the identity.
         scales: Standard deviations in scene units, >= 0.
         opacities: Opacity of each Gaussian, in [0, 1].
-        colours: Colour of each Gaussian, 1 to 32 channels; give this or `sh`.
+        colours: Colour of each Gaussian, 1 to 32 channels; give this or `sh`, or both: harmonics of
+            the first Gaussians, and colours of 3 channels of all others.
         sh: Spherical-harmonic coefficients, k in {1, 4, 9, 16}, DC first.
         background: Colour behind everything; None is black.
         mode: "antialiased" scales opacity by sqrt(det(Sigma2 - 0.3 I) / det(Sigma2)).
         backend: cpu takes float32 on the CPU; reference any float dtype, slowly; cuda the GPU.
     Returns: `colour` (height x width x channels, not clamped), `alpha` in [0, 1), `depth` (scene
         units, 0 where nothing is drawn), `radii` of each Gaussian in pixels (0: not seen).
-    Raises: ValueError, naming the argument, unless exactly one of `colours` and `sh` is given and
+    Raises: ValueError, naming the argument, unless `colours`, `sh` or both are given and
         shapes and dtypes fit; UsageError for an unknown backend; MissingError if it cannot run here.
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 4 to 6; antialiased: Yu et al. 2024.
     """

@@ -277,3 +277,45 @@ def test_values_are_told_from_gradients_of_no_one():
         scene.camera, *scene.arguments(torch.float32)[:4], sh=scene.sh.requires_grad_()
     )
     assert torch.equal(out.colour, again.colour.detach())
+
+
+@pytest.mark.parametrize("lit", [0, 1, 15, 16, 17, 40, 60])
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_harmonics_of_the_first_and_colours_of_the_others(simd_level, lit, degree):
+    scene = random_scene(60, lit, degree=degree)
+    g = torch.Generator().manual_seed(lit)
+    colours, weight = torch.rand(60 - lit, 3, generator=g), None
+    found = []
+    ignored = discontinuity_pixels(
+        scene.camera, *(v.double() for v in scene.arguments(torch.float32)[:4])
+    )
+    for rasterize, dtype in (
+        (reference.rasterize, torch.float64),
+        (native.rasterize, torch.float32),
+    ):
+        *leaves, sh = scene.arguments(dtype)
+        first = sh.detach()[:lit].clone().requires_grad_()
+        others = colours.to(dtype).requires_grad_()
+        drawn = rasterize(scene.camera, *leaves, sh=first, colours=others)
+        if weight is None:
+            weight = torch.randn(drawn.colour.shape, generator=g)
+            weight[ignored] = 0
+        (drawn.colour * weight.to(dtype)).sum().backward()
+        by_none = torch.zeros(1, dtype=dtype)
+        found.append((drawn.colour, [by_none if t.grad is None else t.grad
+                                     for t in (*leaves, first, others)]))  # fmt: skip
+    (truth, wanted), (colour, gradients) = found
+    assert largest_error(colour, truth, ignore=ignored) <= PIXEL_TOLERANCE
+    floor = 1e-6 * max(float(by.norm()) for by in wanted)
+    for name, value, exact in zip((*NAMES[:5], "colours"), gradients, wanted, strict=True):
+        assert compare_gradients(value, exact, floor=floor).good(GRADIENT_TOLERANCE), name
+
+
+@pytest.mark.parametrize(("lit", "plain", "channels"), [(2, 2, 3), (1, 1, 3), (1, 2, 4), (4, 0, 3)])
+def test_harmonics_and_colours_that_do_not_add_up_are_refused(lit, plain, channels):
+    scene = random_scene(3, 0)
+    *leaves, sh = scene.arguments(torch.float32)
+    with pytest.raises(ValueError, match="shape"):
+        native.rasterize(
+            scene.camera, *leaves, sh=sh.repeat(2, 1, 1)[:lit], colours=torch.rand(plain, channels)
+        )

@@ -308,3 +308,9 @@ def test_a_scene_without_tracks_is_returned_as_it_is():
 def test_an_impossible_cell_is_refused(wrong: float):
     with pytest.raises(UsageError, match="dense_cell"):
         Settings(dense_cell=wrong)
+
+
+def test_a_cloud_of_no_pair_is_empty():
+    points = Voxels(1.0, torch.zeros(3).double()).points()
+    assert len(points) == 0
+    assert points.positions.dtype == torch.float64
