@@ -82,6 +82,7 @@ _ALL = (
     ),
     _metric("time_to_95", "wall seconds after which 95 % of the gain in PSNR from the first to the last "
             "mark is reached for good, linear between marks (suites/marks.py)", unit="s"),
+    _metric("training_gap", "PSNR of up to eight training views minus that of the held-out ones", unit="dB"),
     _metric(SEEN_SHARE, "share of the scored pixels that a training photo can have shown (docs/seen.md)",
             None, most=1.0),
 )  # fmt: skip

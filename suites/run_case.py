@@ -37,6 +37,7 @@ from splatproof.suites.marks import Marks, timed_metrics, timed_scores
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
+from splatproof.suites.scene_scores.training_gap import training_gap
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
 from splatproof.suites.suite_files import Case
 from splatproof.suites.training_curve import Curve
@@ -267,6 +268,7 @@ def _scores(
         scored_views(scene, rules), model, torch.tensor(rules.background)
     )
     means = scene_metrics(images) | geometry_metrics(scene, model)
+    means |= training_gap(scene, model, rules, images)
     if isinstance(model, CityModel):
         images, extra = city_scores(scene, model, rules, images, job.folder)
         means |= extra
