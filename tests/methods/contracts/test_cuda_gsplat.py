@@ -48,10 +48,14 @@ def stand_in(monkeypatch):
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("background", [None, torch.tensor([0.2, 0.5, 0.9])])
-@pytest.mark.parametrize("with_sh", [True, False])
-def test_arguments_and_results_are_translated(mode, background, with_sh):
+@pytest.mark.parametrize("lit", [15, 0, 6])
+def test_arguments_and_results_are_translated(mode, background, lit):
     g = random_gaussians(15, degree=2)
-    what: dict[str, Any] = {"sh": g.sh} if with_sh else {"colours": g.sh[:, 0]}
+    what: dict[str, Any] = {}
+    if lit:
+        what["sh"] = g.sh[:lit]
+    if lit < 15:
+        what["colours"] = g.sh[lit:, 0]
     given = (camera(2), g.means, g.quaternions, g.scales, g.opacities)
     options: dict[str, Any] = {"mode": mode, "background": background, **what}
     want = rasterizer.rasterize(*given, **options)
