@@ -11,7 +11,7 @@ from torch import Tensor
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
-from splatproof.methods.training.schedules import require, shrink
+from splatproof.methods.training.schedules import require, shrink, shrunk_interval
 from splatproof.reference.anchors import scaffold
 
 FINER = 4
@@ -29,7 +29,8 @@ class AnchorDensity:
     stop: int = 15_000
     """No statistics, growing and pruning from this step on."""
     interval: int = 100
-    """Steps between adjustments. Shrinks to no less than `least_interval`."""
+    """Steps between adjustments. Shrinks to no less than `least_interval`, but a run of any length adjusts
+    three times."""
     least_interval: int = 100
     """Fewest steps between adjustments in a short run: statistics need several views."""
     gradient: float = 2e-4
@@ -83,12 +84,15 @@ class AnchorControl:
             k: Gaussians an anchor.
         """
         factor = shrink(iterations)
+        begin, stop = round(settings.adjust_start * factor), round(settings.stop * factor)
         self.settings = replace(
             settings,
             start=round(settings.start * factor),
-            adjust_start=round(settings.adjust_start * factor),
-            stop=round(settings.stop * factor),
-            interval=max(round(settings.interval * factor), settings.least_interval),
+            adjust_start=begin,
+            stop=stop,
+            interval=shrunk_interval(
+                settings.interval, settings.least_interval, begin, stop, iterations
+            ),
         )
         self.voxel, self.extent, self.k = voxel, extent, k
         self.gradient = self.drawn = self.opacity = self.visits = torch.zeros(0)

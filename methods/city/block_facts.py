@@ -21,6 +21,8 @@ class BlockFacts:
     """Peak resident memory of the process that trained it, in 2^20 bytes."""
     primitives: int = 0
     """Number of Gaussians when its training ended, ghosts left out."""
+    densifications: int = -1
+    """How often training densified the block; -1: not known."""
     kept: int = 0
     """Number of these Gaussians that the merge kept."""
     note: str = ""

@@ -131,6 +131,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         seconds=trainer.seconds,
         peak_mb=peak_memory_mb(),
         primitives=len(model),
+        densifications=trainer.counts.densifications,
         note=note,
     )
     return _finish(job, model, facts)

@@ -28,7 +28,8 @@ class Density:
     stop: int = 15_000
     """Step from which on nothing is densified and no opacity is reset."""
     interval: int = 100
-    """Steps between densifications; a short run shrinks it to no less than `least_interval`."""
+    """Steps between densifications; a short run shrinks it to no less than `least_interval`, but densifies
+    three times in any case."""
     least_interval: int = 100
     """Fewest steps between densifications in a short run: statistics need several views."""
     gradient: float = 2e-4
