@@ -29,10 +29,12 @@ class AnchorDensity:
     stop: int = 15_000
     """No statistics, growing and pruning from this step on."""
     interval: int = 100
-    """Steps between adjustments. Shrinks to no less than `least_interval`, but a run of any length adjusts
-    three times."""
+    """Steps between adjustments. Shrinks to no less than `least_interval`, unless `fewest` asks for more
+    adjustments."""
     least_interval: int = 100
     """Fewest steps between adjustments in a short run: statistics need several views."""
+    fewest: int = 0
+    """Fewest adjustments of a short run, whatever `least_interval` says; 0: as many as come."""
     gradient: float = 2e-4
     """Mean norm of the loss's gradient by the 2D position, in units of half the image, from which a
     Gaussian asks for an anchor at the coarsest level; it doubles with each level."""
@@ -52,7 +54,15 @@ class AnchorDensity:
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
-        for name in ("start", "adjust_start", "stop", "gradient", "levels", "least_opacity"):
+        for name in (
+            "start",
+            "adjust_start",
+            "stop",
+            "fewest",
+            "gradient",
+            "levels",
+            "least_opacity",
+        ):
             value = getattr(self, name)
             require(value >= 0, f"density.{name}", value, ">= 0")
         for name in ("interval", "least_interval"):
@@ -91,7 +101,12 @@ class AnchorControl:
             adjust_start=begin,
             stop=stop,
             interval=shrunk_interval(
-                settings.interval, settings.least_interval, begin, stop, iterations
+                settings.interval,
+                settings.least_interval,
+                settings.fewest,
+                start=begin,
+                stop=stop,
+                iterations=iterations,
             ),
         )
         self.voxel, self.extent, self.k = voxel, extent, k

@@ -282,7 +282,12 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     density = settings.density
     start, stop = density.start * shrunken, density.stop * shrunken
     interval = shrunk_interval(
-        density.interval, density.least_interval, round(start), round(stop), count
+        density.interval,
+        density.least_interval,
+        density.fewest,
+        start=round(start),
+        stop=round(stop),
+        iterations=count,
     )
     points = min(facts.points, settings.most_points or facts.points)
     most = max(density.most or points, points)

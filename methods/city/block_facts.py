@@ -15,6 +15,8 @@ class BlockFacts:
     """Number of sparse points that it owns."""
     load: int
     """Sum of the track lengths of these points: how often views see them."""
+    steps: int = 0
+    """Number of its training steps; 0: not known."""
     seconds: float = 0.0
     """Wall seconds of its training."""
     peak_mb: float = 0.0

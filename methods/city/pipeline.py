@@ -18,6 +18,7 @@ from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.coarse import coarse_stage
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.memory_plan import plan_memory
@@ -34,8 +35,7 @@ from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
-from splatproof.methods.threedgs.fit import prepare, started
-from splatproof.methods.training.loop import Trainer
+from splatproof.methods.threedgs.fit import started
 from splatproof.methods.training.session import run_key
 from splatproof.methods.training.threads import threads
 from splatproof.reference.types.gaussians import Gaussians
@@ -83,13 +83,14 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         progress = Progress(run, settings)
         coarse = None
         if settings.coarse_iterations:
-            coarse = folder / "coarse.safetensors"
-            stages.run("coarse", partial(_coarse, scene, settings, run, folder, coarse, progress))
+            own = replace(settings.training, iterations=settings.coarse_iterations)
+            coarse, work = coarse_stage(scene, own, run, folder, progress.coarse)
+            stages.run("coarse", work)
         found = _partition(stages, scene, settings, run, coarse)
         jobs = block_jobs(
             scene, found, settings.training, run, run.cache or folder / "blocks",
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
-            surrounding=settings.surrounding,
+            surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
             sampling=settings.bins if settings.sampling == "balanced" else None,
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
@@ -192,27 +193,6 @@ class Progress:
         """
         del total
         self.report(self.after + step, self.total, values)
-
-
-def _coarse(
-    scene: Scene,
-    settings: CitySettings,
-    run: Run,
-    folder: Path,
-    path: Path,
-    progress: Progress,
-) -> dict[str, Any]:
-    """Train a model of the whole scene."""
-    own = replace(settings.training, iterations=settings.coarse_iterations)
-    at = replace(run, folder=folder / "coarse", report=progress.coarse)
-    coarse, plan = prepare(scene, own, at)
-    trainer = Trainer(coarse, plan, at)
-    trainer.resume()
-    trainer.train()
-    model = coarse.gaussians()
-    write_tensors(path, {name: getattr(model, name) for name in FIELDS})
-    shutil.rmtree(folder / "coarse", ignore_errors=True)
-    return {"seconds": trainer.seconds}
 
 
 def _partition(

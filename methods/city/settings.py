@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
@@ -33,18 +34,25 @@ class CitySettings(Settings):
     """How the scene is cut into blocks, and which views train each of them."""
     coarse_iterations: int = 0
     """Training steps of a coarse model of the whole scene from which every block starts (method
-    citygaussian: 30,000). 0: there is none, and blocks start from sparse points."""
+    citygaussian: 30,000): its own are those of the coarse Gaussians that lie in its region, widened by
+    `partition.margin`; `auxiliary` says what becomes of the others. 0: there is none, and blocks start
+    from sparse points."""
+    even: Even = "steps"
+    """What all blocks have equally many of. steps: `iterations` training steps each; visits: steps for
+    each of its training views, `iterations` steps on average."""
     auxiliary: Auxiliary = "none"
     """What takes part in a block beside its own points. none: nothing; context: what else its views
     see, trained but not densified (BlockGaussian); ghosts: what other blocks own around it,
-    rendered but held still (DPGS); both: ghosts around it, context beyond them. With a coarse
-    model: none."""
-    follow: bool = False
+    with positions, scales and rotations held still (DPGS), and with a coarse model all that its views
+    show; both: context, and ghosts where there is none. With a coarse model and none every block
+    starts from all of it."""
+    follow: bool = True
     """Whether opacity and colour of ghosts are trained with the block that they surround; their
-    positions, scales and rotations are held still in any case."""
+    positions, scales and rotations are held still in any case. False: only with a coarse model, which
+    knows what they look like."""
     surrounding: Surrounding = "box"
-    """Where ghosts are taken from. box: the box around what a block owns, a fifth longer (DPGS, Eq.
-    7); region: the block's own shape, widened as far."""
+    """Where ghosts are taken from, without a coarse model. box: the box around what a block owns, a
+    fifth longer (DPGS, Eq. 7); region: the block's own shape, widened as far."""
     sampling: Literal["uniform", "balanced"] = "uniform"
     """How a block draws its training views. uniform: each once in every epoch; balanced: evenly
     over where the cameras stand around the block (StitchGS)."""
@@ -80,9 +88,9 @@ class CitySettings(Settings):
             "1: blocks see photos in full size",
         )
         require(self.coarse_iterations >= 0, "coarse_iterations", self.coarse_iterations, ">= 0")
-        if self.coarse_iterations > 0:
-            require(self.auxiliary == "none", "auxiliary", self.auxiliary,
-                    "'none' with a coarse model: blocks start from all of it")  # fmt: skip
+        guessed = self.auxiliary in ("ghosts", "both") and not self.coarse_iterations
+        require(self.follow or not guessed, "follow", self.follow, "True with ghosts of sparse points, whose "
+                "opacity is a guess: let them follow, or give them values by coarse_iterations")  # fmt: skip
         require(0 <= self.bins.uniform_share <= 1, "bins.uniform_share", self.bins.uniform_share,
                 "0 to 1")  # fmt: skip
         for name in ("azimuths", "distances"):
@@ -147,8 +155,8 @@ class StitchGS(CitySettings):
 class OdbpStitch(CitySettings):
     """Method odbp+stitch: equal rendering load and ghosts; a trained margin, SIS, GCR, compression.
 
-    Ghosts are held still, so they cannot compete for a rim: the rim is trained (margin), ghosts lie
-    beyond it in the auxiliary box, and what views see beyond that is trained but not densified.
+    Ghosts do not move, so they cannot compete for a rim: the rim is trained (margin), what views see
+    beyond it is trained but not densified, and the rest of the auxiliary box is ghosts.
     """
 
     partition: PartitionSettings = LOAD_WIDE

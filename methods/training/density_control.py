@@ -55,7 +55,12 @@ class DensityControl:
             start=start,
             stop=stop,
             interval=shrunk_interval(
-                settings.interval, settings.least_interval, start, stop, iterations
+                settings.interval,
+                settings.least_interval,
+                settings.fewest,
+                start=start,
+                stop=stop,
+                iterations=iterations,
             ),
             reset_interval=round(settings.reset_interval * factor),
         )

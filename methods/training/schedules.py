@@ -11,9 +11,6 @@ LEAST_CELL = 0.25
 """Pixels between points that are matched: flow gives a match a pixel, so finer voxels have one each."""
 FULL_LENGTH = 30_000
 """Steps of a full run; schedules are written down for this length."""
-FEWEST = 3
-"""Densifications that a shorter run has at least: what is cloned once can be split and pruned before the
-run settles. Suites' runs with as many before stayed as they were."""
 
 
 def shrink(iterations: int) -> float:
@@ -29,15 +26,18 @@ def shrink(iterations: int) -> float:
     return min(1.0, iterations / FULL_LENGTH)
 
 
-def shrunk_interval(interval: int, least: int, start: int, stop: int, iterations: int) -> int:
-    """Steps between densifications of a run of some length: no run of 8 steps or more is left without.
+def shrunk_interval(
+    interval: int, least: int, fewest: int, *, start: int, stop: int, iterations: int
+) -> int:
+    """Steps between densifications of a run of some length.
 
     A full run keeps its interval, and a shorter one that shrunk to no less than `least`; but where
-    fewer than FEWEST multiples of it lay between start and stop it is (stop - start - 1) / FEWEST.
+    fewer than `fewest` multiples of it lay between start and stop it is (stop - start - 1) / fewest.
 
     Args:
         interval: Steps between densifications in a run of 30,000 steps, >= 1.
         least: What it is shrunk to at least, >= 1.
+        fewest: Densifications that a shorter run has at least, as far as it has steps; >= 0.
         start: Last step without densification, of this run.
         stop: Step from which on nothing is densified, of this run.
         iterations: Steps of this run, >= 1.
@@ -48,9 +48,9 @@ def shrunk_interval(interval: int, least: int, start: int, stop: int, iterations
     usual = max(round(interval * factor), least)
     between = stop - start - 1
     times = max(0, stop - 1) // usual - start // usual
-    if factor == 1 or between < 1 or times >= FEWEST:
+    if factor == 1 or between < 1 or times >= fewest:
         return usual
-    return max(1, between // FEWEST)
+    return max(1, between // fewest)
 
 
 def require_cell(cell: float) -> None:

@@ -144,28 +144,31 @@ def test_a_short_run_is_a_whole_one(iterations):
     steps = range(1, iterations + 1)
     assert [s for s in steps if control.watches(s)][-1] < 0.51 * iterations
     dense = [s for s in steps if control.densifies(s)]
-    assert len(dense) >= 3
+    assert all(b - a >= 100 for a, b in pairwise(dense))
     if iterations >= 1000:
-        assert all(b - a >= 100 for a, b in pairwise(dense))
+        assert dense
 
 
-@given(iterations=st.integers(12, 29_999), start=st.integers(0, 12_000), least=st.integers(1, 300))
-def test_no_length_and_no_late_start_leaves_a_run_without_densification(iterations, start, least):
+@given(
+    iterations=st.integers(1, 29_999), start=st.integers(0, 12_000), least=st.integers(1, 300),
+    fewest=st.integers(0, 9),
+)  # fmt: skip
+def test_a_run_of_any_length_densifies_as_often_as_is_asked(iterations, start, least, fewest):
     settings = Density(start=start, least_interval=least)
-    control = DensityControl(settings, iterations=iterations, extent=1.0)
-    dense = [s for s in range(1, iterations + 1) if control.densifies(s)]
+    usual, control = (
+        DensityControl(one, iterations=iterations, extent=1.0)
+        for one in (settings, replace(settings, fewest=fewest))
+    )
+    steps = range(1, iterations + 1)
+    before, dense = ([s for s in steps if c.densifies(s)] for c in (usual, control))
     between = control.settings.stop - control.settings.start - 1
-    assert len(dense) >= min(3, between)
-    usual = max(round(settings.interval * iterations / 30_000), least)
-    if control.settings.interval != usual:  # only where the usual one gives too few
-        often = [
-            s for s in range(control.settings.start + 1, control.settings.stop) if s % usual == 0
-        ]
-        assert len(often) < 3
+    assert len(dense) >= min(fewest, between)
+    if len(before) >= fewest:
+        assert dense == before
 
 
 def test_who_asks_for_no_densification_gets_none():
-    control = DensityControl(Density(stop=0), iterations=400, extent=1.0)
+    control = DensityControl(Density(stop=0, fewest=3), iterations=400, extent=1.0)
     assert not any(control.densifies(step) for step in range(1, 401))
 
 
