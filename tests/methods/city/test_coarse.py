@@ -118,9 +118,9 @@ def test_ghosts_have_the_coarse_models_values_and_only_their_look_follows(tmp_pa
 def test_view_dependent_colour_of_a_coarse_model_shows_from_the_first_step(tmp_path):
     coarse = coarse_file(tmp_path)
     found = partition(SCENE, 2, PartitionSettings(margin=0.0))
-    for given, every in ((None, SETTINGS.sh_interval * 20 / 30_000), (coarse, 0.0)):
-        job = block_jobs(SCENE, found, SETTINGS, RUN, tmp_path, coarse=given)[0]
-        start = None if given is None else read_gaussians(given)
+    for model, every in ((None, SETTINGS.sh_interval * 20 / 30_000), (coarse, 0.0)):
+        job = block_jobs(SCENE, found, SETTINGS, RUN, tmp_path, coarse=model)[0]
+        start = None if model is None else read_gaussians(model)
         assert prepare(job, start, RUN)[0].sh_every == every
 
 

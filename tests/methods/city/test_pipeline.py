@@ -278,7 +278,7 @@ def test_still_ghosts_of_sparse_points_are_refused_for_they_would_stay_a_guess()
 @pytest.mark.parametrize("row", ["vastgaussian", "blockgaussian", "dpgs-partition", "odbp+stitch"])
 def test_every_row_starts_from_a_coarse_model_where_one_is_asked_for(tmp_path, row):
     model = fit(row, run(tmp_path), coarse_iterations=5, **BARE)
-    assert list(model.stage_seconds)[0] == "coarse"
+    assert next(iter(model.stage_seconds)) == "coarse"
     assert model.primitives == sum(facts.kept for facts in model.block_facts)
     assert all(facts.kept > 0 for facts in model.block_facts)
 
