@@ -18,6 +18,7 @@ from splatproof.methods.city.point_roles import Auxiliary, assigned
 from splatproof.methods.city.regions import nearest_region
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
@@ -59,7 +60,7 @@ def _train(scene: Scene, settings: Settings, at: Run, path: Path) -> dict[str, A
     if path.exists():
         return dict(read_tensors(path)[1])
     model, plan = prepare(scene, settings, at)
-    trainer = Trainer(model, plan, at)
+    trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, at)
     trainer.resume()
     trainer.train()
     trained = model.gaussians()

@@ -80,7 +80,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     scene = started(scene, settings.training, run)
     with threads(run.threads), _work_folder(run) as folder:
         stages = Stages(folder, run_key(scene, settings, run, method), run.on_stage)
-        progress = Progress(run, settings)
+        progress = Progress(run, settings, len(scene.train))
         coarse = None
         if settings.coarse_iterations:
             own = replace(settings.training, iterations=settings.coarse_iterations)
@@ -141,19 +141,20 @@ def _work_folder(run: Run) -> Iterator[Path]:
 class Progress:
     """One count of steps over coarse model, blocks and refinement, for the run's report."""
 
-    def __init__(self, run: Run, settings: CitySettings) -> None:
+    def __init__(self, run: Run, settings: CitySettings, views: int) -> None:
         """Start at nothing.
 
         Args:
             run: Whose report is called.
             settings: Say how many steps there will be.
+            views: Number of training views of the whole scene.
         """
         self.report = run.report
         self.blocks = [0] * settings.blocks
         self.gaussians = [0.0] * settings.blocks
         self.before = settings.coarse_iterations
         each = settings.iterations
-        after = settings.refine.steps(each) if settings.gcr else 0
+        after = settings.refine.steps(settings, views) if settings.gcr else 0
         self.total = self.before + each * settings.blocks + after
         self.after = self.before + each * settings.blocks
 
@@ -291,6 +292,7 @@ def _refine(
     model, seconds = refinement.refine(
         select(merged.model, rows), scene, settings.refine, settings.training,
         replace(run, report=progress.refine), path.parent / "refine",
+        settings.pack if settings.quantise else None,
     )  # fmt: skip
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
     shutil.rmtree(path.parent / "refine", ignore_errors=True)

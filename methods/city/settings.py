@@ -7,6 +7,7 @@ from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import require
@@ -26,8 +27,11 @@ LOAD_WIDE = PartitionSettings(method="odbp", margin=0.15)
 class CitySettings(Settings):
     """A scene in blocks that are trained apart and merged. `iterations` are those of each block."""
 
-    exposure: Literal["off"] = "off"
-    """Exposures are not learnt: blocks are trained apart, and each would find others for a photo."""
+    exposure: Exposure = "off"
+    """What the coarse model, each block and the refinement learn of each photo beside the scene, each
+    anew and zero on average over its photos; a block of one photo nothing. off: nothing; gain: exposure
+    and white balance, as three gains; affine: a 3 x 4 map of its colours. The merged model is stored in
+    neutral exposure."""
     blocks: int = 4
     """Number of blocks (K) that the scene is cut into; 1: the whole scene is one block."""
     partition: PartitionSettings = field(default_factory=PartitionSettings)

@@ -26,6 +26,7 @@ from splatproof.methods.city.point_roles import (
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
@@ -127,7 +128,9 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     )  # fmt: skip
     started = None if job.start is None else read_gaussians(job.start)
     block, plan = prepare(job, started, run)
-    trainer = Trainer(block, plan, run)
+    alone = len(plan.views) < 2  # one photo has nothing to be compared with
+    shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
+    trainer = Trainer(shown, plan, run)
     trainer.resume()
     trainer.train()
     model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
