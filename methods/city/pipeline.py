@@ -27,7 +27,7 @@ from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition, partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
-from splatproof.methods.city.stitch import cut_hard, stitch
+from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
@@ -244,10 +244,11 @@ def _stitch(
         for region, job in zip(found.regions, jobs, strict=True)
     ]
     kept = kept_rows(blocks, settings, run.seed, run.threads)
+    fade = block_shares(blocks) if settings.merge == "fade" and len(blocks) > 1 else None
     counts = write_merged(
         folder / "merged", blocks, kept,
         origin=Origin(method=method, settings=asdict(settings), scene=scene.name, seed=run.seed),
-        mode=settings.mode, shift=scene.shift, units=scene.units,
+        mode=settings.mode, shift=scene.shift, units=scene.units, fade=fade,
     )  # fmt: skip
     distances = [
         block.region.distance(part["means"].double()).float()
@@ -268,7 +269,7 @@ def kept_rows(
     Args:
         blocks: All blocks, in the order in which a hard merge resolves ties.
         settings: Merge, outside and stitch count.
-        seed: Seed of the draws of a merge by "sis".
+        seed: Seed of the draws of a merge by "sis" or "shares".
         threads: For its neighbour search; None: all cores. The result does not depend on it.
     """
     if len(blocks) == 1:
@@ -276,6 +277,11 @@ def kept_rows(
     if settings.merge == "hard":
         return cut_hard(blocks, settings.outside)
     generator = torch.Generator().manual_seed(seed)
+    if settings.merge in ("shares", "fade"):
+        held = block_shares(blocks)
+        if settings.merge == "fade":
+            return tuple(share > 0 for share in held)
+        return draw_shares(blocks, held, generator)
     return stitch(blocks, settings.stitch, generator, threads=threads)
 
 

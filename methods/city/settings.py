@@ -14,6 +14,8 @@ from splatproof.methods.training.schedules import require
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.stitching.stochastic import StitchSettings
 
+Merge = Literal["hard", "sis", "shares", "fade"]
+"""How blocks become one model, see `CitySettings.merge`."""
 GRID = PartitionSettings(method="citygaussian")
 CAMERAS = PartitionSettings(method="vastgaussian")
 DENSITY = PartitionSettings(method="blockgaussian")
@@ -62,9 +64,11 @@ class CitySettings(Settings):
     over where the cameras stand around the block (StitchGS)."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)
     """Which bins balanced sampling sorts cameras into."""
-    merge: Literal["hard", "sis"] = "hard"
+    merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
-    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS)."""
+    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a
+    strip on both sides of a wall in which blocks have shares that sum to 1: shares: a Gaussian stays
+    with the probability of its share; fade: it keeps that share of its optical depth."""
     outside: Literal["drop", "nearest"] = "drop"
     """What a hard merge does with Gaussians that lie in no block. drop: removes them, as the papers
     do; nearest: keeps those to which their own block is the nearest."""
@@ -150,7 +154,7 @@ class StitchGS(CitySettings):
     partition: PartitionSettings = DENSITY_WIDE
     auxiliary: Auxiliary = "context"
     sampling: Literal["uniform", "balanced"] = "balanced"
-    merge: Literal["hard", "sis"] = "sis"
+    merge: Merge = "sis"
     gcr: bool = True
     quantise: bool = True
 
@@ -166,6 +170,6 @@ class OdbpStitch(CitySettings):
     partition: PartitionSettings = LOAD_WIDE
     auxiliary: Auxiliary = "both"
     sampling: Literal["uniform", "balanced"] = "balanced"
-    merge: Literal["hard", "sis"] = "sis"
+    merge: Merge = "sis"
     gcr: bool = True
     quantise: bool = True

@@ -308,3 +308,12 @@ def test_blocks_that_visit_their_views_equally_often_share_the_steps_by_their_vi
 def test_unknown_engines_are_refused():
     with pytest.raises(UsageError, match="engine 'magic'"):
         fit("blockgaussian", replace(run(), engine="magic"))
+
+
+@pytest.mark.parametrize("merge", ["shares", "fade"])
+def test_blocks_that_share_their_rims_are_one_model_with_both_sides_in_them(tmp_path, merge):
+    at = run(tmp_path / merge, cache=tmp_path / "cache")
+    model = fit("stitchgs", at, merge=merge, **BARE)
+    assert bool((model.distances > 1).any())
+    assert float(model.distances.max()) < RIM
+    assert same(model, fit("stitchgs", run(cache=tmp_path / "cache"), merge=merge, **BARE))
