@@ -15,7 +15,15 @@ from splatproof.methods.city.coarse import BESIDE, coarse_roles, shown
 from splatproof.methods.city.jobs import block_jobs, block_steps
 from splatproof.methods.city.memory_plan import block_memory_mb
 from splatproof.methods.city.partition import PartitionSettings, partition
-from splatproof.methods.city.point_roles import CONTEXT, GHOST, LEFT_OUT, OWN, ROLE, assigned
+from splatproof.methods.city.point_roles import (
+    CONTEXT,
+    GHOST,
+    LEFT_OUT,
+    OWN,
+    ROLE,
+    Auxiliary,
+    assigned,
+)
 from splatproof.methods.city.train_block import prepare, read_gaussians
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
@@ -46,13 +54,14 @@ def test_what_is_trained_most_wins():
     own, seen, near = (torch.tensor(bits) for bits in ([True, False, False, False],
                                                        [True, True, False, False],
                                                        [True, True, True, False]))  # fmt: skip
-    for auxiliary, expected in (
-        ("none", [OWN, LEFT_OUT, LEFT_OUT, LEFT_OUT]),
-        ("context", [OWN, CONTEXT, LEFT_OUT, LEFT_OUT]),
-        ("ghosts", [OWN, GHOST, GHOST, LEFT_OUT]),
-        ("both", [OWN, CONTEXT, GHOST, LEFT_OUT]),
-    ):
-        assert assigned(own, seen, near, auxiliary).tolist() == expected
+    expected: dict[Auxiliary, list[int]] = {
+        "none": [OWN, LEFT_OUT, LEFT_OUT, LEFT_OUT],
+        "context": [OWN, CONTEXT, LEFT_OUT, LEFT_OUT],
+        "ghosts": [OWN, GHOST, GHOST, LEFT_OUT],
+        "both": [OWN, CONTEXT, GHOST, LEFT_OUT],
+    }
+    for auxiliary, roles in expected.items():
+        assert assigned(own, seen, near, auxiliary).tolist() == roles
 
 
 def test_a_place_is_shown_in_front_of_a_camera_and_a_little_beside_its_image():
