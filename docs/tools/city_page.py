@@ -21,6 +21,7 @@ QUALITY: tuple[Cell, ...] = (
     ("fps", "FPS ↑", 1, 1.0), ("disk_mb", "disk MB ↓", 2, 1.0),
 )  # fmt: skip
 BALANCE: tuple[Cell, ...] = (
+    ("block_densifications", "densified ≥", 0, 1.0),
     ("load_max_over_mean", "load", 2, 1.0), ("views_max_over_mean", "views", 2, 1.0),
     ("seconds_max_over_mean", "time", 2, 1.0), ("seconds_std_over_mean", "time std/mean", 3, 1.0),
     ("memory_max_over_mean", "memory", 2, 1.0), ("peak_memory_mb", "peak MB", 0, 1.0),
@@ -74,27 +75,54 @@ def row_of(result: Result) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def render_city(rows: Sequence[Row], pictures: Sequence[Picture], findings: str = "") -> str:
+def render_city(
+    rows: Sequence[Row],
+    pictures: Sequence[Picture],
+    findings: str = "",
+    *,
+    short: Sequence[Row] = (),
+    short_pictures: Sequence[Picture] = (),
+) -> str:
     """The whole page.
 
     Args:
         rows: As `row_of` makes them, in the suite's order.
         pictures: What is shown below the tables.
         findings: Why what was expected came out as it did, in words; Markdown.
+        short: Rows of suite city-short.
+        short_pictures: What is shown below their table.
     """
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     machines = sorted({row["machine"] for row in rows if row["machine"]})
     seeds = sorted({row["seed"] for row in rows})
     parts = [
         HEAD.format(machines="; ".join(machines), seeds=", ".join(map(str, seeds))),
+        *_short(short, short_pictures),
         "## What was expected\n",
         *map(_verdict, expectations(rows)),
         *([findings.rstrip() + "\n"] if findings else []),
         *(_scene(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes),
         "## Pictures\n",
-        *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in pictures),
+        *map(_shown, pictures),
     ]
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _shown(picture: Picture) -> str:
+    return f"![{picture.caption}]({picture.path})\n\n{picture.caption}\n"
+
+
+def _short(rows: Sequence[Row], pictures: Sequence[Picture]) -> list[str]:
+    """The section of suite city-short; nothing without its rows."""
+    if not rows:
+        return []
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    tables = [_scene(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes]
+    return [
+        SHORT_HEAD,
+        *(table.replace("## ", "### ", 1) for table in tables),
+        *map(_shown, pictures),
+    ]
 
 
 def _verdict(found: Verdict) -> str:
@@ -160,4 +188,10 @@ intervals, and no difference below says more than that run.
   row's partition (`metrics/seam_partition.py`), whatever the merge kept: rows of one partition are compared on the
   same pixels, rows of different partitions are not. `3dgs` has no partition and no seam.
 - The runs are minutes long, hundreds of times shorter than the papers'; the numbers compare rows, not papers.
+"""
+
+SHORT_HEAD = """## Blocks that densify, in a quarter of the steps
+
+Rows of `bench run city-short --out RUNS`: one seed, a quarter of the steps of suite `city`, every block densified at
+least three times. Too short to be judged; what it shows is said under "Why".
 """

@@ -1,8 +1,9 @@
 """Make docs/city.md: python docs/tools/make_city_page.py RUNS
 
-Reads the records of `bench run city --out RUNS` and writes docs/city.json, docs/images/city/*.jpg and
-the page, with docs/city_findings.md in it, which is written by hand. Without RUNS the page is made
-again from docs/city.json and the pictures that are there.
+Reads the records of `bench run city --out RUNS` and of `bench run city-short --out RUNS`, whichever are
+there, and writes docs/city.json, docs/city_short.json, docs/images/city/*.jpg and the page, with
+docs/city_findings.md in it, which is written by hand. Without RUNS the page is made again from these
+files and the pictures that are there.
 """
 
 import json
@@ -26,6 +27,7 @@ from splatproof.suites.suite_files import Case, load_suite
 FOLDER = Path(__file__).parents[1]
 ROWS, PAGE, LIST = FOLDER / "city.json", FOLDER / "city.md", FOLDER / "city_pictures.json"
 FINDINGS = FOLDER / "city_findings.md"
+SHORT, SHORT_LIST = FOLDER / "city_short.json", FOLDER / "city_short_pictures.json"
 IMAGES = FOLDER / "images" / "city"
 QUALITY = 88
 HEIGHT = 300
@@ -33,32 +35,38 @@ HEIGHT = 300
 ZOOM = 72
 """Side of the part of a view that is shown enlarged at a seam, in pixels."""
 MERGES = ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs")
+SHORT_ROWS = (
+    "3dgs", "citygaussian", "stitchgs@hard", "stitchgs@merge", "stitchgs@hard-gcr", "stitchgs@gcr",
+)  # fmt: skip
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 
 def page() -> str:
     """The page from the committed rows and list of pictures."""
-    rows = json.loads(ROWS.read_text(encoding="utf-8"))
-    pictures = [Picture(**entry) for entry in json.loads(LIST.read_text(encoding="utf-8"))]
-    return render_city(rows, pictures, FINDINGS.read_text(encoding="utf-8"))
+    rows, short = (json.loads(path.read_text(encoding="utf-8")) for path in (ROWS, SHORT))
+    pictures, few = (
+        [Picture(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))]
+        for path in (LIST, SHORT_LIST)
+    )
+    findings = FINDINGS.read_text(encoding="utf-8")
+    return render_city(rows, pictures, findings, short=short, short_pictures=few)
 
 
-def cases(runs: Path) -> dict[tuple[str, str], tuple[Case, Path]]:
+def cases(runs: Path, suite: str = "city") -> dict[tuple[str, str], tuple[Case, Path]]:
     """Finished cases of seed 0 by scene and row, in the suite's order."""
     found = {}
-    for case in load_suite("city").cases:
-        folder = runs / "city" / case.folder
+    for case in load_suite(suite).cases:
+        folder = runs / suite / case.folder
         if (folder / "record.json").exists() and not read_record(folder).error and case.seed == 0:
             found[case.scene_name, case.row] = (case, folder)
     return found
 
 
-def records(runs: Path) -> list[dict]:
+def records(runs: Path, suite: str = "city") -> list[dict]:
     """One row a record, scenes and rows in the suite's order, further seeds behind."""
-    suite = load_suite("city")
-    order = {case.folder.parent: i for i, case in enumerate(suite.cases)}
-    folders = [path.parent for path in (runs / "city").rglob("record.json")]
-    keyed = [(order.get(f.relative_to(runs / "city").parent, len(order)), f) for f in folders]
+    order = {case.folder.parent: i for i, case in enumerate(load_suite(suite).cases)}
+    folders = [path.parent for path in (runs / suite).rglob("record.json")]
+    keyed = [(order.get(f.relative_to(runs / suite).parent, len(order)), f) for f in folders]
     return [row_of(read_record(folder)) for _, folder in sorted(keyed)]
 
 
@@ -153,13 +161,34 @@ def pictures(runs: Path) -> list[Picture]:
     return shown
 
 
+def short_pictures(runs: Path) -> list[Picture]:
+    """The view with most seam pixels, enlarged there: photo and all rows of suite city-short."""
+    found, shown = cases(runs, "city-short"), []
+    for scene in dict.fromkeys(scene for scene, _ in found):
+        rows = [row for row in SHORT_ROWS if (scene, row) in found]
+        hard = found[scene, "stitchgs@hard"][1]
+        best = max(read_record(hard).images, key=lambda image: image.metrics["seam_coverage"]).name
+        view = picture_name(best)
+        top, left = seam_place(hard, view)
+        part = np.s_[top : top + ZOOM, left : left + ZOOM]
+        tiles = [labelled(load(hard / "truth" / view)[part], "photo")]
+        tiles += [labelled(load(found[scene, r][1] / "renders" / view)[part], r) for r in rows]
+        shown.append(Picture(path=save(f"{scene}_short_seam.jpg", tiles), caption=f"{scene}, test view "
+                             f"{best}, enlarged at a seam of stitchgs: rows of city-short."))  # fmt: skip
+    return shown
+
+
 def main() -> None:
     """Write rows, pictures and page."""
-    if len(sys.argv) > 1:
-        runs = Path(sys.argv[1])
-        ROWS.write_text(json.dumps(records(runs), indent=1) + "\n", encoding="utf-8")
-        drawn = [vars(picture) for picture in pictures(runs)]
-        LIST.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
+    runs = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    for suite, rows, list_, draw in (
+        ("city", ROWS, LIST, pictures), ("city-short", SHORT, SHORT_LIST, short_pictures),
+    ):  # fmt: skip
+        if runs is None or not (runs / suite).is_dir():
+            continue
+        rows.write_text(json.dumps(records(runs, suite), indent=1) + "\n", encoding="utf-8")
+        drawn = [vars(picture) for picture in draw(runs)]
+        list_.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
-from splatproof.methods.training.schedules import require, shrink
+from splatproof.methods.training.schedules import require, shrink, shrunk_interval
 from splatproof.reference.anchors import scaffold
 
 FINER = 4
@@ -29,9 +29,12 @@ class AnchorDensity:
     stop: int = 15_000
     """No statistics, growing and pruning from this step on."""
     interval: int = 100
-    """Steps between adjustments. Shrinks to no less than `least_interval`."""
+    """Steps between adjustments. Shrinks to no less than `least_interval`, unless `fewest` asks for more
+    adjustments."""
     least_interval: int = 100
     """Fewest steps between adjustments in a short run: statistics need several views."""
+    fewest: int = 0
+    """Fewest adjustments of a short run, whatever `least_interval` says; 0: as many as come."""
     gradient: float = 2e-4
     """Mean norm of the loss's gradient by the 2D position, in units of half the image, from which a
     Gaussian asks for an anchor at the coarsest level; it doubles with each level."""
@@ -51,7 +54,15 @@ class AnchorDensity:
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
-        for name in ("start", "adjust_start", "stop", "gradient", "levels", "least_opacity"):
+        for name in (
+            "start",
+            "adjust_start",
+            "stop",
+            "fewest",
+            "gradient",
+            "levels",
+            "least_opacity",
+        ):
             value = getattr(self, name)
             require(value >= 0, f"density.{name}", value, ">= 0")
         for name in ("interval", "least_interval"):
@@ -83,12 +94,20 @@ class AnchorControl:
             k: Gaussians an anchor.
         """
         factor = shrink(iterations)
+        begin, stop = round(settings.adjust_start * factor), round(settings.stop * factor)
         self.settings = replace(
             settings,
             start=round(settings.start * factor),
-            adjust_start=round(settings.adjust_start * factor),
-            stop=round(settings.stop * factor),
-            interval=max(round(settings.interval * factor), settings.least_interval),
+            adjust_start=begin,
+            stop=stop,
+            interval=shrunk_interval(
+                settings.interval,
+                settings.least_interval,
+                settings.fewest,
+                start=begin,
+                stop=stop,
+                iterations=iterations,
+            ),
         )
         self.voxel, self.extent, self.k = voxel, extent, k
         self.gradient = self.drawn = self.opacity = self.visits = torch.zeros(0)

@@ -11,6 +11,7 @@ from splatproof.methods.auto.speed import Speed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.resolution import Resolution
+from splatproof.methods.training.schedules import shrunk_interval
 
 LEAST_SHORT_SIDE = 80
 """Pixels that the short side of a shrunk photo keeps: with fewer, what is learnt of it has to be unlearnt
@@ -280,7 +281,14 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     shrunken = min(1.0, count / 30_000)
     density = settings.density
     start, stop = density.start * shrunken, density.stop * shrunken
-    interval = max(density.interval * shrunken, density.least_interval)
+    interval = shrunk_interval(
+        density.interval,
+        density.least_interval,
+        density.fewest,
+        start=round(start),
+        stop=round(stop),
+        iterations=count,
+    )
     points = min(facts.points, settings.most_points or facts.points)
     most = max(density.most or points, points)
     passes = max(0.0, (stop - start) / interval)

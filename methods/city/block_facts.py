@@ -15,12 +15,16 @@ class BlockFacts:
     """Number of sparse points that it owns."""
     load: int
     """Sum of the track lengths of these points: how often views see them."""
+    steps: int = 0
+    """Number of its training steps; 0: not known."""
     seconds: float = 0.0
     """Wall seconds of its training."""
     peak_mb: float = 0.0
     """Peak resident memory of the process that trained it, in 2^20 bytes."""
     primitives: int = 0
     """Number of Gaussians when its training ended, ghosts left out."""
+    densifications: int = -1
+    """How often training densified the block; -1: not known."""
     kept: int = 0
     """Number of these Gaussians that the merge kept."""
     note: str = ""

@@ -25,7 +25,7 @@ def city_cost(settings: CitySettings, scene: Scene) -> Cost:
     each = threedgs.step_seconds(settings, cameras, mean / blocks) * settings.iterations
     whole = threedgs.step_seconds(settings, cameras, mean)
     coarse = settings.coarse_iterations * whole
-    refined = settings.refine.steps(settings.iterations) * whole if settings.gcr else 0.0
+    refined = settings.refine.steps(settings, len(scene.train)) * whole if settings.gcr else 0.0
     start = START_SECONDS * blocks if blocks > 1 else 0.0
     fullest = 2 * mean if settings.gcr or coarse else GROWTH * points / blocks
     return Cost(

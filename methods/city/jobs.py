@@ -1,17 +1,20 @@
 """From a partition to the jobs that train its blocks."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Int8
 from torch import Tensor
 
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
-from splatproof.methods.city.train_block import BlockJob
+from splatproof.methods.city.train_block import BlockJob, read_gaussians
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.partition.ghosts import RIM
@@ -19,6 +22,8 @@ from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.partition.visibility import shared_points
 from splatproof.reference.types.scene import Scene, SparsePoints
 
+Even = Literal["steps", "visits"]
+"""What all blocks have equally many of. steps: training steps; visits: steps for each of its views."""
 SEEDS_APART = 1_000_003
 """How far the seeds of two neighbouring blocks lie apart; block 0 has the run's own, so that a
 scene in one block is what method 3dgs makes of it."""
@@ -36,6 +41,8 @@ def block_jobs(
     surrounding: Surrounding = "box",
     sampling: SamplingSettings | None = None,
     coarse: Path | None = None,
+    margin: float = 0.0,
+    even: Even = "steps",
 ) -> tuple[BlockJob, ...]:
     """A job for each block, in a folder that is named by what the block is trained from.
 
@@ -52,13 +59,62 @@ def block_jobs(
         surrounding: Where ghosts are taken from.
         sampling: Bins of balanced sampling of views; None: uniform sampling.
         coarse: File of a coarse model that all blocks start from; None: they start from points.
+        margin: What a block's region is widened by where it takes its own from a coarse model.
+        even: What all blocks have equally many of.
     """
     place = ground(scene)
+    views, notes = zip(
+        *(_trained_on(place, found, b) for b in range(len(found.views))), strict=True
+    )
+    roles = None
+    if coarse is not None:
+        means = read_gaussians(coarse).means.double()
+        roles = coarse_roles(means, scene, found, views, auxiliary, margin)
+    counts = [int(mask.sum()) for mask in views]
+    steps = block_steps(settings.iterations, counts, even)
     return tuple(
-        _job(place, found, block, settings, run, cache, auxiliary=auxiliary, follow=follow,
-             surrounding=surrounding, sampling=sampling, coarse=coarse)
-        for block in range(len(found.views))
+        _job(place, found, block, replace(settings, iterations=steps[block]), run, cache,
+             views=views[block], note=notes[block], auxiliary=auxiliary, follow=follow,
+             surrounding=surrounding, sampling=sampling, coarse=coarse,
+             roles=None if roles is None else roles[block])
+        for block in range(len(views))
     )  # fmt: skip
+
+
+def block_steps(iterations: int, views: Sequence[int], even: Even) -> list[int]:
+    """Training steps of each block; they sum to `iterations` times the blocks that have a view.
+
+    Args:
+        iterations: Steps of each block, or of a block on average.
+        views: Number of each block's training views.
+        even: "steps": the same for all; "visits": in proportion to the views, so that every block
+            visits each of its views equally often.
+
+    Returns: At least 1 for each block. A block without views, which will not be trained, has
+        `iterations`.
+
+    Source: ours; remainders go to the largest ones (Hamilton's method).
+    """
+    held = [i for i, count in enumerate(views) if count]
+    if even == "steps" or not held:
+        return [iterations] * len(views)
+    total, every = iterations * len(held), sum(views)
+    shares = {i: views[i] * total / every for i in held}
+    steps = [max(1, int(shares[i])) if i in shares else iterations for i in range(len(views))]
+    left = total - sum(steps[i] for i in held)
+    for i in sorted(held, key=lambda i: steps[i] - shares[i])[: max(left, 0)]:
+        steps[i] += 1
+    return steps
+
+
+def _trained_on(place: Ground, found: Partition, block: int) -> tuple[Bool[Tensor, " v"], str]:
+    """Which views train a block, and what is to be said of that."""
+    views = found.views[block]
+    if bool(views.any()):
+        return views, ""
+    own = found.labels == block
+    seeing = place.trained & (shared_points(place.scene.points, own, len(place.scene.views)) > 0)
+    return seeing, "no view covers it by the shares; it takes those that see a point of it"
 
 
 def _job(
@@ -69,27 +125,28 @@ def _job(
     run: Run,
     cache: Path,
     *,
+    views: Bool[Tensor, " v"],
+    note: str,
     auxiliary: Auxiliary,
     follow: bool,
     surrounding: Surrounding,
     sampling: SamplingSettings | None,
     coarse: Path | None,
+    roles: Int8[Tensor, " m"] | None,
 ) -> BlockJob:
     scene, points = place.scene, place.scene.points
-    own, note, views = found.labels == block, "", found.views[block]
-    if not bool(views.any()):
-        views = place.trained & (shared_points(points, own, len(scene.views)) > 0)
-        note = "no view covers it by the shares; it takes those that see a point of it"
+    own = found.labels == block
     near = None
     if surrounding == "region" and auxiliary in ("ghosts", "both"):
         near = found.regions[block].distance(points.positions) <= 1 + RIM
-    roles = roles_of(
+    of_points = roles_of(
         points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
     )
     job = BlockJob(
-        scene=_part(scene, views, roles), roles=roles[roles != LEFT_OUT], settings=settings,
+        scene=_part(scene, views, of_points), settings=settings,
+        roles=of_points[of_points != LEFT_OUT] if roles is None else roles,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
-                         load=int(place.loads[own].sum()), note=note),
+                         load=int(place.loads[own].sum()), steps=settings.iterations, note=note),
         folder=cache, centre=found.regions[block].centre, frame=place.frame, sampling=sampling,
         follow=follow, start=coarse, seed=run.seed + SEEDS_APART * block, backend=run.backend,
         background=run.background, checkpoint_seconds=run.checkpoint_seconds,

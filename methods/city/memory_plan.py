@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 from splatproof.base.errors import MissingError
 from splatproof.base.memory import available_mb
-from splatproof.methods.city.point_roles import OWN
+from splatproof.methods.city.point_roles import LEFT_OUT, OWN
 from splatproof.methods.city.train_block import BlockJob
 from splatproof.methods.threedgs.cost import PROCESS_MB, image_bytes, training_memory_mb
 
 GROWTH = 8.0
 """Gaussians at the end for each point at the start, unless `density.most` says fewer."""
+GROWTH_OF_COARSE = 2.0
+"""Gaussians at the end for each of a coarse model's at the start, likewise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,10 +58,11 @@ def block_memory_mb(job: BlockJob) -> float:
     """
     cameras = [view.camera for view in job.scene.views]
     pixels = [camera.width * camera.height for camera in cameras]
-    own = int((job.roles == OWN).sum())
-    count = len(job.roles) - own + GROWTH * own
+    own, taken = int((job.roles == OWN).sum()), int((job.roles != LEFT_OUT).sum())
+    growth = GROWTH if job.start is None else GROWTH_OF_COARSE
+    count = taken - own + growth * own
     if job.settings.density.most is not None:
-        count = min(count, max(job.settings.density.most, len(job.roles)))
+        count = min(count, max(job.settings.density.most, taken))
     return training_memory_mb(
         float(count), image_bytes=image_bytes(cameras, job.image_bytes),
         pixels=float(max(pixels, default=0)), sh_degree=job.settings.sh_degree,

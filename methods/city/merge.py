@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from splatproof.base.errors import DataError
@@ -17,6 +17,7 @@ from splatproof.methods.contracts.reconstruction import (
 from splatproof.methods.models.explicit import EXPLICIT, FIELDS, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.rasterizer.rasterize import Mode
+from splatproof.reference.stitching.stochastic import faded
 
 
 def write_merged(
@@ -28,6 +29,7 @@ def write_merged(
     mode: Mode = "classic",
     shift: Float[Tensor, "3"],
     units: str = "sfm",
+    fade: Sequence[Float64[Tensor, " _"]] | None = None,
 ) -> tuple[int, ...]:
     """Write what each block keeps as one model folder, as save_model does, but streaming.
 
@@ -43,6 +45,7 @@ def write_merged(
         shift: Vector in scene units, float64; added to positions it gives those in the original
             frame.
         units: Name of the length unit.
+        fade: Share of its optical depth that each primitive of each block keeps; None: all of it.
 
     Returns: Number of primitives that each block contributes.
 
@@ -63,7 +66,7 @@ def write_merged(
     shapes = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (),
               "sh": (count, 3)}  # fmt: skip
     layout = {name: (total, *shapes[name]) for name in FIELDS}
-    write_float_stream(folder / ARRAYS, layout, _kept_slices(blocks, kept))
+    write_float_stream(folder / ARRAYS, layout, _kept_slices(blocks, kept, fade))
     facts = explicit_facts(
         mode=mode, shift=shift, units=units, primitives=total, degree=round(count**0.5) - 1
     )
@@ -72,12 +75,17 @@ def write_merged(
 
 
 def _kept_slices(
-    blocks: Sequence[BlockModel], kept: Sequence[Bool[Tensor, " _"]]
+    blocks: Sequence[BlockModel],
+    kept: Sequence[Bool[Tensor, " _"]],
+    fade: Sequence[Float64[Tensor, " _"]] | None,
 ) -> Iterator[dict[str, Tensor]]:
     """Everything that is kept, block after block."""
-    for block, mask in zip(blocks, kept, strict=True):
+    for i, (block, mask) in enumerate(zip(blocks, kept, strict=True)):
         start = 0
         for part in block.slices():
-            held = mask[start : start + len(part["means"])]
-            start += len(held)
-            yield {name: values[held] for name, values in part.items()}
+            here = slice(start, start + len(part["means"]))
+            start, held = here.stop, mask[here]
+            taken = {name: values[held] for name, values in part.items()}
+            if fade is not None:
+                taken["opacity_logits"] = faded(taken["opacity_logits"], fade[i][here][held])
+            yield taken

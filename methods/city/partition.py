@@ -11,6 +11,7 @@ from torch import Tensor
 from splatproof.methods.city.citygaussian_views import coarse_change, point_model
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition_regions import (
+    Rims,
     contracted_regions,
     ground_regions,
     oriented_regions,
@@ -48,8 +49,13 @@ class PartitionSettings:
     seeds: int = 10
     """odbp: number of METIS seeds that are tried; the best cut stays."""
     margin: float = 0.05
-    """odbp, blockgaussian: share of its extent by which a block is widened; it trains the points in
-    the widened block (the paper BlockGaussian: 0.05, StitchGS' release: 0.15)."""
+    """odbp, blockgaussian, and all that start from a coarse model: share of its extent by which a block
+    is widened; it trains the points, or the coarse Gaussians, in the widened block (the paper
+    BlockGaussian: 0.05, StitchGS' release: 0.15)."""
+    rims: Rims = "scene"
+    """odbp: what the width of a block's margin and rim is a share of. block: half the box around the
+    block, which one far-off voxel widens; scene: half of a K-th of the scene's ground, and of its
+    height, for all blocks."""
     view_share: float = 0.3
     """odbp, blockgaussian: a view trains a block that holds at least this share of the points that
     the view sees (tau_view; the releases: 0.3)."""
@@ -140,7 +146,7 @@ def near_square(blocks: int) -> tuple[int, int]:
 
 
 def odbp_blocks(place: Ground, blocks: int, name: str, *, settings: PartitionSettings) -> Partition:
-    """ODBP's blocks; views by the points a block holds, with BlockGaussian's shares.
+    """ODBP's blocks; views by the points a widened block holds, with BlockGaussian's shares.
 
     DPGS does not say how views are assigned. Its auxiliary box is no help: the bounds of a ragged
     block with one stray point can span the scene, and ghosts are not what a block is trained for.
@@ -158,11 +164,11 @@ def odbp_blocks(place: Ground, blocks: int, name: str, *, settings: PartitionSet
         OdbpSettings(blocks=blocks, voxel_size=place.voxel_size, imbalance=settings.imbalance,
                      seeds=settings.seeds),
     )  # fmt: skip
-    regions = voxel_regions(found, place.frame)
+    regions = voxel_regions(found, place.frame, rims=settings.rims)
+    points = _widened(place, found.labels, regions, settings.margin)
     return Partition(
-        method=name, labels=found.labels, regions=regions, note=_note(found),
-        points=_widened(place, found.labels, regions, settings.margin),
-        views=_covering(place, [found.labels == b for b in range(blocks)], settings),
+        method=name, labels=found.labels, regions=regions, note=_note(found), points=points,
+        views=_covering(place, list(points), settings),
     )  # fmt: skip
 
 

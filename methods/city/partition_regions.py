@@ -1,6 +1,7 @@
 """From a partition to the regions of its blocks."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -19,6 +20,9 @@ from splatproof.reference.partition.voxel_graph import voxel_centres
 
 MOST_CELLS = 2**22
 """Cells of the grid over a whole scene; voxels that were halved further are rounded to it."""
+Rims = Literal["block", "scene"]
+"""What the distance to a block of voxels is relative to. block: half the box around it, which one
+far-off voxel widens; scene: half of a K-th of the scene's ground, all of its height, for all blocks."""
 TRIM, RIM = 0.01, 0.2
 """Share of the points that may lie beyond the grid on each side of each axis, and what it is then
 widened by on each side: few far points must not make it coarse."""
@@ -30,6 +34,7 @@ def voxel_regions(
     *,
     open_: bool = True,
     most_cells: int = MOST_CELLS,
+    rims: Rims = "scene",
 ) -> tuple[VoxelRegion, ...]:
     """Regions of ODBP's blocks: their voxels, and the empty ones to which theirs are nearest.
 
@@ -42,6 +47,7 @@ def voxel_regions(
         frame: Rotation from the scene into the ground frame (ground_frame).
         open_: The outermost cells reach to infinity; False ends the blocks with the grid.
         most_cells: Cells are halved with the voxels as long as the grid holds no more than this.
+        rims: What distances to a block are relative to.
 
     Returns: A region for each block, in their order.
 
@@ -64,6 +70,8 @@ def voxel_regions(
     origin = torch.from_numpy(partition.origin + low * partition.voxel_size)
     size = torch.tensor(labels.shape, dtype=torch.float64) * side
     bounds = torch.stack([origin, origin + size]) if open_ else None
+    share = (size[:2].prod() / count).sqrt()
+    unit = torch.stack([share, share, size[2]]) / 2 if rims == "scene" else None
     regions = []
     for block in range(count):
         held = labels == block
@@ -73,7 +81,7 @@ def voxel_regions(
         regions.append(
             VoxelRegion(
                 frame=frame, low=origin + first * side, side=side, bounds=bounds,
-                cells=torch.from_numpy(held[cut].copy()),
+                cells=torch.from_numpy(held[cut].copy()), unit=unit,
             )
         )  # fmt: skip
     return tuple(regions)

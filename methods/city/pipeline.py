@@ -18,6 +18,7 @@ from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.coarse import coarse_stage
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.memory_plan import plan_memory
@@ -26,7 +27,7 @@ from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition, partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
-from splatproof.methods.city.stitch import cut_hard, stitch
+from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
@@ -34,8 +35,7 @@ from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
-from splatproof.methods.threedgs.fit import prepare, started
-from splatproof.methods.training.loop import Trainer
+from splatproof.methods.threedgs.fit import started
 from splatproof.methods.training.session import run_key
 from splatproof.methods.training.threads import threads
 from splatproof.reference.types.gaussians import Gaussians
@@ -80,16 +80,17 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     scene = started(scene, settings.training, run)
     with threads(run.threads), _work_folder(run) as folder:
         stages = Stages(folder, run_key(scene, settings, run, method), run.on_stage)
-        progress = Progress(run, settings)
+        progress = Progress(run, settings, len(scene.train))
         coarse = None
         if settings.coarse_iterations:
-            coarse = folder / "coarse.safetensors"
-            stages.run("coarse", partial(_coarse, scene, settings, run, folder, coarse, progress))
+            own = replace(settings.training, iterations=settings.coarse_iterations)
+            coarse, work = coarse_stage(scene, own, run, folder, progress.coarse)
+            stages.run("coarse", work)
         found = _partition(stages, scene, settings, run, coarse)
         jobs = block_jobs(
             scene, found, settings.training, run, run.cache or folder / "blocks",
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
-            surrounding=settings.surrounding,
+            surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
             sampling=settings.bins if settings.sampling == "balanced" else None,
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
@@ -140,19 +141,20 @@ def _work_folder(run: Run) -> Iterator[Path]:
 class Progress:
     """One count of steps over coarse model, blocks and refinement, for the run's report."""
 
-    def __init__(self, run: Run, settings: CitySettings) -> None:
+    def __init__(self, run: Run, settings: CitySettings, views: int) -> None:
         """Start at nothing.
 
         Args:
             run: Whose report is called.
             settings: Say how many steps there will be.
+            views: Number of training views of the whole scene.
         """
         self.report = run.report
         self.blocks = [0] * settings.blocks
         self.gaussians = [0.0] * settings.blocks
         self.before = settings.coarse_iterations
         each = settings.iterations
-        after = settings.refine.steps(each) if settings.gcr else 0
+        after = settings.refine.steps(settings, views) if settings.gcr else 0
         self.total = self.before + each * settings.blocks + after
         self.after = self.before + each * settings.blocks
 
@@ -192,27 +194,6 @@ class Progress:
         """
         del total
         self.report(self.after + step, self.total, values)
-
-
-def _coarse(
-    scene: Scene,
-    settings: CitySettings,
-    run: Run,
-    folder: Path,
-    path: Path,
-    progress: Progress,
-) -> dict[str, Any]:
-    """Train a model of the whole scene."""
-    own = replace(settings.training, iterations=settings.coarse_iterations)
-    at = replace(run, folder=folder / "coarse", report=progress.coarse)
-    coarse, plan = prepare(scene, own, at)
-    trainer = Trainer(coarse, plan, at)
-    trainer.resume()
-    trainer.train()
-    model = coarse.gaussians()
-    write_tensors(path, {name: getattr(model, name) for name in FIELDS})
-    shutil.rmtree(folder / "coarse", ignore_errors=True)
-    return {"seconds": trainer.seconds}
 
 
 def _partition(
@@ -263,10 +244,11 @@ def _stitch(
         for region, job in zip(found.regions, jobs, strict=True)
     ]
     kept = kept_rows(blocks, settings, run.seed, run.threads)
+    fade = block_shares(blocks) if settings.merge == "fade" and len(blocks) > 1 else None
     counts = write_merged(
         folder / "merged", blocks, kept,
         origin=Origin(method=method, settings=asdict(settings), scene=scene.name, seed=run.seed),
-        mode=settings.mode, shift=scene.shift, units=scene.units,
+        mode=settings.mode, shift=scene.shift, units=scene.units, fade=fade,
     )  # fmt: skip
     distances = [
         block.region.distance(part["means"].double()).float()
@@ -287,7 +269,7 @@ def kept_rows(
     Args:
         blocks: All blocks, in the order in which a hard merge resolves ties.
         settings: Merge, outside and stitch count.
-        seed: Seed of the draws of a merge by "sis".
+        seed: Seed of the draws of a merge by "sis" or "shares".
         threads: For its neighbour search; None: all cores. The result does not depend on it.
     """
     if len(blocks) == 1:
@@ -295,6 +277,11 @@ def kept_rows(
     if settings.merge == "hard":
         return cut_hard(blocks, settings.outside)
     generator = torch.Generator().manual_seed(seed)
+    if settings.merge in ("shares", "fade"):
+        held = block_shares(blocks)
+        if settings.merge == "fade":
+            return tuple(share > 0 for share in held)
+        return draw_shares(blocks, held, generator)
     return stitch(blocks, settings.stitch, generator, threads=threads)
 
 
@@ -311,6 +298,7 @@ def _refine(
     model, seconds = refinement.refine(
         select(merged.model, rows), scene, settings.refine, settings.training,
         replace(run, report=progress.refine), path.parent / "refine",
+        settings.pack if settings.quantise else None,
     )  # fmt: skip
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
     shutil.rmtree(path.parent / "refine", ignore_errors=True)

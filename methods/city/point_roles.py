@@ -19,8 +19,8 @@ ROLE = "role"
 """Label of a block's rows that says which of these they are."""
 Auxiliary = Literal["none", "context", "ghosts", "both"]
 """none: own points only; context: and all that the block's views see, trained, not densified
-(BlockGaussian); ghosts: and what lies in the auxiliary box, rendered only (DPGS); both: ghosts in
-the auxiliary box, context beyond it."""
+(BlockGaussian); ghosts: and what lies in the auxiliary box, of unchanging structure (DPGS); both:
+context, and as ghosts what else lies in the auxiliary box."""
 Surrounding = Literal["box", "region"]
 """Where ghosts are taken from. box: the bounds of what a block owns, a fifth longer (DPGS, Eq. 7);
 of a ragged block that is most of the scene. region: within a normalised distance of 1.2, which is
@@ -53,14 +53,37 @@ def roles_of(
     Source: BlockGaussian, Sec. 3.2 (auxiliary points) and its release; DPGS, Sec. 3.3, Eq. 7
         (ghosts).
     """
-    roles = torch.full((len(points),), LEFT_OUT, dtype=torch.int8)
+    nowhere = torch.zeros(len(points), dtype=torch.bool)
+    if auxiliary not in ("ghosts", "both") or not bool((labels == block).any()):
+        near = nowhere
+    elif near is None:
+        _, around = block_boxes(upright, labels, block)
+        near = ghosts(upright, labels, block, around)
+    seen = seen_points(points, views) if auxiliary in ("context", "both") else nowhere
+    return assigned(own, seen, near & (labels != block), auxiliary)
+
+
+def assigned(
+    own: Bool[Tensor, " n"],
+    seen: Bool[Tensor, " n"],
+    near: Bool[Tensor, " n"],
+    auxiliary: Auxiliary,
+) -> Int8[Tensor, " n"]:
+    """Roles by what holds of each row; of several roles a row has the one that is trained most.
+
+    Args:
+        own: What the block trains and densifies.
+        seen: What its views see.
+        near: What may become ghosts.
+        auxiliary: What takes part beside what is its own.
+
+    Returns: OWN, else CONTEXT, else GHOST, else LEFT_OUT.
+    """
+    roles = torch.full((len(own),), LEFT_OUT, dtype=torch.int8)
+    if auxiliary in ("ghosts", "both"):
+        roles[near] = GHOST
     if auxiliary in ("context", "both"):
-        roles[seen_points(points, views)] = CONTEXT
-    if auxiliary in ("ghosts", "both") and bool((labels == block).any()):
-        if near is None:
-            _, around = block_boxes(upright, labels, block)
-            near = ghosts(upright, labels, block, around)
-        roles[near & (labels != block)] = GHOST
+        roles[seen] = CONTEXT
     roles[own] = OWN
     return roles
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import torch
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -12,7 +13,9 @@ from splatproof.methods.contracts.density_strategy import Frozen
 from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
+from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
@@ -21,6 +24,7 @@ from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.methods.training.session import run_key
 from splatproof.reference.compression.affine_codes import fake_quantise, lattice
+from splatproof.reference.compression.spectral import open_gate
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
@@ -34,7 +38,10 @@ class RefineSettings:
     """How a merged model is cleaned and its appearance fitted over all views."""
 
     iterations: int | None = None
-    """Steps of the refinement; None: 7 for every 40 steps of block training, as in the paper."""
+    """Steps of the refinement; None: 7 for every 40 steps of block training, as in the paper, and as
+    many as `visits` asks for."""
+    visits: int = 4
+    """Fewest times that every training view is visited where `iterations` is None."""
     quantise_from: float = 0.1
     """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits that
     it will be stored in; 1: never."""
@@ -60,18 +67,24 @@ class RefineSettings:
         """Refuse settings that no run can follow."""
         steps = self.iterations
         require(steps is None or steps >= 1, "refine.iterations", steps, ">= 1 or None")
+        require(self.visits >= 0, "refine.visits", self.visits, ">= 0")
         require(0 <= self.quantise_from <= 1, "refine.quantise_from", self.quantise_from, "0 to 1")
         for name in ("sh_dc", "sh_rest", "opacity", "settle"):
             value = getattr(self, name)
             require(value >= 0, f"refine.{name}", value, ">= 0")
 
-    def steps(self, block_iterations: int) -> int:
+    def steps(self, base: Settings, views: int) -> int:
         """Number of steps of the refinement.
 
         Args:
-            block_iterations: Steps that each block was trained for.
+            base: Settings that each block was trained with; steps and views a step count.
+            views: Number of training views of the whole scene.
         """
-        return self.iterations or max(1, round(PAPER_SHARE * block_iterations))
+        if self.iterations is not None:
+            return self.iterations
+        return max(
+            1, round(PAPER_SHARE * base.iterations), -(-self.visits * views // base.views_per_step)
+        )
 
 
 def clean(model: Gaussians, settings: CleanSettings) -> Bool[Tensor, " n"]:
@@ -93,6 +106,7 @@ def refine(
     base: Settings,
     run: Run,
     folder: Path | None,
+    pack: FileSettings | None = None,
 ) -> tuple[Gaussians, float]:
     """Fit opacity and colour of a merged model to all training views; geometry stays as it is.
 
@@ -101,9 +115,11 @@ def refine(
         scene: The whole scene, with all training views.
         settings: Steps and rates.
         base: Settings that the blocks were trained with; loss, steps, views a step, background,
-            mode and dropout count.
+            exposure, mode and dropout count.
         run: Seed, backend and reports.
         folder: Where its checkpoint goes; None: none is kept.
+        pack: How the model will be stored: what its gate drops is not seen in training either; None:
+            nothing is dropped.
 
     Returns: The refined model and the seconds it took, those before an interruption included.
 
@@ -113,19 +129,20 @@ def refine(
         means=0.0, means_final=0.0, log_scales=0.0, quaternions=0.0, sh_dc=settings.sh_dc,
         sh_rest=settings.sh_rest, opacity_logits=settings.opacity, settle=settings.settle,
     )  # fmt: skip
-    steps = settings.steps(base.iterations)
-    fitted = QuantisedModel(model, rates, settings.quantise_from, base)
+    steps = settings.steps(base, len(scene.train))
+    fitted = QuantisedModel(model, rates, settings.quantise_from, base, pack)
     plan = Plan(
         steps=steps,
         views=scene.train_views,
         terms=terms(base),
         density=Frozen(),
-        key=run_key(scene, base, run, f"{settings} {_digest(model)}"),
+        key=run_key(scene, base, run, f"{settings} {pack} {_digest(model)}"),
         views_per_step=base.views_per_step,
         random_background=base.random_background,
         optimizer=Momentum if settings.optimizer == "sgd" else Adam,
     )
-    trainer = Trainer(fitted, plan, replace(run, folder=folder))
+    shown = exposed(fitted, base.exposure, plan.views)
+    trainer = Trainer(shown, plan, replace(run, folder=folder))
     trainer.resume()
     trainer.train()
     return fitted.gaussians(), trainer.seconds
@@ -142,7 +159,12 @@ class QuantisedModel(GaussianModel):
     """Gaussians of which only the appearance moves, seen as they will be stored in 8 bits."""
 
     def __init__(
-        self, start: Gaussians, rates: Rates, quantise_from: float, base: Settings
+        self,
+        start: Gaussians,
+        rates: Rates,
+        quantise_from: float,
+        base: Settings,
+        pack: FileSettings | None = None,
     ) -> None:
         """Start from a merged model.
 
@@ -151,19 +173,28 @@ class QuantisedModel(GaussianModel):
             rates: Learning rates; those of geometry are 0.
             quantise_from: Share of the steps after which harmonics are seen through 8 bits.
             base: Settings that the blocks were trained with; mode and dropout count.
+            pack: Gate of the file that the model will be stored in; None: none.
         """
         super().__init__(start, rates, extent=0.0, mode=base.mode, dropout=base.dropout)
-        self.quantise_from = quantise_from
+        self.quantise_from, self.pack = quantise_from, pack
 
     def drawn_rows(self, moment: Moment) -> dict[str, Tensor]:
-        """The rows, their residual harmonics on the lattice of 256 values that they will have.
+        """The rows, their residual harmonics gated and on the lattice of 256 values that they will have.
+
+        What the gate drops is 0 and gets no gradient: it is not stored, and the colour that is the same
+        from all sides learns to do without it.
 
         Args:
             moment: Says whether it is time for that.
         """
         rows = super().drawn_rows(moment)
         if moment.step > self.quantise_from * moment.total:
-            rest = rows["sh_rest"].flatten(start_dim=1)
+            whole = rows["sh_rest"]
+            kept = torch.ones(len(whole), 1, dtype=torch.bool, device=whole.device)
+            if self.pack is not None:
+                kept = open_gate(whole.detach(), self.pack.gate, self.pack.weighting)[:, None]
+            rest = torch.where(kept, whole.flatten(start_dim=1), 0)
             low, reach = lattice(rest.detach())
-            rows["sh_rest"] = fake_quantise(rest, low, reach).reshape_as(rows["sh_rest"])
+            stored = torch.where(kept, fake_quantise(rest, low, reach), 0)
+            rows["sh_rest"] = stored.reshape_as(whole)
         return rows

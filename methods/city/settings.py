@@ -3,15 +3,19 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import require
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.stitching.stochastic import StitchSettings
 
+Merge = Literal["hard", "sis", "shares", "fade"]
+"""How blocks become one model, see `CitySettings.merge`."""
 GRID = PartitionSettings(method="citygaussian")
 CAMERAS = PartitionSettings(method="vastgaussian")
 DENSITY = PartitionSettings(method="blockgaussian")
@@ -25,34 +29,46 @@ LOAD_WIDE = PartitionSettings(method="odbp", margin=0.15)
 class CitySettings(Settings):
     """A scene in blocks that are trained apart and merged. `iterations` are those of each block."""
 
-    exposure: Literal["off"] = "off"
-    """Exposures are not learnt: blocks are trained apart, and each would find others for a photo."""
+    exposure: Exposure = "off"
+    """What the coarse model, each block and the refinement learn of each photo beside the scene, each
+    anew and zero on average over its photos; a block of one photo nothing. off: nothing; gain: exposure
+    and white balance, as three gains; affine: a 3 x 4 map of its colours. The merged model is stored in
+    neutral exposure."""
     blocks: int = 4
     """Number of blocks (K) that the scene is cut into; 1: the whole scene is one block."""
     partition: PartitionSettings = field(default_factory=PartitionSettings)
     """How the scene is cut into blocks, and which views train each of them."""
     coarse_iterations: int = 0
     """Training steps of a coarse model of the whole scene from which every block starts (method
-    citygaussian: 30,000). 0: there is none, and blocks start from sparse points."""
+    citygaussian: 30,000): its own are those of the coarse Gaussians that lie in its region, widened by
+    `partition.margin`; `auxiliary` says what becomes of the others. 0: there is none, and blocks start
+    from sparse points."""
+    even: Even = "steps"
+    """What all blocks have equally many of. steps: `iterations` training steps each; visits: steps for
+    each of its training views, `iterations` steps on average."""
     auxiliary: Auxiliary = "none"
     """What takes part in a block beside its own points. none: nothing; context: what else its views
     see, trained but not densified (BlockGaussian); ghosts: what other blocks own around it,
-    rendered but held still (DPGS); both: ghosts around it, context beyond them. With a coarse
-    model: none."""
-    follow: bool = False
+    with positions, scales and rotations held still (DPGS), and with a coarse model all that its views
+    show; both: context, and ghosts where there is none. With a coarse model and none every block
+    starts from all of it."""
+    follow: bool = True
     """Whether opacity and colour of ghosts are trained with the block that they surround; their
-    positions, scales and rotations are held still in any case."""
+    positions, scales and rotations are held still in any case. False: only with a coarse model, which
+    knows what they look like."""
     surrounding: Surrounding = "box"
-    """Where ghosts are taken from. box: the box around what a block owns, a fifth longer (DPGS, Eq.
-    7); region: the block's own shape, widened as far."""
+    """Where ghosts are taken from, without a coarse model. box: the box around what a block owns, a
+    fifth longer (DPGS, Eq. 7); region: the block's own shape, widened as far."""
     sampling: Literal["uniform", "balanced"] = "uniform"
     """How a block draws its training views. uniform: each once in every epoch; balanced: evenly
     over where the cameras stand around the block (StitchGS)."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)
     """Which bins balanced sampling sorts cameras into."""
-    merge: Literal["hard", "sis"] = "hard"
+    merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
-    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS)."""
+    them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a
+    strip on both sides of a wall in which blocks have shares that sum to 1: shares: a Gaussian stays
+    with the probability of its share; fade: it keeps that share of its optical depth."""
     outside: Literal["drop", "nearest"] = "drop"
     """What a hard merge does with Gaussians that lie in no block. drop: removes them, as the papers
     do; nearest: keeps those to which their own block is the nearest."""
@@ -80,9 +96,9 @@ class CitySettings(Settings):
             "1: blocks see photos in full size",
         )
         require(self.coarse_iterations >= 0, "coarse_iterations", self.coarse_iterations, ">= 0")
-        if self.coarse_iterations > 0:
-            require(self.auxiliary == "none", "auxiliary", self.auxiliary,
-                    "'none' with a coarse model: blocks start from all of it")  # fmt: skip
+        guessed = self.auxiliary in ("ghosts", "both") and not self.coarse_iterations
+        require(self.follow or not guessed, "follow", self.follow, "True with ghosts of sparse points, whose "
+                "opacity is a guess: let them follow, or give them values by coarse_iterations")  # fmt: skip
         require(0 <= self.bins.uniform_share <= 1, "bins.uniform_share", self.bins.uniform_share,
                 "0 to 1")  # fmt: skip
         for name in ("azimuths", "distances"):
@@ -138,7 +154,7 @@ class StitchGS(CitySettings):
     partition: PartitionSettings = DENSITY_WIDE
     auxiliary: Auxiliary = "context"
     sampling: Literal["uniform", "balanced"] = "balanced"
-    merge: Literal["hard", "sis"] = "sis"
+    merge: Merge = "sis"
     gcr: bool = True
     quantise: bool = True
 
@@ -147,13 +163,13 @@ class StitchGS(CitySettings):
 class OdbpStitch(CitySettings):
     """Method odbp+stitch: equal rendering load and ghosts; a trained margin, SIS, GCR, compression.
 
-    Ghosts are held still, so they cannot compete for a rim: the rim is trained (margin), ghosts lie
-    beyond it in the auxiliary box, and what views see beyond that is trained but not densified.
+    Ghosts do not move, so they cannot compete for a rim: the rim is trained (margin), what views see
+    beyond it is trained but not densified, and the rest of the auxiliary box is ghosts.
     """
 
     partition: PartitionSettings = LOAD_WIDE
     auxiliary: Auxiliary = "both"
     sampling: Literal["uniform", "balanced"] = "balanced"
-    merge: Literal["hard", "sis"] = "sis"
+    merge: Merge = "sis"
     gcr: bool = True
     quantise: bool = True

@@ -24,6 +24,7 @@ from splatproof.reference.stitching.stochastic import (
     TrainedBlock,
     keep_probability,
     quality,
+    shares,
     weight,
     zones,
 )
@@ -93,6 +94,47 @@ def stitch(
         chance = torch.where(rivals[i].isneginf(), 1.0, chance)
         kept[i] = zone == CORE
         kept[i][rim.rows] = draw[rim.rows] < chance
+    return tuple(kept)
+
+
+def block_shares(blocks: Sequence[BlockModel]) -> tuple[Float64[Tensor, " _"], ...]:
+    """What each block has of the place of each of its primitives, see reference.stitching.stochastic.shares.
+
+    Args:
+        blocks: All blocks; their order does not matter.
+
+    Returns: Shares in [0, 1] for each block; 0 where the primitive lies beyond its rim.
+
+    Source: ours.
+    """
+    found = []
+    for i, block in enumerate(blocks):
+        parts = [torch.zeros(0, dtype=torch.float64)]
+        for part in block.slices(("means",)):
+            means = part["means"].double()
+            away = torch.stack([_clipped(other.region, means, 0.0) for other in blocks])
+            parts.append(shares(away)[i])
+        found.append(torch.cat(parts))
+    return tuple(found)
+
+
+def draw_shares(
+    blocks: Sequence[BlockModel],
+    held: Sequence[Float64[Tensor, " _"]],
+    generator: torch.Generator,
+) -> tuple[Bool[Tensor, " _"], ...]:
+    """Keep each primitive with the probability of its share; one number each, drawn as `stitch` draws.
+
+    Args:
+        blocks: All blocks; the order of their regions' centres is that of the draws.
+        held: Their shares (block_shares).
+        generator: Source of the draws.
+
+    Source: ours.
+    """
+    kept = [torch.zeros(0, dtype=torch.bool)] * len(blocks)
+    for i in sorted(range(len(blocks)), key=lambda i: blocks[i].region.centre.tolist()):
+        kept[i] = torch.rand(len(held[i]), generator=generator, dtype=torch.float64) < held[i]
     return tuple(kept)
 
 

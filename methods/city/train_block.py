@@ -15,10 +15,18 @@ from splatproof.base.files import read_bytes, read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.point_roles import GHOST, OWN, ROLE, held_rows, role_rules
+from splatproof.methods.city.point_roles import (
+    GHOST,
+    LEFT_OUT,
+    OWN,
+    ROLE,
+    held_rows,
+    role_rules,
+)
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
@@ -48,7 +56,7 @@ class BlockJob:
     scene: Scene
     """The block's views, all for training, and the points it starts from."""
     roles: Int8[Tensor, " n"]
-    """What becomes of each starting Gaussian: OWN, CONTEXT or GHOST."""
+    """What becomes of each starting Gaussian: OWN, CONTEXT or GHOST; of a coarse model's also LEFT_OUT."""
     settings: Settings
     facts: BlockFacts
     """Which block it is; training fills in cost and primitives."""
@@ -110,9 +118,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     """
     if (facts := trained(job)) is not None:
         return facts
-    started = job.start and read_gaussians(job.start)
-    rows = len(started) if started is not None else len(job.scene.points)
-    if not job.scene.train or rows == 0 or not bool((job.roles == OWN).any()):
+    if not job.scene.train or not bool((job.roles == OWN).any()):
         missing = "no view trains it" if not job.scene.train else "no point to start from"
         empty = no_gaussians(job.settings.sh_degree)
         return _finish(job, empty, replace(job.facts, note=f"left empty: {missing}"))
@@ -120,8 +126,11 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         folder=job.folder, seed=job.seed, backend=job.backend, background=job.background,
         report=report, checkpoint_seconds=job.checkpoint_seconds, image_bytes=job.image_bytes,
     )  # fmt: skip
+    started = None if job.start is None else read_gaussians(job.start)
     block, plan = prepare(job, started, run)
-    trainer = Trainer(block, plan, run)
+    alone = len(plan.views) < 2  # one photo has nothing to be compared with
+    shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
+    trainer = Trainer(shown, plan, run)
     trainer.resume()
     trainer.train()
     model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
@@ -131,6 +140,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         seconds=trainer.seconds,
         peak_mb=peak_memory_mb(),
         primitives=len(model),
+        densifications=trainer.counts.densifications,
         note=note,
     )
     return _finish(job, model, facts)
@@ -192,20 +202,19 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
 
     Args:
         job: What to train.
-        start: Gaussians of a coarse model, all of which are the block's own; None: the job's
-            points.
+        start: Gaussians of the coarse model that the roles are of, with all bands of view-dependent
+            colour in use from the first step on; None: the job's points.
         run: Seed, background, backend and device are part of the plan's key.
     """
     settings, scene = job.settings, job.scene
+    sh_every = settings.sh_interval * shrink(settings.iterations) if start is None else 0.0
     if start is None:
         start = from_points(scene, degree=settings.sh_degree, opacity=settings.initial_opacity)
-    roles = job.roles
-    if len(roles) != len(start):
-        roles = torch.full((len(start),), OWN, dtype=torch.int8)
+    start, roles = select(start, job.roles != LEFT_OUT), job.roles[job.roles != LEFT_OUT]
     size = extent(scene)
     model = GaussianModel(
         start, settings.rates, extent=size, mode=settings.mode,
-        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+        sh_every=sh_every, dropout=settings.dropout,
         labels={ROLE: roles},
     )  # fmt: skip
     density = DensityControl(

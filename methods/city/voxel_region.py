@@ -23,7 +23,8 @@ class VoxelRegion:
     r is the distance in the max-norm, each axis of the voxels' frame divided by half the extent e
     of V along it: to V from outside, to the outside of V from inside. Where V is a full box this is
     the box distance |(p - c) / e|_inf exactly; the rim 1 < d <= 1.1 is everywhere as wide as that
-    of the box around V, and d >= 0. A far-off voxel of a block therefore widens its rim.
+    of the box around V, and d >= 0. A far-off voxel of a block therefore widens its rim, unless e is
+    given: then rims are equally wide for all blocks that are given the same, and d is 0 from r = 1 on.
 
     Source: ours, after StitchGS, Sec. 3.2.3 (d_i), for the blocks of DPGS, Sec. 3.3.
     """
@@ -39,6 +40,8 @@ class VoxelRegion:
     bounds: Float64[Tensor, "2 3"] | None = None
     """Lowest and highest corner of the whole scene's grid: a place beyond it counts as the nearest
     place in it, so that the outermost voxels reach to infinity. None: they do not."""
+    unit: Float64[Tensor, "3"] | None = None
+    """e, along these axes in scene units, each > 0; None: half the extents of the box around V."""
 
     def __post_init__(self) -> None:
         """Refuse a block without voxels, and cells with an empty outer layer."""
@@ -74,6 +77,7 @@ class VoxelRegion:
                 widened to it. Infinity: no bound.
         """
         cells = self.cells.numpy()
+        unit = ((self.half if self.unit is None else self.unit) / self.side).numpy()
         sums = np.zeros(np.array(cells.shape) + 1, dtype=np.int32)
         sums[1:, 1:, 1:] = cells.cumsum(0, dtype=np.int32).cumsum(1).cumsum(2)
         found = np.empty(len(points))
@@ -85,7 +89,7 @@ class VoxelRegion:
                 hair = INSIDE * self.side
                 local = local.clamp(self.bounds[0] + hair, self.bounds[1] - hair)
             grid = ((local - self.low) / self.side).numpy()
-            found[start : start + CHUNK] = _signed(grid, cells, sums, low, high)
+            found[start : start + CHUNK] = _signed(grid, cells, sums, unit, low, high)
 
         with ThreadPoolExecutor(torch.get_num_threads()) as pool:
             for done in [pool.submit(work, start) for start in range(0, len(points), CHUNK)]:
@@ -97,6 +101,7 @@ def _signed(
     grid: Float64[np.ndarray, "n 3"],
     cells: Bool[np.ndarray, "x y z"],
     sums: Int32[np.ndarray, "x1 y1 z1"],
+    half: Float64[np.ndarray, "3"],
     low: float,
     high: float,
 ) -> Float64[np.ndarray, " n"]:
@@ -106,12 +111,12 @@ def _signed(
     within = ((whole >= 0) & (whole < size)).all(axis=1)
     inner = np.zeros(len(grid), dtype=bool)
     inner[within] = cells[tuple(whole[within].T)]
-    away = (np.maximum(-grid, grid - size) / (size / 2)).max(axis=1)  # to the box around V
+    away = (np.maximum(-grid, grid - size) / half).max(axis=1)  # to the box around V
     found = np.where(inner, low, high)
     outer = ~inner & (1 + away < high)
-    found[outer] = 1 + _reach(grid[outer], sums, size, inside=False)
+    found[outer] = 1 + _reach(grid[outer], sums, size, half, inside=False)
     if low < 1:
-        found[inner] = 1 - _reach(grid[inner], sums, size, inside=True)
+        found[inner] = 1 - _reach(grid[inner], sums, size, half, inside=True)
     return found.clip(low, high)
 
 
@@ -119,6 +124,7 @@ def _reach(
     grid: Float64[np.ndarray, "n 3"],
     sums: Int32[np.ndarray, "x1 y1 z1"],
     size: Int64[np.ndarray, "3"],
+    half: Float64[np.ndarray, "3"],
     inside: bool,
 ) -> Float64[np.ndarray, " n"]:
     """Smallest r at which the box grid +- r e touches V (from outside) or what is not V.
@@ -127,14 +133,17 @@ def _reach(
     the box passes a wall nothing changes, so r is bisected until each face passes at most one, and
     then the six places left are tried in order: the answer is one of them, exactly.
     """
-    half = size / 2.0
     away = np.maximum(np.maximum(-grid, grid - size), 0) / half
     low = away.max(axis=1, initial=0)  # to the box around V
-    high = low + (1.0 if inside else 2.0)
-    first = _touches(grid, low, sums, size, inside)
-    for _ in range(int(np.ceil(np.log2(size.max()))) + 1):  # until high - low <= 1 / e
+    # out of the box around V, or through all of it
+    far = float((size / (2 * half)).min() if inside else (size / half).max())
+    high = low + far
+    first = _touches(grid, low, sums, size, half, inside)
+    for _ in range(
+        int(np.ceil(np.log2(max(far * half.max(), 1)))) + 1
+    ):  # until high - low <= 1 / e
         middle = (low + high) / 2
-        hit = _touches(grid, middle, sums, size, inside)
+        hit = _touches(grid, middle, sums, size, half, inside)
         high, low = np.where(hit, middle, high), np.where(hit, low, middle)
     reach = low[:, None] * half
     up = (np.floor(grid + reach) + 1 - grid) / half
@@ -142,7 +151,7 @@ def _reach(
     walls = np.sort(np.minimum(np.concatenate([up, down], axis=1), high[:, None]), axis=1)
     found = np.maximum(np.maximum.reduce(away, axis=1), walls[:, -1])
     for i in range(4, -1, -1):
-        hit = _touches(grid, (walls[:, i] + walls[:, i + 1]) / 2, sums, size, inside)
+        hit = _touches(grid, (walls[:, i] + walls[:, i + 1]) / 2, sums, size, half, inside)
         found = np.where(hit, walls[:, i], found)
     return np.where(first, away.max(axis=1, initial=0), found)
 
@@ -152,10 +161,11 @@ def _touches(
     reach: Float64[np.ndarray, " n"],
     sums: Int32[np.ndarray, "x1 y1 z1"],
     size: Int64[np.ndarray, "3"],
+    half: Float64[np.ndarray, "3"],
     inside: bool,
 ) -> Bool[np.ndarray, " n"]:
     """Does the closed box grid +- reach e touch a voxel of V, or, from inside, one that is not?"""
-    rim = reach[:, None] * (size / 2.0)
+    rim = reach[:, None] * half
     low = np.ceil(grid - rim).astype(np.int64) - 1
     high = np.floor(grid + rim).astype(np.int64) + 1  # one past the last voxel
     out = (low < 0).any(axis=1) | (high > size).any(axis=1)

@@ -17,7 +17,8 @@ class SparseDensity(Density):
     stop: int = 30_000
     """Step from which on nothing is densified and no opacity is reset."""
     interval: int = 300
-    """Steps between densifications; a short run shrinks it to no less than `least_interval`."""
+    """Steps between densifications; a short run shrinks it to no less than `least_interval`, unless
+    `fewest` asks for more densifications."""
     gradient: float = 5e-4
     """Pull from which a Gaussian is cloned or split: mean norm of the loss's gradient by its
     position in the image, in units of half the image."""

@@ -11,7 +11,7 @@ from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.kernels import step as kernels
 from splatproof.methods.training.density import Density, densify, reset_opacity
-from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.schedules import shrink, shrunk_interval
 from splatproof.reference.types.gaussians import Gaussians
 
 
@@ -49,11 +49,19 @@ class DensityControl:
             statistic: Gradient that is compared with the threshold.
         """
         factor = shrink(iterations)
+        start, stop = round(settings.start * factor), round(settings.stop * factor)
         self.settings = replace(
             settings,
-            start=round(settings.start * factor),
-            stop=round(settings.stop * factor),
-            interval=max(round(settings.interval * factor), settings.least_interval),
+            start=start,
+            stop=stop,
+            interval=shrunk_interval(
+                settings.interval,
+                settings.least_interval,
+                settings.fewest,
+                start=start,
+                stop=stop,
+                iterations=iterations,
+            ),
             reset_interval=round(settings.reset_interval * factor),
         )
         self.extent, self.rules = extent, rules

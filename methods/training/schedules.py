@@ -26,6 +26,33 @@ def shrink(iterations: int) -> float:
     return min(1.0, iterations / FULL_LENGTH)
 
 
+def shrunk_interval(
+    interval: int, least: int, fewest: int, *, start: int, stop: int, iterations: int
+) -> int:
+    """Steps between densifications of a run of some length.
+
+    A full run keeps its interval, and a shorter one that shrunk to no less than `least`; but where
+    fewer than `fewest` multiples of it lay between start and stop it is (stop - start - 1) / fewest.
+
+    Args:
+        interval: Steps between densifications in a run of 30,000 steps, >= 1.
+        least: What it is shrunk to at least, >= 1.
+        fewest: Densifications that a shorter run has at least, as far as it has steps; >= 0.
+        start: Last step without densification, of this run.
+        stop: Step from which on nothing is densified, of this run.
+        iterations: Steps of this run, >= 1.
+
+    Source: ours.
+    """
+    factor = shrink(iterations)
+    usual = max(round(interval * factor), least)
+    between = stop - start - 1
+    times = max(0, stop - 1) // usual - start // usual
+    if factor == 1 or between < 1 or times >= fewest:
+        return usual
+    return max(1, between // fewest)
+
+
 def require_cell(cell: float) -> None:
     """Refuse voxels of added points that would hold a match each, at the price of all of them.
 

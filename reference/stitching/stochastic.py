@@ -1,4 +1,4 @@
-"""Stochastic interwoven stitching: blocks compete for the rims in which they overlap."""
+"""Stochastic interwoven stitching: blocks compete for, or share, the rims in which they overlap."""
 
 from dataclasses import dataclass
 
@@ -194,3 +194,40 @@ def stitch(
         draw = torch.rand(len(probabilities[i]), generator=generator, dtype=torch.float64)
         kept[i] = draw < probabilities[i]
     return tuple(kept)
+
+
+def shares(distances: Float64[Tensor, "k n"]) -> Float64[Tensor, "k n"]:
+    """What each block has of each place, falling across a wall from both sides alike; they sum to 1.
+
+    In proportion to min(1, (1.1 - d) / 0.2), which is 1 up to d = 0.9, a half on the block's border and
+    0 from d = 1.1 on. A place that no block reaches is its nearest blocks'.
+
+    Args:
+        distances: Normalised distance of each place to each block.
+
+    Source: ours; SIS, in whose rims only one of two neighbours competes, as the paper has it: see `stitch`.
+    """
+    if distances.shape[1] == 0:
+        return distances
+    width = 2 * (RIM - 1)
+    reach = ((RIM - distances) / width).clamp(0, 1)
+    nearest = (distances == distances.amin(dim=0)).to(distances)
+    reach = torch.where(reach.sum(dim=0) > 0, reach, nearest)
+    return reach / reach.sum(dim=0)
+
+
+def faded(logits: Float[Tensor, " n"], share: Float64[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """Opacity logits of a' = 1 - (1 - a)^s: a share s of the optical depth -log(1 - a).
+
+    Where blocks show one surface with one opacity and their shares sum to 1, their optical depths sum to
+    the surface's, and together they let through as much light as one of them did.
+
+    Args:
+        logits: Opacity logits.
+        share: s in (0, 1]; 1 changes nothing.
+
+    Source: ours.
+    """
+    depth = share * torch.nn.functional.softplus(logits.double())
+    lowered = depth + (-torch.expm1(-depth)).log()
+    return torch.where(share == 1, logits, lowered.to(logits))

@@ -18,6 +18,16 @@ FIELDS = {
 """Name in metrics: field of BlockFacts."""
 
 
+def fewest_densifications(blocks: Sequence[BlockFacts]) -> dict[str, float]:
+    """block_densifications: how often the block was densified that was so least; nothing if not known.
+
+    Args:
+        blocks: One a block; those that were left empty do not count.
+    """
+    known = [b.densifications for b in blocks if b.primitives and b.densifications >= 0]
+    return {"block_densifications": float(min(known))} if known else {}
+
+
 def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:
     """<what>_std_over_mean and <what>_max_over_mean over blocks, for all that FIELDS names.
 

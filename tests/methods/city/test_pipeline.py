@@ -269,11 +269,52 @@ def test_settings_that_no_run_can_follow_are_refused(setting, value):
         METHODS["odbp+stitch"].settings(**{setting: value})
 
 
-def test_a_coarse_model_takes_no_auxiliary_points():
-    with pytest.raises(UsageError, match="auxiliary"):
-        METHODS["citygaussian"].settings(auxiliary="ghosts")
+def test_still_ghosts_of_sparse_points_are_refused_for_they_would_stay_a_guess():
+    with pytest.raises(UsageError, match="setting follow is False, expected True"):
+        METHODS["dpgs-partition"].settings(follow=False)
+    METHODS["dpgs-partition"].settings(follow=False, coarse_iterations=5)
+
+
+@pytest.mark.parametrize("row", ["vastgaussian", "blockgaussian", "dpgs-partition", "odbp+stitch"])
+def test_every_row_starts_from_a_coarse_model_where_one_is_asked_for(tmp_path, row):
+    model = fit(row, run(tmp_path), coarse_iterations=5, **BARE)
+    assert next(iter(model.stage_seconds)) == "coarse"
+    assert model.primitives == sum(facts.kept for facts in model.block_facts)
+    assert all(facts.kept > 0 for facts in model.block_facts)
+
+
+def test_a_coarse_model_is_trained_once_where_runs_share_a_cache(tmp_path):
+    def forbidden(step: int, total: int, values: dict[str, float]) -> None:
+        assert step > 5, "coarse steps again"
+
+    cache, more = tmp_path / "cache", {"coarse_iterations": 5} | BARE
+    fit("blockgaussian", run(tmp_path / "a", cache=cache), **more)
+    (coarse,) = cache.glob("coarse-*.safetensors")
+    at = run(tmp_path / "b", cache=cache, report=forbidden)
+    fit("dpgs-partition", at, **more)
+    coarse.unlink()
+    with pytest.raises(AssertionError, match="coarse steps again"):
+        fit("odbp+stitch", replace(at, folder=tmp_path / "c"), **more)
+
+
+def test_blocks_that_visit_their_views_equally_often_share_the_steps_by_their_views(tmp_path):
+    model = fit("blockgaussian", run(tmp_path), even="visits")
+    views, steps = zip(*((facts.views, facts.steps) for facts in model.block_facts), strict=True)
+    assert sum(steps) == 2 * CITY["iterations"]
+    for count, of in zip(steps, views, strict=True):
+        assert count == pytest.approx(sum(steps) * of / sum(views), abs=1)
 
 
 def test_unknown_engines_are_refused():
     with pytest.raises(UsageError, match="engine 'magic'"):
         fit("blockgaussian", replace(run(), engine="magic"))
+
+
+@pytest.mark.parametrize("merge", ["shares", "fade"])
+def test_blocks_that_share_their_rims_are_one_model_with_both_sides_in_them(tmp_path, merge):
+    at = run(tmp_path / merge, cache=tmp_path / "cache")
+    model = fit("stitchgs", at, merge=merge, **BARE)
+    if merge == "fade":  # draws may happen to keep none of so few
+        assert bool((model.distances > 1).any())
+    assert float(model.distances.max()) < RIM
+    assert same(model, fit("stitchgs", run(cache=tmp_path / "cache"), merge=merge, **BARE))

@@ -5,14 +5,18 @@ from typing import Any
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.refine import QuantisedModel, RefineSettings, clean, refine
 from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import Rates
+from splatproof.reference.compression.spectral import open_gate
 from splatproof.reference.stitching.preclean import CleanSettings
 
 SCENE = tiny_scene(views=5)
@@ -76,13 +80,58 @@ def test_cleaning_drops_the_transparent_and_keeps_the_largest_unless_told():
     assert not clean(model, CleanSettings(volume_quantile=0.999))[5]
 
 
-def test_steps_follow_the_blocks_unless_given():
-    assert RefineSettings().steps(40_000) == 7_000
-    assert RefineSettings().steps(1) == 1
-    assert RefineSettings(iterations=3).steps(40_000) == 3
+def test_steps_follow_the_blocks_and_visit_every_view_unless_given():
+    long = replace(BASE, iterations=40_000)
+    assert RefineSettings().steps(long, 143) == 7_000
+    assert RefineSettings().steps(BASE, 143) == 4 * 143
+    assert RefineSettings().steps(replace(BASE, views_per_step=3), 143) == 191
+    assert RefineSettings(visits=0).steps(replace(BASE, iterations=1), 143) == 1
+    assert RefineSettings(iterations=3).steps(long, 143) == 3
 
 
-@pytest.mark.parametrize("wrong", [{"iterations": 0}, {"quantise_from": 2.0}, {"opacity": -1.0}])
+def test_what_the_gate_drops_is_not_seen_and_what_is_seen_is_what_is_stored(tmp_path):
+    weak = torch.linspace(0, 1, 500)[:, None, None]
+    start = random_gaussians(500)
+    sh = torch.cat([start.sh[:, :1], start.sh[:, 1:] * weak], dim=1)
+    start, pack = replace(start, sh=sh), FileSettings(gate=0.3)
+    model = QuantisedModel(start, Rates(), 0.5, BASE, pack)
+    model.parameters.rows["sh_rest"].requires_grad_()
+    before, after = (
+        model.splats(SCENE.views[0], Moment(step=step, total=10)).sh for step in (5, 6)
+    )
+    assert before is not None
+    assert after is not None
+    dropped = ~open_gate(start.sh[:, 1:], 0.3)
+    assert 0 < int(dropped.sum()) < 500
+    assert bool((after[dropped, 1:] == 0).all())
+    assert bool((before[dropped, 1:] != 0).any())
+    path = tmp_path / "model.spgs"
+    write_packed(path, start, settings=replace(pack, sort=False), facts=PackedFacts(), threads=1)
+    stored = read_packed(path)[0].sh
+    assert_close(after.detach()[:, 1:], stored[:, 1:], rtol=0, atol=1e-6)
+    after[:, 1:].sum().backward()
+    gradient = model.parameters.rows["sh_rest"].grad
+    assert gradient is not None
+    assert torch.equal((gradient != 0).flatten(start_dim=1).any(dim=1), ~dropped)
+
+
+def test_exposures_of_photos_stay_out_of_the_refined_colours():
+    dim = [replace(view, load=lambda view=view, by=by: (view.load() * by).clamp(0, 1))
+           for view, by in zip(SCENE.views, [0.6, 0.8, 1.0, 0.8, 0.6], strict=True)]  # fmt: skip
+    scene = replace(SCENE, views=tuple(dim))
+    ends = []
+    for exposure in ("off", "gain"):
+        losses: list[float] = []
+        run = replace(RUN, report=lambda step, total, values: losses.append(values["loss"]))  # noqa: B023
+        base = replace(BASE, exposure=exposure)
+        refine(random_gaussians(40), scene, RefineSettings(iterations=300), base, run, None)
+        ends.append(sum(losses[-10:]) / 10)
+    assert ends[1] < ends[0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"iterations": 0}, {"visits": -1}, {"quantise_from": 2.0}, {"opacity": -1.0}]
+)
 def test_settings_without_sense_are_refused(wrong):
     with pytest.raises(UsageError, match=f"refine.{next(iter(wrong))}"):
         RefineSettings(**wrong)

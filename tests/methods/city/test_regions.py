@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -58,7 +59,7 @@ def by_loop(region: VoxelRegion, points: Tensor) -> Tensor:
     """The definition, voxel by voxel; the outside is a layer of voxels ten boxes thick."""
     local = (points @ region.frame.T - region.low) / region.side
     n = torch.tensor(region.cells.shape)
-    e = n.double() / 2
+    e = (region.half if region.unit is None else region.unit) / region.side
     padded = torch.nn.functional.pad(region.cells, [1] * 6)
     inner = padded.nonzero() - 1
     outer = (~padded).nonzero() - 1
@@ -73,17 +74,18 @@ def by_loop(region: VoxelRegion, points: Tensor) -> Tensor:
     found = []
     for p in local:
         to_v = away(p, inner)
-        found.append(1 + to_v if to_v > 0 else 1 - away(p, outer))
+        found.append(1 + to_v if to_v > 0 else max(0.0, 1 - away(p, outer)))
     return torch.tensor(found, dtype=D)
 
 
 @settings(max_examples=60)
 @given(
     size=st.tuples(*[st.integers(1, 7)] * 3), share=st.sampled_from([0.05, 0.3, 0.8, 1.0]),
-    seed=SEEDS,
+    unit=st.none() | st.tuples(*[st.floats(0.2, 9.0)] * 3), seed=SEEDS,
 )  # fmt: skip
-def test_the_distance_to_voxels_is_that_of_the_definition(size, share, seed):
+def test_the_distance_to_voxels_is_that_of_the_definition(size, share, unit, seed):
     region = voxels(seed, size, share)
+    region = replace(region, unit=unit and torch.tensor(unit, dtype=D))
     spread = 2.5 * region.half.max()
     points = region.centre + spread * torch.randn(40, 3, generator=generator(seed + 1), dtype=D)
     found = region.distance(points)
@@ -114,6 +116,31 @@ def test_a_missing_voxel_changes_the_distance():
     # half a voxel from the wall of the hole, of a box of half-extent 3 voxels
     assert float(replace(full, cells=cells).distance(there)[0]) == pytest.approx(1 + 0.5 / 3)
     assert float(full.distance(there)[0]) == pytest.approx(0.5 / 3)
+
+
+def test_a_given_unit_makes_rims_of_one_width_whatever_else_a_block_has():
+    cells = torch.zeros(20, 4, 4, dtype=torch.bool)
+    cells[:4] = True
+    near, far = cells[:4].clone(), cells.clone()
+    far[-1, 0, 0] = True
+    made = [
+        VoxelRegion(frame=torch.eye(3, dtype=D), low=torch.zeros(3, dtype=D), side=1.0, cells=c)
+        for c in (near, far)
+    ]
+    at = torch.tensor([[-0.3, 2.0, 2.0]], dtype=D)
+    assert [float(one.distance(at)) for one in made] == pytest.approx([1.15, 1.03])
+    unit = torch.full((3,), 2.0, dtype=D)
+    for one in made:
+        assert float(replace(one, unit=unit).distance(at)) == pytest.approx(1.15)
+
+
+def test_odbps_rims_are_of_one_width_or_grow_with_the_box():
+    positions, loads = scene(4, 600)
+    found = odbp.partition(positions, loads, OdbpSettings(blocks=4, voxel_size=1.0, imbalance=0.2))
+    made = blocks.voxel_regions(found, torch.eye(3, dtype=D))
+    assert all(torch.equal(cast(Tensor, one.unit), cast(Tensor, made[0].unit)) for one in made)
+    assert all(one.unit is None
+               for one in blocks.voxel_regions(found, torch.eye(3, dtype=D), rims="block"))  # fmt: skip
 
 
 def test_beyond_the_bounds_the_nearest_place_counts():

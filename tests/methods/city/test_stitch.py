@@ -221,3 +221,66 @@ def test_a_million_and_a_half_compete_within_thirty_seconds_of_two_cores():
     start = time.process_time()
     fast.stitch(scene, OURS, g)
     assert time.process_time() - start < 60  # CPU seconds: others may use the machine
+
+
+@given(count=st.integers(1, 4), seed=SEEDS)
+def test_shares_sum_to_one_and_are_the_same_from_both_sides(count, seed):
+    away = 1.3 * torch.rand(count, 200, generator=generator(seed), dtype=D)
+    held = stitching.shares(away)
+    assert torch.allclose(held.sum(dim=0), torch.ones(200, dtype=D))
+    assert bool((held >= 0).all())
+    turned = torch.arange(count).flip(0)
+    assert torch.allclose(stitching.shares(away[turned]), held[turned], rtol=0, atol=1e-15)
+    alone = (away[0] <= 0.9) & (away[1:] >= 1.1).all(dim=0)
+    assert bool((held[0][alone] == 1).all())
+
+
+def test_a_wall_is_shared_by_halves_and_what_nobody_reaches_is_the_nearest_ones():
+    away = torch.tensor([[1.0, 0.95, 1.5, 2.0], [1.0, 1.05, 1.4, 2.0]], dtype=D)
+    expected = torch.tensor([[0.5, 0.75, 0.0, 0.5], [0.5, 0.25, 1.0, 0.5]], dtype=D)
+    assert torch.allclose(stitching.shares(away), expected)
+    assert stitching.shares(away[:, :0]).shape == (2, 0)
+
+
+@given(logit=st.floats(-15, 15), share=st.floats(0.01, 1))
+def test_shares_of_an_opacity_let_through_what_it_did(logit, share):
+    logits = torch.tensor([logit, logit], dtype=D)
+    parts = stitching.faded(logits, torch.tensor([share, 1 - share + 1e-300], dtype=D)).sigmoid()
+    through = float((1 - parts).prod())
+    # 1 - a of a float64 opacity near 1 has an absolute error of 1e-16
+    assert through == pytest.approx(1 - float(logits[0].sigmoid()), rel=1e-6, abs=1e-15)
+    assert torch.equal(stitching.faded(logits, torch.ones(2, dtype=D)), logits)
+
+
+def test_blocks_that_hold_one_model_are_that_model_again_when_they_fade(tmp_path):
+    pair = blocks(2, 500, 3)
+    both = [BlockModel(region=block.region, model=pair[0].model) for block in pair]
+    held = fast.block_shares(both)
+    assert torch.allclose(sum(held, start=torch.zeros(500, dtype=D)), torch.ones(500, dtype=D))
+    kept = [share > 0 for share in held]
+    counts = merge.write_merged(
+        tmp_path, both, kept, origin=ORIGIN, shift=torch.zeros(3, dtype=D), fade=held
+    )
+    merged = load_reconstruction(tmp_path)
+    assert isinstance(merged, ExplicitModel)
+    assert sum(counts) > 500
+    depth = torch.zeros(500)
+    rows = torch.cat([mask.nonzero()[:, 0] for mask in kept])
+    depth.index_add_(0, rows, torch.nn.functional.softplus(merged.model.opacity_logits))
+    assert isinstance(pair[0].model, Gaussians)
+    expected = torch.nn.functional.softplus(pair[0].model.opacity_logits)
+    assert torch.allclose(depth, expected, rtol=1e-5)
+
+
+def test_as_many_stay_of_a_shared_place_as_one_block_has_there():
+    pair = blocks(2, 20_000, 5)
+    both = [BlockModel(region=block.region, model=pair[0].model) for block in pair]
+    held = fast.block_shares(both)
+    drawn = fast.draw_shares(both, held, generator(0))
+    again = fast.draw_shares(both[::-1], held[::-1], generator(0))
+    for one, other in zip(drawn, again[::-1], strict=True):
+        assert torch.equal(one, other)
+    rim = (held[0] > 0) & (held[0] < 1)
+    assert int(rim.sum()) > 3000
+    stay = sum(int(mask[rim].sum()) for mask in drawn) / int(rim.sum())
+    assert stay == pytest.approx(1, abs=4 * (0.5 / int(rim.sum()) ** 0.5))  # 4 standard deviations

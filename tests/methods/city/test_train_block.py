@@ -118,6 +118,7 @@ def test_continuation_is_bit_equal(tmp_path, sampling, step):
         assert torch.equal(values, loaded(killed)[name])
     assert facts.primitives == len(loaded(killed)["means"])
     assert facts.seconds > 0
+    assert facts.densifications == 2
 
 
 def test_a_trained_block_is_not_repeated_but_another_key_is(tmp_path):
@@ -172,3 +173,28 @@ def test_a_block_that_no_view_covers_by_the_shares_takes_those_that_see_it(tmp_p
     job = block_jobs(scene, blind, SHORT, RUN, tmp_path)[0]
     assert "takes those that see" in job.facts.note
     assert job.facts.views == len(job.scene.views) > 0
+
+
+def test_blocks_learn_exposures_that_stay_out_of_their_gaussians(tmp_path):
+    scene = small_scene(60)
+    dim = tuple(
+        replace(view, load=lambda view=view, by=by: (view.load() * by).clamp(0, 1))
+        for by, view in zip([0.5 + 0.1 * i for i in range(9)], scene.views, strict=True)
+    )
+    ends = []
+    for exposure in ("off", "gain"):
+        given = replace(SHORT, iterations=400, exposure=exposure)
+        found = partition(scene, 2, PartitionSettings(margin=0.1))
+        job = block_jobs(replace(scene, views=dim), found, given, RUN, tmp_path)[0]
+        losses: list[float] = []
+        train_block(job, lambda step, total, values, to=losses: to.append(values["loss"]))
+        ends.append(sum(losses[-10:]))
+        assert set(loaded(job)) == set(FIELDS)
+    assert ends[1] < ends[0]
+
+
+def test_a_block_of_one_photo_has_no_exposure_to_learn(tmp_path):
+    job = jobs(tmp_path)[0]
+    alone = replace(job, settings=replace(SHORT, exposure="gain"),
+                    scene=replace(job.scene, views=job.scene.views[:1], train=(0,)))  # fmt: skip
+    assert train_block(alone, nothing).primitives > 0

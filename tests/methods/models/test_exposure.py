@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
-from splatproof.base.errors import DataError, UsageError
-from splatproof.base.typed_toml import build
+from splatproof.base.errors import DataError
 from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.reconstruction import Adapts, Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
@@ -235,11 +234,6 @@ def test_one_photo_has_no_exposure_to_compare():
     scene = replace(tiny_scene(), train=(1,))
     with pytest.raises(DataError, match=r"exposure 'gain' with 1 training view.*'off'"):
         trained("3dgs", scene, exposure="gain")
-
-
-def test_blocks_that_are_trained_apart_refuse_exposures():
-    with pytest.raises(UsageError, match="exposure: Input should be 'off', found 'gain'"):
-        build(get_method("odbp+stitch").settings, {"exposure": "gain"}, "a suite")
 
 
 class Coded(GaussianModel):

@@ -149,6 +149,29 @@ def test_a_short_run_is_a_whole_one(iterations):
         assert dense
 
 
+@given(
+    iterations=st.integers(1, 29_999), start=st.integers(0, 12_000), least=st.integers(1, 300),
+    fewest=st.integers(0, 9),
+)  # fmt: skip
+def test_a_run_of_any_length_densifies_as_often_as_is_asked(iterations, start, least, fewest):
+    settings = Density(start=start, least_interval=least)
+    usual, control = (
+        DensityControl(one, iterations=iterations, extent=1.0)
+        for one in (settings, replace(settings, fewest=fewest))
+    )
+    steps = range(1, iterations + 1)
+    before, dense = ([s for s in steps if c.densifies(s)] for c in (usual, control))
+    between = control.settings.stop - control.settings.start - 1
+    assert len(dense) >= min(fewest, between)
+    if len(before) >= fewest:
+        assert dense == before
+
+
+def test_who_asks_for_no_densification_gets_none():
+    control = DensityControl(Density(stop=0, fewest=3), iterations=400, extent=1.0)
+    assert not any(control.densifies(step) for step in range(1, 401))
+
+
 def test_large_gaussians_are_split_by_the_absolute_gradient_and_small_ones_cloned_by_the_signed():
     model, _ = drawn(4, 3)
     size = torch.tensor([0.001, 0.001, 0.5, 0.5])

@@ -1,8 +1,14 @@
+from dataclasses import replace
+
 import pytest
 
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.metrics.scene_registry import BLOCKS, SCENE_METRICS
-from splatproof.suites.scene_scores.block_balance import FIELDS, balance_metrics
+from splatproof.suites.scene_scores.block_balance import (
+    FIELDS,
+    balance_metrics,
+    fewest_densifications,
+)
 
 
 def test_by_hand():
@@ -24,3 +30,11 @@ def test_what_was_not_measured_is_left_out():
     found = balance_metrics([BlockFacts(block=0, views=1, points=2, load=3)])
     assert "seconds_max_over_mean" not in found
     assert found["points_max_over_mean"] == 1
+
+
+def test_the_block_that_was_densified_least_is_told_and_empty_or_unknown_ones_do_not_count():
+    block = BlockFacts(block=0, views=1, points=2, load=3, primitives=5, densifications=4)
+    others = [replace(block, densifications=2), replace(block, primitives=0, densifications=0)]
+    assert fewest_densifications([block, *others]) == {"block_densifications": 2.0}
+    assert fewest_densifications([replace(block, densifications=-1)]) == {}
+    assert "block_densifications" in SCENE_METRICS
