@@ -52,8 +52,7 @@ def thinned(
 
     Source: ours; see reference.compression.merging.
     """
-    if not 0 <= share <= MOST:
-        raise UsageError(f"share {share} of the Gaussians to take away, expected 0 to {MOST}")
+    check_share(share, "share")
     weights = visibility(model, views, generator=generator, mode=mode, backend=backend).weights
     left = len(model) - round(share * len(model))
     if way == "prune":
@@ -68,6 +67,18 @@ def thinned(
             break
         model, mass = merged(model, chosen, mass)
     return model
+
+
+def check_share(share: float, name: str) -> None:
+    """Refuse a share of the Gaussians that cannot be taken away.
+
+    Args:
+        share: The share.
+        name: Name of the setting, for the error.
+    Raises: UsageError outside 0 to 0.9.
+    """
+    if not 0 <= share <= MOST:
+        raise UsageError(f"{name} is {share}, expected a share of the Gaussians from 0 to {MOST}")
 
 
 def neighbours(means: Float[Tensor, "n 3"]) -> Int64[Tensor, "p 2"]:

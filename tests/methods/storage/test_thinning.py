@@ -51,7 +51,7 @@ def test_twins_are_merged_first_and_that_changes_images_less_than_pruning():
 
 @pytest.mark.parametrize("share", [-0.1, 0.95, float("nan")])
 def test_other_shares_are_refused(share):
-    with pytest.raises(UsageError, match="expected 0 to 0.9"):
+    with pytest.raises(UsageError, match="from 0 to 0.9"):
         thinned(random_gaussians(5, degree=0), tiny_scene().train_views, share, generator=rng())
 
 
