@@ -12,14 +12,14 @@ import torch
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.compression.thinning import Way, thinned
+from splatproof.methods.compression.tuning import TuneSettings, tuned
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
 from splatproof.methods.storage.packed.coded_writer import QUALITIES, CodeSettings, chosen_steps
 from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import PARTS
-from splatproof.methods.storage.thinning import Way, thinned
-from splatproof.methods.storage.tuning import TuneSettings, tuned
 from splatproof.metrics.pixel import psnr
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import scene_metrics, score_image

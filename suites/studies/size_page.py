@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from splatproof.methods.storage.tuning import TuneSettings
+from splatproof.methods.compression.tuning import TuneSettings
 from splatproof.suites.studies.speed.page import MACHINE, table
 
 Row = Mapping[str, Any]

@@ -41,11 +41,11 @@ def smaller(
     import torch
 
     from splatproof.datasets.catalogue.opening import open_scene
+    from splatproof.methods.compression.thinning import check_share, thinned
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.models.explicit import ExplicitModel
     from splatproof.methods.storage.packed.coded_writer import chosen_steps
     from splatproof.methods.storage.packed.rows import MemoryRows
-    from splatproof.methods.storage.thinning import check_share, thinned
 
     if thin is not None:
         check_share(thin, "--thin")
@@ -80,8 +80,8 @@ def _tuned(
     packed: Path,
 ) -> "ExplicitModel":
     """The model, trained on with a bar; the checkpoint goes when that is done."""
+    from splatproof.methods.compression.tuning import TuneSettings, tuned
     from splatproof.methods.contracts.run import Run
-    from splatproof.methods.storage.tuning import TuneSettings, tuned
 
     folder = packed.with_name(packed.name + ".tuning")
     with output.progress() as bar:

@@ -8,11 +8,11 @@ import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
+from splatproof.methods.compression.tuning import TuneSettings, tuned
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.storage.packed.coded_writer import CodeSettings, chosen_steps, write_coded
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.rows import MemoryRows
-from splatproof.methods.storage.tuning import TuneSettings, tuned
 from splatproof.methods.training.schedules import Rates
 from splatproof.reference.types.gaussians import Gaussians
 

@@ -5,8 +5,8 @@ import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
+from splatproof.methods.compression.thinning import neighbours, thinned
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.storage.thinning import neighbours, thinned
 from splatproof.methods.storage.visibility import visibility
 from splatproof.reference.types.gaussians import Gaussians
 
