@@ -61,5 +61,6 @@ def _losses(rows: Sequence[Row], side: str, name: str, path: Path) -> None:
             f"{scene}: {mine[0]['primitives']:,} Gaussians, {mine[0]['psnr']:.2f} dB held out",
             fontsize=9,
         )
-    axes[0].legend(fontsize=7)
+    fullest = max(axes, key=lambda axis: len(axis.get_legend_handles_labels()[0]))
+    fullest.legend(fontsize=7, loc="upper left")
     save(figure, path)
