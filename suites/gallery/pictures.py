@@ -131,8 +131,8 @@ COMPONENTS = (
         title="The small file: codes and their coder",
         modules=("reference/compression/quantisers", "reference/compression/gaps", "reference/compression/columns",
                  "reference/compression/harmonics", "reference/compression/mixing", "reference/compression/logistic",
-                 "reference/compression/range_coder"),
-        source="ours; context mixing: Mahoney 2005; what it costs is in size.md",
+                 "reference/compression/range_coder", "reference/compression/merging"),
+        source="ours; context mixing: Mahoney 2005; merging: Runnalls 2007; what it costs is in size.md",
     ),
     Component(
         title="Metrics",

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from splatproof.reference.compression import columns, gaps, harmonics, logistic, quantisers
+from splatproof.reference.compression import columns, gaps, harmonics, logistic, merging, quantisers
+from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.hard_cases.case import HardCase, drawn, fixed
 
 LAST = 2.0**21 - 1
@@ -86,6 +87,19 @@ def _coloured(rest: Tensor) -> Tensor:
     return torch.from_numpy(quantisers.harmonics(codes, found, 0.02))
 
 
+def _one_of_two(log_scales: Tensor) -> Tensor:
+    """Scales of two Gaussians at one place that became one: those of each, where they are equal."""
+    count = len(log_scales)
+    both = Gaussians(
+        means=torch.zeros(count, 3), quaternions=torch.eye(4)[:1].repeat(count, 1), log_scales=log_scales,
+        opacity_logits=torch.zeros(count), sh=torch.zeros(count, 1, 3),
+    )  # fmt: skip
+    pairs, mass = torch.tensor([[0, 1]]), torch.ones(count)
+    chosen = merging.matched(pairs, merging.costs(both, pairs, mass), 1)
+    found, _ = merging.merged(both, chosen, mass)
+    return found.log_scales.sort(dim=1).values
+
+
 NOTHING = fixed(torch.zeros(1))
 COUNTED = fixed(torch.arange(16.0))
 
@@ -118,6 +132,12 @@ CASES = (
     HardCase(component="harmonics", name="empty stream", inputs=COUNTED,
              run=_harmonics(lambda _: b""), expect="refused"),
     HardCase(component="logistic", name="made again", inputs=NOTHING, run=_made_again),
+    HardCase(component="merging", name="two of one shape",
+             inputs=fixed(torch.tensor([[-3.0, -2.0, -1.0]] * 2)), run=_one_of_two),
+    HardCase(component="merging", name="two flat ones", inputs=fixed(torch.tensor([[-12.0, 0, 0]] * 2)),
+             run=_one_of_two),
+    HardCase(component="merging", name="no volume at all",
+             inputs=fixed(torch.full((2, 3), -400.0)), run=_one_of_two),
     HardCase(component="quantisers", name="positions at the ends of the grid",
              inputs=fixed(torch.tensor([[1e-3, -1e-3, 0.0]]) * (2**20 - 1)), run=_cells),
     HardCase(component="quantisers", name="a position beyond the grid",

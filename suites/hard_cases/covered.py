@@ -61,6 +61,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/compression/gaps": ("gaps",),
     "reference/compression/columns": ("columns",),
     "reference/compression/harmonics": ("harmonics",),
+    "reference/compression/merging": ("merging",),
     "reference/compression/mixing": ("gaps", "columns", "harmonics"),
     "reference/compression/range_coder": ("gaps", "columns", "harmonics"),
     "reference/compression/logistic": ("logistic",),

@@ -2,8 +2,9 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,14 @@ import torch
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.compression.thinning import Way, thinned
+from splatproof.methods.compression.tuning import TuneSettings, tuned
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
-from splatproof.methods.storage.packed.coded_writer import CodeSettings
+from splatproof.methods.storage.packed.coded_writer import QUALITIES, CodeSettings, chosen_steps
+from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import PARTS
-from splatproof.methods.storage.visibility import visibility
 from splatproof.metrics.pixel import psnr
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import scene_metrics, score_image
@@ -33,6 +36,10 @@ VIEWS = 10
 """Training views, evenly spaced, that losses are counted on; and held-out ones, where there are more."""
 PRUNED = (0.1, 0.2)
 """Shares of the Gaussians, those of the least blending weight over the training views."""
+MERGED = (0.1, 0.2, 0.3, 0.5)
+"""Shares of the Gaussians that go as pairs become one."""
+TUNED = ((0.3, "coarse"), (0.5, "coarse"))
+"""Share that is merged and quality of the file, of models that are trained through its steps."""
 FEW = 200
 """Gaussians of the file that warms a format up."""
 
@@ -63,13 +70,9 @@ def _scene_rows(scene: Scene, protocol: Protocol, quick: bool) -> Iterator[dict[
     base = quality(scene, fitted, fitted.model, protocol)
     seen = () if quick else spaced(scene.train_views)
     base_seen = seen_quality(seen, fitted, fitted.model, protocol)
-    kinds = formats()
+    kinds = iter(formats())
     if not quick:
-        order = weakest_first(fitted, scene.train_views)
-        kinds += [
-            coded_format(f"pruned {share}", CodeSettings(), _without(order, share))
-            for share in PRUNED
-        ]
+        kinds = chain(kinds, smaller_formats(scene, fitted, protocol))
     with tempfile.TemporaryDirectory() as folder:
         for kind in kinds:
             found = row(kind, scene, fitted, base["psnr"], protocol, Path(folder) / "model", seen)
@@ -180,26 +183,33 @@ def seen_quality(
     return sum(found) / max(len(found), 1)
 
 
-def weakest_first(fitted: ExplicitModel, views: Sequence[View]) -> torch.Tensor:
-    """Indices of a model's Gaussians by their blending weight over views, the least first.
+def smaller_formats(scene: Scene, fitted: ExplicitModel, protocol: Protocol) -> Iterator[Format]:
+    """Our small file of the model with fewer Gaussians, and trained through the file's steps.
 
     Args:
-        fitted: The model.
-        views: Training views.
+        scene: Scene that the model was trained on.
+        fitted: Model as it was trained.
+        protocol: Rules that the scene was opened under; its background is used.
     """
+    ways: tuple[tuple[str, Way, tuple[float, ...]], ...] = (
+        ("pruned", "prune", PRUNED), ("merged", "merge", MERGED),
+    )  # fmt: skip
+    for word, way, shares in ways:
+        for share in shares:
+            yield coded_format(
+                f"{word} {share}", CodeSettings(), _thinned(scene, fitted, share, way), curve=word
+            )
+    for share, quality in TUNED:
+        settings = QUALITIES[quality]
+        few = _thinned(scene, fitted, share, "merge")
+        steps = chosen_steps(MemoryRows(few), settings)
+        run = Run(background=protocol.background)
+        last = tuned(few, scene, steps, TuneSettings(), run, fitted.mode)
+        yield coded_format(f"tuned {share}, {quality}", settings, last, steps, curve="tuned")
+
+
+def _thinned(scene: Scene, fitted: ExplicitModel, share: float, way: Way) -> Gaussians:
+    """The model with a share of its Gaussians less."""
     draw = torch.Generator().manual_seed(0)
-    return visibility(fitted.model, views, generator=draw, mode=fitted.mode).weights.argsort(
-        stable=True
-    )
-
-
-def _without(order: torch.Tensor, share: float) -> Callable[[Gaussians], Gaussians]:
-    """What drops the first share of the Gaussians of this order from a model of so many."""
-
-    def thinned(model: Gaussians) -> Gaussians:
-        if len(model) != len(order):
-            return model
-        kept = order[round(share * len(order)) :].sort().values
-        return Gaussians(**{name: values[kept] for name, values in vars(model).items()})
-
-    return thinned
+    model, views = fitted.model, scene.train_views
+    return thinned(model, views, share, generator=draw, way=way, mode=fitted.mode)

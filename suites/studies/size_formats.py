@@ -16,6 +16,7 @@ from splatproof.methods.storage.ply import read_ply, write_ply
 from splatproof.methods.storage.spz import read_spz, write_spz
 from splatproof.reference.compression import container
 from splatproof.reference.compression import packing as reference
+from splatproof.reference.compression.quantisers import Steps
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.studies.size_images import read_images, write_images
 
@@ -68,21 +69,27 @@ def formats() -> list[Format]:
 
 
 def coded_format(
-    name: str, settings: CodeSettings, thinned: Callable[[Gaussians], Gaussians] | None = None
+    name: str,
+    settings: CodeSettings,
+    instead: Gaussians | None = None,
+    steps: Steps | None = None,
+    curve: str = "",
 ) -> Format:
     """Our small file.
 
     Args:
         name: Name of the way.
         settings: How finely it stores.
-        thinned: What is done to the model first; None: nothing.
+        instead: Model that is written in place of the trained one, made of it; None: that one.
+        steps: The file's steps; None: those that the settings give the model.
+        curve: What was done to the model; empty: nothing.
     """
 
     def write(path: Path, model: Gaussians) -> Mapping[str, int]:
-        whole = thinned(model) if thinned else model
-        return write_coded(path, whole, settings=settings).bytes_by_part
+        whole = model if instead is None else instead
+        return write_coded(path, whole, settings=settings, steps=steps).bytes_by_part
 
-    curve = f"ours, {settings.profile}" + (", pruned" if thinned else "")
+    curve = f"ours, {settings.profile}" + (f", {curve}" if curve else "")
     return Format(name=name, curve=curve, write=write, read=lambda path: read_packed(path)[0])
 
 

@@ -7,9 +7,10 @@ from typing import Any
 from splatproof.suites.gallery.drawing import COLOURS, panels, save
 
 Row = dict[str, Any]
-CURVES = ("ours, small", "ours, fast", "ours, small, pruned", "version 2", "spz 3", "spz 4", "png grid",
-          "palette")  # fmt: skip
+CURVES = ("ours, small", "ours, fast", "ours, small, pruned", "ours, small, merged", "ours, small, tuned",
+          "version 2", "spz 3", "spz 4", "png grid", "palette")  # fmt: skip
 """Those that are drawn, in this order of colours; files of 79 bytes and more are left out."""
+MORE = ("#882255", "#ee8866")
 SPREAD = 0.1
 """Loss in dB up to which the axis is linear."""
 
@@ -39,7 +40,7 @@ def _losses(rows: Sequence[Row], side: str, name: str, path: Path) -> None:
     figure, axes = panels(len(scenes), width=4.6 * max(len(scenes), 2), ratio=0.9)
     for scene, axis in zip(scenes, axes, strict=True):
         mine = [row for row in rows if row["scene"] == scene]
-        for colour, curve in zip(COLOURS, CURVES, strict=True):
+        for colour, curve in zip((*COLOURS, *MORE), CURVES, strict=True):
             points = sorted((r["bytes_each"], -r[side]) for r in mine if r["curve"] == curve)
             if points:
                 line = "-" if len(points) > 1 else ""
@@ -48,7 +49,7 @@ def _losses(rows: Sequence[Row], side: str, name: str, path: Path) -> None:
         axis.axhline(SPREAD, color="#bbbbbb", lw=0.8, zorder=0)
         axis.set_xscale("log")
         axis.set_yscale("symlog", linthresh=SPREAD)
-        ticks = (7, 10, 14, 20, 30, 50, 80)
+        ticks = (5, 7, 10, 14, 20, 30, 50, 80)
         axis.set_xticks(ticks, [str(t) for t in ticks])
         axis.minorticks_off()
         losses = (-0.05, 0, 0.05, 0.1, 0.2, 0.5, 1, 2, 5)
@@ -60,5 +61,6 @@ def _losses(rows: Sequence[Row], side: str, name: str, path: Path) -> None:
             f"{scene}: {mine[0]['primitives']:,} Gaussians, {mine[0]['psnr']:.2f} dB held out",
             fontsize=9,
         )
-    axes[0].legend(fontsize=7)
+    fullest = max(axes, key=lambda axis: len(axis.get_legend_handles_labels()[0]))
+    fullest.legend(fontsize=7, loc="upper left")
     save(figure, path)

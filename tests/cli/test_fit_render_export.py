@@ -216,6 +216,34 @@ def test_packed_files_of_every_quality_and_of_the_version_before(fitted, tmp_pat
     assert versions == {words: 2 if "gate" in words else 3 for words in sizes}
 
 
+def test_fewer_gaussians_and_tuned_ones(fitted, tmp_path, capsys, asked):
+    def exported(name: str, *options: str) -> dict:
+        where = ["--packed", str(tmp_path / name), "--json"]
+        assert main(["export", str(fitted), *where, *options]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    whole, few = exported("a"), exported("b", "--thin", "0.25")
+    assert few["gaussians"] == whole["gaussians"] - round(0.25 * whole["gaussians"])
+    both = exported("c", "--thin", "0.25", "--tune", "40")
+    assert both["gaussians"] == few["gaussians"]
+    assert (tmp_path / "c").read_bytes() != (tmp_path / "b").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]  # no checkpoint
+    assert asked == 2 * [(str(fitted.parent / "tiny"), load_protocol("3dgs"))]
+    assert load_origin(tmp_path / "c") == load_origin(fitted / "model")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--thin", "1.5"], "--thin is 1.5"), (["--tune", "0"], "--tune is 0"),
+     (["--tune", "9", "--gate", "0"], "has no --tune")],
+)  # fmt: skip
+def test_what_cannot_be_made_smaller_is_refused(fitted, tmp_path, capsys, words, said):
+    assert main(["export", str(fitted), "--packed", str(tmp_path / "m"), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert main(["export", str(fitted), "--ply", str(tmp_path / "m.ply"), "--tune", "5"]) == 2
+    assert "--tune is for --packed FILE" in capsys.readouterr().err
+
+
 def test_a_packed_export_renders_and_exports_again(fitted, tmp_path, capsys, asked):
     packed, ply = tmp_path / "m.spgs", tmp_path / "m.ply"
     assert main(["export", str(fitted / "model"), "--packed", str(packed), "--json"]) == 0

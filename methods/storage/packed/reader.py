@@ -172,7 +172,7 @@ def _chunks(
 def _check_finite(path: Path, part: Gaussians) -> None:
     """Refuse numbers that no packed model has: none is written with one, and seals can be forged."""
     for name, values in vars(part).items():
-        if not values.isfinite().all():
+        if not values.sum().isfinite() and not values.isfinite().all():  # a sum takes half as long
             raise DataError(f"{path}: {name} that are not finite; pack the model again")
 
 

@@ -9,6 +9,7 @@ import tyro
 from splatproof.api.paths import model_path
 from splatproof.cli import output
 from splatproof.cli.baking import UNSEEN, Seen, baked, view_of
+from splatproof.cli.smaller import smaller
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -30,6 +31,8 @@ def export(
     quality: Literal["fine", "standard", "coarse"] | None = None,
     profile: Literal["small", "fast"] | None = None,
     gate: float | None = None,
+    thin: float | None = None,
+    tune: int | None = None,
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     seen: Annotated[Seen, tyro.conf.arg(name="")] = UNSEEN,
 ) -> int:
@@ -43,7 +46,8 @@ def export(
     A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
     opacity, scale and colour, and fewer for what depends on the view: small, and not the same. A packed
     file is the smallest: every number in steps that the image hardly sees, entropy-coded. `bench study
-    size` measures what each costs.
+    size` measures what each costs. Fewer Gaussians (--thin) and training through the file's own steps
+    (--tune) make it smaller still.
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
@@ -67,6 +71,11 @@ def export(
         gate: With --packed: write version 2 of the file instead, which older versions of splatproof
             read: half precision, 8-bit harmonics, and a Gaussian whose view-dependent colour is
             smaller than this on average, in units of colour (0 to 1), loses it; 0 keeps all.
+        thin: Share of the Gaussians, 0 to 0.9, that goes first: pairs of near, alike ones become one, by
+            how much of the training photos they are. Needs the scene that the model was trained on.
+        tune: With --packed: train the model for so many steps through the very steps of the file (some
+            hundreds give back more than they cost), on the scene that it was trained on. The same
+            command continues a tuning that was interrupted.
         local: With --ply: keep the scene's local frame, with all properties in float32, so that any
             viewer reads it.
         seen: The one view that the model is written at.
@@ -95,7 +104,7 @@ def export(
             remove_stale(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
-    for name, asked in (("quality", quality), ("profile", profile)):
+    for name, asked in (("quality", quality), ("profile", profile), ("tune", tune)):
         if asked is not None and packed is None:
             raise UsageError(f"--{name} is for --packed FILE; add it or leave --{name} out")
         if asked is not None and gate is not None:
@@ -106,15 +115,17 @@ def export(
         in_range(gate, "--gate")
     if ply is None and local:
         raise UsageError("--local is for --ply FILE; add it or leave --local out")
-    loaded = load_reconstruction(model_path(model))
+    kept = replace(QUALITIES[quality or "standard"], profile=profile or "small")
+    loaded, steps = load_reconstruction(model_path(model)), None
     view = view_of(model, loaded, seen)
+    if thin is not None or tune is not None:
+        loaded, steps = smaller(model, thin, tune, packed, kept)
     gaussians = baked(loaded, view)
     if packed is not None:
         origin = load_origin(model_path(model))
         told = PackedFacts(**_known(loaded), origin=origin)
         if gate is None:
-            kept = replace(QUALITIES[quality or "standard"], profile=profile or "small")
-            report = write_coded(packed, gaussians, settings=kept, facts=told)
+            report = write_coded(packed, gaussians, settings=kept, steps=steps, facts=told)
         else:
             report = write_packed(packed, gaussians, settings=FileSettings(gate=gate), facts=told)
         _tell_packed(packed, report, view)

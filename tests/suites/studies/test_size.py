@@ -1,14 +1,12 @@
 """The size study: rows that agree with each other, and the picture."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import MissingError
+from splatproof.methods.compression.tuning import TuneSettings
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.storage.packed.coded_writer import CodeSettings
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.metrics.protocol_files import load_protocol
@@ -118,14 +116,14 @@ def test_a_palette_finds_clusters_that_are_there():
     assert len(labels.unique()) == 4
 
 
-def test_the_least_visible_go_first(tmp_path):
-    scene = tiny_scene()
-    fitted = ExplicitModel(model=random_gaussians(30, degree=1))
-    hidden = fitted.model.means.clone()
-    hidden[:5] = torch.tensor([0.0, 0.0, -50.0])
-    fitted = ExplicitModel(model=replace(fitted.model, means=hidden))
-    order = size.weakest_first(fitted, scene.train_views)
-    assert {0, 1, 2, 3, 4} <= set(order[:15].tolist())
-    kind = size_formats.coded_format("pruned", CodeSettings(), size._without(order, 0.1))
-    kind.write(tmp_path / "m", fitted.model)
-    assert len(kind.read(tmp_path / "m")) == 27
+def test_models_with_fewer_gaussians_and_tuned_ones_are_rows(tmp_path, monkeypatch):
+    monkeypatch.setattr(size, "TuneSettings", lambda: TuneSettings(iterations=2))
+    scene, fitted = tiny_scene(), ExplicitModel(model=random_gaussians(40, degree=1))
+    found = {}
+    for kind in size.smaller_formats(scene, fitted, load_protocol("default")):
+        kind.write(tmp_path / "m", fitted.model)
+        found[kind.name] = len(kind.read(tmp_path / "m"))
+        assert kind.curve in size_plot.CURVES
+    assert found["pruned 0.1"] == found["merged 0.1"] == 36
+    assert found["tuned 0.3, coarse"] == 28
+    assert found["tuned 0.5, coarse"] == found["merged 0.5"] == 20

@@ -62,7 +62,8 @@ def test_all_is_within_its_step_and_packs_to_the_same_file(
     )
     steps = chosen_steps(MemoryRows(whole), kept)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coded_writer, "CHUNK", chunk)
+        patch.setitem(coded_writer.CHUNK, profile, chunk)
+        patch.setattr(coded_writer, "LOOKED", chunk)
         report = write_coded(path, whole, settings=kept, threads=2)
         found, _ = read_packed(path, threads=2)
         write_coded(folder / "again", found, settings=kept, steps=steps)
@@ -100,7 +101,8 @@ def test_both_profiles_hold_the_same_model(folder, count, seed):
 
 
 def test_threads_and_folders_change_no_bit(tmp_path, monkeypatch):
-    monkeypatch.setattr(coded_writer, "CHUNK", 16)
+    monkeypatch.setitem(coded_writer.CHUNK, "small", 16)
+    monkeypatch.setattr(coded_writer, "LOOKED", 16)
     whole = small_model(90, 3, 0)
     save_model(ExplicitModel(model=whole), tmp_path / "model", Origin())
     for threads in (1, 3):
@@ -112,6 +114,18 @@ def test_threads_and_folders_change_no_bit(tmp_path, monkeypatch):
     assert same(read_packed(tmp_path / "1", threads=3)[0], found)
     assert unpack_packed(tmp_path / "1", tmp_path / "back") == 90
     assert same(baked(load_reconstruction(tmp_path / "back")), found)
+
+
+@given(count=st.integers(0, 2000), most=st.integers(1, 50), profile=PROFILES)
+def test_chunks_are_as_few_as_may_be_and_equally_large(count, most, profile):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(coded_writer.CHUNK, profile, most)
+        size = coded_writer.chunk_size(count, profile)
+    chunks = [min(size, count - first) for first in range(0, count, size)]
+    assert 1 <= size <= most
+    assert len(chunks) == -(-count // most)
+    assert sum(chunks) == count
+    assert not chunks or size - chunks[-1] < len(chunks)
 
 
 def test_facts_come_back(tmp_path):
@@ -195,7 +209,7 @@ def refused(folder: Path, data: bytes) -> str:
 @pytest.fixture(scope="module", params=["small", "fast"])
 def intact(request, folder) -> bytes:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coded_writer, "CHUNK", 16)
+        patch.setitem(coded_writer.CHUNK, request.param, 16)
         write_coded(
             folder / "intact", small_model(40, 2, 3), settings=CodeSettings(profile=request.param)
         )

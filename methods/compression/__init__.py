@@ -1,0 +1,1 @@
+"""Smaller models: fewer Gaussians, and training through the steps of a file."""
