@@ -37,10 +37,10 @@ from splatproof.suites.marks import Marks, timed_metrics, timed_scores
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores
-from splatproof.suites.scene_scores.training_gap import training_gap
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
 from splatproof.suites.suite_files import Case
 from splatproof.suites.training_curve import Curve
+from splatproof.suites.training_gap import training_gap
 from splatproof.suites.training_scene import training_scene
 
 CHECKPOINT_SECONDS = 15.0

@@ -14,7 +14,7 @@ from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.result import ImageScore
 from splatproof.reference.types.scene import Scene, View
-from splatproof.suites.scene_scores.training_gap import VIEWS, training_gap
+from splatproof.suites.training_gap import VIEWS, training_gap
 
 RULES = load_protocol("float")
 
