@@ -248,9 +248,12 @@ def test_names_are_text_and_help_lists_the_keys(page: Page):
     assert "light or dark" in page.tab.locator("dialog").inner_text()
     page.tab.keyboard.press("Escape")
     dark = "splatproof.dark()"
+    page.tab.wait_for_function(
+        "!document.querySelector('dialog')"
+    )  # while it is there keys are its own
     before = page.tab.evaluate(dark)
     page.tab.keyboard.press("t")
-    assert page.tab.evaluate(dark) != before
+    page.tab.wait_for_function(f"{dark} !== {str(before).lower()}")
 
 
 def test_a_snapshot_that_comes_is_shown(page: Page, hostile: Stage):
