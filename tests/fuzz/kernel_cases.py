@@ -169,11 +169,18 @@ def bare(draw: random.Random) -> None:
     """The bindings themselves, without the wrappers' checks."""
     values, view = model(draw), camera(draw)
     n, k = values["sh"].shape[:2]
-    rest = numbers(draw, n, draw.choice((0, 3, 8, 15))) if draw.random() < 0.3 else None
+    lit = draw.choice(
+        (n, n, n, n // 2, 0, n + 1)
+    )  # harmonics of so many, and colours of the others
+    plain = max(n - lit, 0)
+    colours = (
+        numbers(draw, plain, draw.choice((3, 3, 3, 2))) if plain or draw.random() < 0.1 else None
+    )
+    rest = numbers(draw, lit, draw.choice((0, 3, 8, 15))) if draw.random() < 0.3 else None
     made = _ext.Model(
         *(spoiled(draw, values[name]) for name in ("means", "quaternions", "scales", "opacities")),
-        None, spoiled(draw, values["sh"]), draw.choice((k, k, 0, -1, 16, 17)),
-        draw.random() < 0.5, draw.random() < 0.5, rest,
+        None if colours is None else spoiled(draw, colours), spoiled(draw, values["sh"][:lit]),
+        draw.choice((k, k, 0, -1, 16, 17)), draw.random() < 0.5, draw.random() < 0.5, rest,
     )  # fmt: skip
     height, width = view.height, view.width
     pictures = [
@@ -201,8 +208,9 @@ def bare(draw: random.Random) -> None:
         weights,
     )
     gradients = [
-        torch.empty(n, 3), torch.empty(n, 4), torch.empty(n, 3), torch.empty(n), None,
-        torch.empty(n, k, 3), torch.empty(n, 2), torch.empty(n, 2),
+        torch.empty(n, 3), torch.empty(n, 4), torch.empty(n, 3), torch.empty(n),
+        None if colours is None else torch.empty_like(colours), torch.empty(min(lit, n), k, 3),
+        torch.empty(n, 2), torch.empty(n, 2),
     ]  # fmt: skip
     given = [None if g is None else spoiled(draw, g) for g in gradients]
     colour = spoiled(draw, numbers(draw, height, width, 3))
