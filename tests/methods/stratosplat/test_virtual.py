@@ -157,3 +157,14 @@ def test_what_is_stored_is_restored(field):
     want, got = (m.splats(camera_view(camera(2)), TRAINED) for m in (model, again))
     for name in ("means", "scales", "opacities", "colours"):
         assert torch.equal(getattr(want, name), getattr(got, name))
+
+
+def test_a_wild_depth_does_not_stretch_planes_and_field():
+    generator = torch.Generator().manual_seed(2)
+    flat = torch.rand(2000, 3, generator=generator).double() * torch.tensor([10.0, 10.0, 1.0])
+    wild = torch.cat([flat, torch.tensor([[5.0, 5.0, 60.0], [300.0, 5.0, 0.5]]).double()])
+    up = torch.tensor([0.0, 0, 1]).double()
+    calm, found = stack_of(flat, up, 4), stack_of(wild, up, 4)
+    width = found.planes.offsets.max() - found.planes.offsets.min()
+    assert width < 1.1 * (calm.planes.offsets.max() - calm.planes.offsets.min())
+    assert (found.high - found.low).amax() < 1.1 * (calm.high - calm.low).amax()
