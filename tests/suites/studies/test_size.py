@@ -127,3 +127,9 @@ def test_models_with_fewer_gaussians_and_tuned_ones_are_rows(tmp_path, monkeypat
     assert found["pruned 0.1"] == found["merged 0.1"] == 36
     assert found["tuned 0.3, coarse"] == 28
     assert found["tuned 0.5, coarse"] == found["merged 0.5"] == 20
+
+
+@pytest.mark.parametrize(("losses", "end"), [((0.0, 0.5), -0.05), ((-0.143, 0.5), -0.1716)])
+def test_files_that_gain_are_within_the_picture(losses, end):
+    assert size_plot.lowest_shown(losses) == pytest.approx(end)
+    assert size_plot.lowest_shown(losses) < min(losses)
