@@ -15,14 +15,15 @@ from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.auto.facts import SceneFacts, facts_of
+from splatproof.methods.auto.goal import Goal, KeptBack, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.planner import (
-    MOST_STEPS,
     PIXELS_A_GAUSSIAN,
     AutoPlan,
     Choice,
     candidates,
     compete,
+    most_steps,
     plan,
     training_seconds,
     usual,
@@ -79,6 +80,8 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
     began = time.perf_counter()
     key = run_key(scene, settings, run)
     scene = remembering(scene, run.image_bytes)
+    goal = keep_back(scene) if settings.db else None
+    scene = goal.scene if goal else scene
     kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
     if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
         chosen, spent = build(Settings, told["settings"], str(kept)), float(told["spent"])
@@ -105,13 +108,24 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         plan = replace(plan, key=key)
         if settings.steps is None:
             left = settings.seconds * (1 - RESERVE) - spent
-            plan = replace(plan, recount=Recount(chosen, left, told_steps))
-        return exposed(model, chosen.exposure, plan.views), plan
+            most = most_steps(chosen, len(plan.views))
+            plan = replace(plan, recount=Recount(chosen, left, most, told_steps))
+        trained = exposed(model, chosen.exposure, plan.views)
+        if goal is not None:
+            plan = replace(plan, recount=_ending(goal, trained, plan, settings.db, run))
+        return trained, plan
 
     def told_steps(steps: int) -> None:
         run.on_fact("steps for the seconds that were left", str(steps))
 
     return explicit(train(run, prepared), scene, run.backend)
+
+
+def _ending(goal: KeptBack, model: Model, plan: Plan, least: float, run: Run) -> Goal:
+    return Goal(
+        goal, model, least=least, steps=plan.steps, backend=run.backend, background=run.background,
+        tell=partial(run.on_fact, "quality asked for"), otherwise=plan.recount,
+    )  # fmt: skip
 
 
 def read_ahead(scene: Scene, seconds: float) -> None:
@@ -142,19 +156,22 @@ class Recount:
     Before, both were guesses; densification is over then, and photos have their full size.
     """
 
-    def __init__(self, settings: Settings, seconds: float, tell: Callable[[int], None]) -> None:
+    def __init__(
+        self, settings: Settings, seconds: float, most: int, tell: Callable[[int], None]
+    ) -> None:
         """Wait for the end of densification.
 
         Args:
             settings: What is trained.
             seconds: Wall seconds that training may take in all.
+            most: Most steps that are told.
             tell: Told the new number of steps.
         """
         steps = settings.iterations
         grown = round(settings.density.stop * shrink(steps))
         whole = math.ceil(settings.resolution.full_from * steps)
         self.first = self.next = min(max(grown, whole) + 1, steps)
-        self.seconds, self.tell = seconds, tell
+        self.seconds, self.most, self.tell = seconds, most, tell
         self.began: float | None = None
 
     def __call__(self, step: int, seconds: float) -> int | None:
@@ -173,7 +190,7 @@ class Recount:
         each = max(1e-6, (seconds - self.began) / (step - self.first))
         left = max(0, int((self.seconds - seconds) / each))
         self.next = step + max(MEASURED, left // 2)
-        steps = min(step + left, MOST_STEPS)
+        steps = max(step, min(step + left, self.most))
         self.tell(steps)
         return steps
 

@@ -34,6 +34,8 @@ GROWTH_A_PASS = 1.25
 """Largest factor by which a densification is taken to raise the number of Gaussians."""
 LEAST_STEPS, MOST_STEPS = 100, 30_000
 """Steps of the shortest run that is planned, and of the longest."""
+MOST_VISITS = 250
+"""How often a training photo is looked at, at most: what is learnt after that is these photos by heart. MEASURED"""
 WORTH = 0.3
 """Decibels that a candidate has to gain in the probe over the usual value: a probe is short and small, and
 on courtyard preferred by 0.3 dB what a whole run loses 0.9 dB with."""
@@ -113,27 +115,20 @@ def coarsest(facts: SceneFacts) -> float:
 def candidates(asked: AutoSettings, facts: SceneFacts) -> list[Candidate]:
     """What competes with the usual settings, most promising first; nothing that is fixed.
 
+    Only what short trainings can judge. How much is to be held back (opacity weight, dropout) they cannot:
+    300 steps never learn photos by heart, so they liked none of it best, and a minute of brighton_beach at
+    250 px without dropout then lost 0.7 dB to half a minute with the usual one.
+
     Args:
         asked: The budget, and what is fixed.
         facts: What was measured.
     """
-    few = facts.track < 4
-    found = [
-        Candidate(setting="opacity_weight", value=0.0, because="photos may need every Gaussian"),
-        Candidate(setting="dropout", value=0.0, because="enough photos may see each place"),
-        Candidate(
-            setting="opacity_weight", value=0.03, because="few photos may bear fewer Gaussians"
-        ),
-        Candidate(setting="dropout", value=0.4, because="few photos may see each place"),
-    ]
-    if few:
-        found = [found[2], found[3], found[0], found[1]]
-    if facts.exposure > LEAST_EXPOSURE:
-        found.insert(0, Candidate(
-            setting="exposure", value="gain",
-            because=f"photos differ by {100 * math.expm1(facts.exposure):.0f} % in brightness",
-        ))  # fmt: skip
-    return [one for one in found if getattr(asked, one.setting) is None]
+    if asked.exposure is not None or not facts.exposure > LEAST_EXPOSURE:  # not known: nan
+        return []
+    return [Candidate(
+        setting="exposure", value="gain",
+        because=f"photos differ by {100 * math.expm1(facts.exposure):.0f} % in brightness",
+    )]  # fmt: skip
 
 
 def compete(
@@ -229,13 +224,20 @@ def plan(
         ))  # fmt: skip
     told.append(Choice(component="Gaussians", value=f"at most {most:,}", because=why))
     if asked.steps is None:
-        count = steps_in(seconds, settings, facts, speed)
+        count, bound = steps_in(seconds, settings, facts, speed), most_steps(settings, facts.views)
         reason = (
             f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(float(start)):.1f} ms at full size "
             f"with {start:,} points"
         )
+        if count > bound:
+            count, reason = bound, f"a photo seen more than {MOST_VISITS} times is learnt by heart"
     else:
         count, reason = asked.steps, "given"
+    if asked.db:
+        told.append(Choice(
+            component="end", value=f"at {asked.db:g} dB, or with the last step",
+            because="given; measured on training photos that are kept back",
+        ))  # fmt: skip
     settings = replace(settings, iterations=count)
     told.append(Choice(
         component="steps", value=f"{count:,}", because=reason,
@@ -245,6 +247,17 @@ def plan(
         settings=settings, choices=tuple(told),
         seconds=training_seconds(settings, facts, speed, count),
     )  # fmt: skip
+
+
+def most_steps(settings: Settings, views: int) -> int:
+    """Steps after which each photo has been looked at `MOST_VISITS` times; `LEAST_STEPS` at least.
+
+    Args:
+        settings: Views a step.
+        views: Number of training photos.
+    """
+    visits = MOST_VISITS * views // settings.views_per_step
+    return min(MOST_STEPS, max(LEAST_STEPS, visits))
 
 
 def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed) -> int:

@@ -70,7 +70,7 @@ def probe_of(scene: Scene, run: Run) -> Probe | None:
         return None
     near = nearest(scene)
     count = max(2, len(near) // HELD)
-    held = {near[(2 * index + 1) * len(near) // (2 * count)] for index in range(count)}
+    held = spread(near, count)
     small = list(scene.views)
     for index in near:
         view = scene.views[index]
@@ -84,6 +84,16 @@ def probe_of(scene: Scene, run: Run) -> Probe | None:
         photos=tuple(view.load() for view in views),
         run=replace(run, folder=None),
     )  # fmt: skip
+
+
+def spread(indices: Sequence[int], count: int) -> set[int]:
+    """So many of some indices, evenly spread over their order.
+
+    Args:
+        indices: What is chosen from.
+        count: How many, at most as many as there are.
+    """
+    return {indices[(2 * place + 1) * len(indices) // (2 * count)] for place in range(count)}
 
 
 def nearest(scene: Scene) -> list[int]:

@@ -15,6 +15,9 @@ class AutoSettings:
     """Wall seconds that measuring, probing and training may take together on this machine, > 0."""
     megabytes: float = 0.0
     """Most megabytes (2^20 bytes) of the saved model; 0: no bound."""
+    db: float = 0.0
+    """PSNR in dB at which training ends before its seconds are over, on every sixth training photo, which is
+    kept back for that. 0: none is kept back, and the seconds are used."""
     probe_share: float = 0.15
     """Share of the seconds, 0 to 0.5, that short trainings may take in which settings compete on
     training views that they do not see. 0: none; what they would decide stays as it is by default."""
@@ -44,6 +47,7 @@ class AutoSettings:
         """Refuse what no plan can keep."""
         require(0 < self.seconds < math.inf, "seconds", self.seconds, "> 0")
         require(0 <= self.megabytes < math.inf, "megabytes", self.megabytes, ">= 0")
+        require(0 <= self.db < 100, "db", self.db, "0 to 100, 0: no such end")
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),

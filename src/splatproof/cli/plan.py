@@ -24,6 +24,7 @@ def plan(
     *,
     seconds: float | None = None,
     megabytes: float | None = None,
+    db: float | None = None,
     protocol: str | None = None,
     views: int = 10_000,
     gaussians: int = 100_000_000,
@@ -59,6 +60,8 @@ def plan(
         scene: Name of a registered scene, or a scene folder. None: a city is planned.
         seconds: With SCENE: wall seconds that everything may take. None: 60.
         megabytes: With SCENE: most megabytes of the saved model. None: no bound.
+        db: With SCENE: PSNR in dB at which training ends before its seconds are over, on every sixth training
+            photo, which is kept back for that. None: the seconds are used.
         protocol: With SCENE: name or file of the rules by which it is opened. None: default.
         views: Number of training views.
         gaussians: Number of Gaussians in the finished model.
@@ -79,8 +82,10 @@ def plan(
         seed: With --simulate: seed of the draw; with SCENE: of the short trainings. None: 0.
     """
     if scene:
-        return _of_scene(scene, seconds, megabytes, protocol, width, seed, simulate=simulate)
-    for_scenes = {"--seconds": seconds, "--megabytes": megabytes, "--protocol": protocol}
+        return _of_scene(scene, seconds, megabytes, db, protocol, width, seed, simulate=simulate)
+    for_scenes = {
+        "--seconds": seconds, "--megabytes": megabytes, "--db": db, "--protocol": protocol,
+    }  # fmt: skip
     for option, value in for_scenes.items():
         if value is not None:
             raise UsageError(f"{option} is for the plan of a scene; name the scene or leave it out")
@@ -130,6 +135,7 @@ def _of_scene(
     scene: str,
     seconds: float | None,
     megabytes: float | None,
+    db: float | None,
     protocol: str | None,
     width: int | None,
     seed: int | None,
@@ -142,7 +148,7 @@ def _of_scene(
         raise UsageError(f"--simulate is for the plan of a city; leave {scene!r} or it out")
     return plan_scene(
         scene, seconds=60.0 if seconds is None else seconds, megabytes=megabytes or 0.0,
-        protocol=protocol or "default", width=width, seed=seed or 0,
+        db=db or 0.0, protocol=protocol or "default", width=width, seed=seed or 0,
     )  # fmt: skip
 
 

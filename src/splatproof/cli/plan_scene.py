@@ -9,7 +9,14 @@ from splatproof.cli import output
 
 
 def plan_scene(
-    scene: str, *, seconds: float, megabytes: float, protocol: str, width: int | None, seed: int
+    scene: str,
+    *,
+    seconds: float,
+    megabytes: float,
+    db: float,
+    protocol: str,
+    width: int | None,
+    seed: int,
 ) -> int:
     """Measure, probe and print a table; nothing is trained to its end and nothing is written.
 
@@ -17,23 +24,26 @@ def plan_scene(
         scene: Name of a registered scene, or a scene folder.
         seconds: Budget of wall seconds.
         megabytes: Bound on the saved model; 0: none.
+        db: PSNR in dB at which training is to end, on photos that are kept back; 0: no such end.
         protocol: Rules by which the scene is opened.
         width: Width of the images in pixels; None: the protocol's.
         seed: Seed of the probe.
     """
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.auto.fit import planned, remembering
+    from splatproof.methods.auto.goal import keep_back
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
     from splatproof.metrics.protocol_files import load_protocol, resized
 
-    asked = AutoSettings(seconds=seconds, megabytes=megabytes)
+    asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
     run = Run(seed=seed)
     opened = open_scene(scene, resized(load_protocol(protocol), width)).for_training()
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)
-        found = planned(remembering(opened, run.image_bytes), asked, run)
+        seen = keep_back(opened).scene if db else opened
+        found = planned(remembering(seen, run.image_bytes), asked, run)
     if output.wants_json():
         output.print_record(
             {"scene": opened.name, "facts": asdict(found.facts), "seconds": found.plan.seconds,
@@ -46,7 +56,7 @@ def plan_scene(
     output.console().print(_table(("chosen", "", "because", "expected"), chosen))
     output.log(
         f"training would take about {found.plan.seconds:.0f} s; "
-        f"`bench fit auto {scene} --out OUT --seconds {seconds:g}` does it"
+        f"`bench fit auto {scene} --out OUT --seconds {seconds:g}{f' --db {db:g}' if db else ''}` does it"
     )
     return 0
 

@@ -7,8 +7,11 @@ import pytest
 import torch
 
 from helpers.tiny_scene import tiny_scene
+from splatproof.base.errors import DataError
 from splatproof.methods.auto import fit as auto
+from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import PLAN, fit, planned
+from splatproof.methods.auto.goal import keep_back
 from splatproof.methods.auto.probe import probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
@@ -80,12 +83,55 @@ def test_the_probe_holds_views_out_and_keeps_its_hands_off_the_others():
     assert probe_of(tiny_scene(views=4), Run()) is None
 
 
-def test_a_probe_decides_within_its_share():
-    asked = AutoSettings(seconds=100.0, steps=10, probe_share=0.5, opacity_weight=0.0)
+def test_a_probe_decides_within_its_share(monkeypatch):
+    asked = AutoSettings(seconds=100.0, steps=10, probe_share=0.5)
+    monkeypatch.setattr(auto, "facts_of", lambda *_: replace(facts_of(*_), exposure=0.1))
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
-    assert names == ["matched points", "dropout", "points", "Gaussians", "steps"]
+    assert names == ["matched points", "exposure", "points", "Gaussians", "steps"]
     assert found.plan.choices[1].because.startswith("probe: ")
+
+
+def goal_of(db: float) -> tuple[dict[str, str], dict[str, int]]:
+    facts: dict[str, str] = {}
+    counts: dict[str, int] = {}
+    run = Run(threads=1, on_fact=facts.__setitem__, on_count=counts.__setitem__)
+    fit(tiny_scene(views=10), replace(ASKED, steps=60, db=db), run)
+    return facts, counts
+
+
+def test_training_ends_where_photos_kept_back_are_good_enough():
+    facts, counts = goal_of(1.0)
+    assert counts["steps"] == 10
+    assert facts["quality asked for"].startswith("reached: ")
+    assert "on 1 photos kept back after 10 steps, 1 asked for" in facts["quality asked for"]
+    facts, counts = goal_of(99.0)
+    assert counts["steps"] == 60
+    assert facts["quality asked for"].startswith("not reached: ")
+
+
+def test_a_killed_run_ends_at_its_goal(tmp_path):
+    def killing(step, total, values):
+        if step == 20:
+            raise Killed
+
+    scene, asked = tiny_scene(views=10), replace(ASKED, steps=1000, db=1.0)
+    straight = fit(scene, asked, Run(threads=1))  # the first look is after 25 steps
+    run = Run(threads=1, folder=tmp_path, checkpoint_seconds=0.0)
+    with pytest.raises(Killed):
+        fit(scene, asked, replace(run, report=killing))
+    assert same(straight, fit(scene, asked, run))
+
+
+def test_photos_kept_back_are_never_trained_on():
+    scene = tiny_scene(views=10)
+    kept = keep_back(scene)
+    held, seen = {view.name for view in kept.views}, {view.name for view in kept.scene.train_views}
+    assert held
+    assert not held & seen
+    assert held | seen == {view.name for view in scene.train_views}
+    with pytest.raises(DataError, match="3 training photos, expected at least 4"):
+        keep_back(replace(scene, train=scene.train[:3]))
 
 
 def test_photos_are_read_once_and_only_as_long_as_there_is_time():

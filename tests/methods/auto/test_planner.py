@@ -39,7 +39,7 @@ def test_training_fits_into_the_seconds(speed, seconds):
     found = planned(AutoSettings(), speed=speed, seconds=seconds)
     steps = found.settings.iterations
     assert found.seconds <= seconds or steps == 100
-    assert steps == 30_000 or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
+    assert steps == 250 * FACTS.views or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
 
 
 @given(seconds=st.floats(5, 300), more=st.floats(1, 4))
@@ -52,6 +52,12 @@ def test_a_file_has_a_bound():
     found = planned(AutoSettings(megabytes=2.0))
     assert found.settings.density.most == 2 * 2**20 // (4 * 59)
     assert any("2 MB" in choice.because for choice in found.choices)
+
+
+def test_a_quality_asked_for_stands_in_the_plan():
+    choices = {choice.component: choice for choice in planned(AutoSettings(db=25.0)).choices}
+    assert choices["end"].value == "at 25 dB, or with the last step"
+    assert "end" not in {choice.component for choice in planned(AutoSettings()).choices}
 
 
 def test_what_is_fixed_is_neither_planned_nor_tried():
@@ -67,11 +73,20 @@ def test_what_is_fixed_is_neither_planned_nor_tried():
 
 
 def test_exposures_compete_where_photos_differ():
-    tried = {one.setting for one in candidates(AutoSettings(), FACTS)}
-    alike = {one.setting for one in candidates(AutoSettings(), replace(FACTS, exposure=0.001))}
-    unknown = {one.setting for one in candidates(AutoSettings(), replace(FACTS, exposure=math.nan))}
-    assert tried - alike == {"exposure"}
-    assert unknown == alike
+    assert [one.setting for one in candidates(AutoSettings(), FACTS)] == ["exposure"]
+    for spread in (0.001, math.nan):
+        assert candidates(AutoSettings(), replace(FACTS, exposure=spread)) == []
+
+
+@given(views=st.integers(1, 500), seconds=st.floats(5, 1e5))
+def test_no_photo_is_learnt_by_heart(views, seconds):
+    facts = replace(FACTS, views=views)
+    found = plan(AutoSettings(), facts, usual(AutoSettings(), facts), (), SPEED, seconds)
+    most = max(100, 250 * views)
+    assert found.settings.iterations <= most
+    (told,) = (choice for choice in found.choices if choice.component == "steps")
+    by_heart = "learnt by heart" in told.because
+    assert not by_heart or found.settings.iterations == min(most, 30_000)
 
 
 @given(width=st.integers(16, 8000), height=st.integers(16, 8000))
@@ -122,6 +137,7 @@ def test_a_gain_counts_where_it_is_large_and_sure(gains, wins):
         {"coarsest": 0.5},
         {"dropout": 2.0},
         {"megabytes": -1.0},
+        {"db": 100.0},
     ],
 )
 def test_impossible_wishes_are_refused(values):

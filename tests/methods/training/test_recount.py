@@ -63,7 +63,7 @@ def test_seconds_are_filled_at_the_speed_that_was_measured():
     """Half a second a step from step 601 on: of 600 s, those that are left are divided by it."""
     told = []
     settings = Settings(iterations=1000, resolution=Resolution(full_from=0.6))
-    recount = Recount(settings, 600.0, told.append)
+    recount = Recount(settings, 600.0, 5000, told.append)
     assert recount(600, 100.0) is None
     for step in range(601, 601 + MEASURED):
         assert recount(step, 100 + 0.5 * (step - 601)) is None
@@ -74,3 +74,11 @@ def test_seconds_are_filled_at_the_speed_that_was_measured():
     slower = 100 + 0.8 * (half - 601)
     assert recount(half, slower) == half + int((600 - slower) / 0.8), "the machine became slower"
     assert recount(2000, 700.0) == 2000, "nothing is left"
+
+
+def test_no_more_steps_are_told_than_the_most():
+    told = []
+    recount = Recount(Settings(iterations=1000), 600.0, 1200, told.append)
+    step = next(step for step in range(1, 1000) if recount(step, 0.01 * step))
+    assert told == [1200]
+    assert step < 1000
