@@ -35,7 +35,9 @@ GROWTH_A_PASS = 1.25
 LEAST_STEPS, MOST_STEPS = 100, 30_000
 """Steps of the shortest run that is planned, and of the longest."""
 MOST_VISITS = 250
-"""How often a training photo is looked at, at most: what is learnt after that is these photos by heart. MEASURED"""
+"""How often a training photo is looked at, at most: what is learnt after that is these photos by heart. Held-out
+training photos of brighton_beach at 250 px, one seed: 20.2 dB after 80 visits, 20.0 dB after 400; photos of
+aerial-sparse/town: 27.5 dB after 200, 27.6 dB after 425."""
 WORTH = 0.3
 """Decibels that a candidate has to gain in the probe over the usual value: a probe is short and small, and
 on courtyard preferred by 0.3 dB what a whole run loses 0.9 dB with."""

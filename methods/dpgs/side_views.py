@@ -1,6 +1,6 @@
 """Side views as views to train on: rendered, z-tested, refined and kept in rounds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -188,6 +188,10 @@ class SideOrder:
         if not self.left[kind]:
             self.left[kind] = torch.randperm(count, generator=generator).tolist()
         return self.left[kind].pop()
+
+    def coming(self) -> Iterator[int]:
+        """What is left of the photos' epoch, the next one first; side views are drawn when their turn comes."""
+        return reversed(self.left[0])
 
     def state(self) -> list[int]:
         """What is left of both epochs, and how many photos' there are of it."""

@@ -1,7 +1,8 @@
 """Two fields of Gaussians in one model, each trained on its own: what CoR-GS compares."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import chain
 
 import torch
 from jaxtyping import Float, Int
@@ -67,6 +68,11 @@ class Paired:
             return self.pending
         index, self.pending = self.pending + self.count, None
         return index
+
+    def coming(self) -> Iterator[int]:
+        """The first field's views of this epoch, after what the second one is still owed."""
+        owed = () if self.pending is None else (self.pending + self.count,)
+        return chain(owed, self.first.coming())
 
     def state(self) -> list[int]:
         """What is left of this epoch; a step ends with both fields trained."""

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
+from splatproof.methods.training.ahead import Ahead
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.optimizer import GradientMean
@@ -61,7 +63,8 @@ class Trainer:
                 f"setting resolution.coarsest is {plan.resolution.coarsest}, expected 1: this method "
                 "compares more than photos, which have one size"
             )
-        self.images = TensorCache(image_room(run.image_bytes, plan.views))
+        self.room = image_room(run.image_bytes, plan.views)
+        self.images = TensorCache(self.room.kept)
         self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
         self.order = plan.order or Shuffled(len(plan.views))
@@ -70,6 +73,7 @@ class Trainer:
         self.seconds = 0.0
         self.counts = Counts()
         self.native = self._can_be_native()
+        self.ahead: Ahead | None = None
 
     def _can_be_native(self) -> bool:
         """Whether the kernels' step computes exactly what this plan asks for."""
@@ -92,7 +96,11 @@ class Trainer:
         return "kernels" if self.model.native(self.plan.views[0], moment) else "autograd"
 
     def train(self) -> None:
-        """Run all steps that are left, with reports and checkpoints."""
+        """Run all steps that are left, with reports and checkpoints; photos are read ahead."""
+        with closing(Ahead(self.photo, self.room.kept if self.room.ahead else 0)) as self.ahead:
+            self._train()
+
+    def _train(self) -> None:
         clock = saved = time.perf_counter()
         while self.step < self.plan.steps:
             values = self.advance()
@@ -127,6 +135,8 @@ class Trainer:
         mean, told = GradientMean(), []
         for _ in range(self.plan.views_per_step):
             view = self.plan.views[self.order.next(self.generator)]
+            if self.ahead:
+                self.ahead.look(view, (self.plan.views[index] for index in self.order.coming()))
             values, seen = self.backward(view)
             told.append(values)
             if seen is not None:

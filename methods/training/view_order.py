@@ -18,6 +18,10 @@ class ViewOrder(Protocol):
         """
         ...
 
+    def coming(self) -> Iterator[int]:
+        """Indices of the next views, as far as they are known without a draw."""
+        ...
+
     def state(self) -> list[int]:
         """What is to be kept, JSON-ready."""
         ...
@@ -50,6 +54,10 @@ class Shuffled:
             self.left = torch.randperm(self.count, generator=generator).tolist()
         return self.left.pop()
 
+    def coming(self) -> Iterator[int]:
+        """What is left of this epoch, the next one first."""
+        return reversed(self.left)
+
     def state(self) -> list[int]:
         """What is left of this epoch."""
         return self.left
@@ -76,6 +84,10 @@ class Drawn:
         """Index of the next view."""
         del generator
         return next(self.draws)
+
+    def coming(self) -> Iterator[int]:
+        """Nothing: a draw that was made would have to be kept."""
+        return iter(())
 
     def state(self) -> list[int]:
         """Nothing: the draws are repeated."""

@@ -39,7 +39,10 @@ def test_training_fits_into_the_seconds(speed, seconds):
     found = planned(AutoSettings(), speed=speed, seconds=seconds)
     steps = found.settings.iterations
     assert found.seconds <= seconds or steps == 100
-    assert steps == 250 * FACTS.views or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
+    assert (
+        steps == 250 * FACTS.views
+        or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
+    )
 
 
 @given(seconds=st.floats(5, 300), more=st.floats(1, 4))

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import pytest
+
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.image_room import STEP_BYTES, image_room
+from splatproof.methods.training.image_room import READING_BYTES, STEP_BYTES, image_room
 from splatproof.methods.training.loop import Trainer
 
 MANY = 2**30
@@ -19,18 +21,30 @@ def views_of(width: int, height: int):
     ]
 
 
-def test_a_step_on_the_largest_view_is_taken_off():
-    assert image_room(MANY, views_of(800, 600)) == MANY - STEP_BYTES * 800 * 600
-    assert image_room(MANY, []) == MANY
+def test_a_step_on_the_largest_view_and_the_reading_of_the_next_are_taken_off():
+    room = image_room(MANY, views_of(800, 600))
+    assert (room.kept, room.ahead) == (MANY - (STEP_BYTES + READING_BYTES) * 800 * 600, True)
+    assert image_room(MANY, []).kept == MANY
+
+
+def test_large_photos_are_read_when_their_turn_comes():
+    room = image_room(MANY, views_of(2800, 2800))
+    assert (room.kept, room.ahead) == (MANY - STEP_BYTES * 2800 * 2800, False)
 
 
 def test_the_largest_photos_leave_a_quarter():
-    assert image_room(MANY, views_of(8000, 6000)) == MANY // 4
-    assert image_room(0, views_of(800, 600)) == 0
+    room = image_room(MANY, views_of(8000, 6000))
+    assert (room.kept, room.ahead) == (MANY // 4, False)
+    assert image_room(0, views_of(800, 600)).kept == 0
+    assert not image_room(0, views_of(800, 600)).ahead
 
 
-def test_the_trainer_keeps_to_it():
-    scene, run = tiny_scene(), Run(threads=1, image_bytes=100_000)
+@pytest.mark.parametrize("pixels", [24 * 18, 1])
+def test_the_trainer_keeps_to_it(pixels):
+    allowed = 200_000 * pixels // (24 * 18)
+    scene, run = tiny_scene(), Run(threads=1, image_bytes=allowed)
     model, plan = prepare(scene, Settings(iterations=2), run)
     trainer = Trainer(model, plan, run)
-    assert trainer.images.limit == 100_000 - STEP_BYTES * 24 * 18
+    assert trainer.room == image_room(allowed, plan.views)
+    assert trainer.images.limit == trainer.room.kept
+    assert trainer.room.ahead == (pixels > 1)
