@@ -190,15 +190,15 @@ def table(rows: Sequence[Row]) -> str:
     ]
     for name in dict.fromkeys(row.row for row in rows):
         own = [row for row in rows if row.row == name]
-        cells = [_cell([at(row, "psnr", mark) for row in own], 2) for mark in MARKS]
+        cells = [spread([at(row, "psnr", mark) for row in own], 2) for mark in MARKS]
         cells += [
-            _cell([at(row, metric, MARKS[-1]) for row in own], 3)
+            spread([at(row, metric, MARKS[-1]) for row in own], 3)
             for metric in ("ssim_3dgs", "flip")
         ]
         cells += [
-            _cell([row.final["psnr"] for row in own], 2), _cell([row.total for row in own], 0),
-            _cell([row.final.get("time_to_95", to_95(row)) for row in own], 1),
-            _cell([before(row) for row in own], 1),
+            spread([row.final["psnr"] for row in own], 2), spread([row.total for row in own], 0),
+            spread([row.final.get("time_to_95", to_95(row)) for row in own], 1),
+            spread([before(row) for row in own], 1),
             f"{statistics.fmean(row.primitives for row in own):,.0f}",
         ]  # fmt: skip
         lines.append(f"| {name} | {len(own)} | " + " | ".join(cells) + " |")
@@ -221,7 +221,7 @@ def duel(rows: Sequence[Row]) -> str:
     reached = [first_at(a, b.final["psnr"]) / b.total for a, b in pairs]
     known = [share for share in reached if math.isfinite(share)]
     lines.append(
-        f"its final PSNR was reached in {_cell(known, 2)} of its seconds."
+        f"its final PSNR was reached in {spread(known, 2)} of its seconds."
         if len(known) == len(pairs)
         else f"its final PSNR was reached in {len(known)} of {len(pairs)} runs within the marks."
     )
@@ -230,10 +230,18 @@ def duel(rows: Sequence[Row]) -> str:
 
 def planned(rows: Sequence[Row]) -> str:
     """What auto chose with seed 0, and why."""
-    chosen = next((row.plan for row in rows if row.row == "auto" and row.plan), {})
-    if not chosen:
+    return planned_lines(next((row.plan for row in rows if row.row == "auto" and row.plan), {}))
+
+
+def planned_lines(plan: dict[str, str]) -> str:
+    """A plan as a list.
+
+    Args:
+        plan: What was chosen, and why, by component.
+    """
+    if not plan:
         return ""
-    return "What auto chose:\n\n" + "".join(f"- {name}: {text}\n" for name, text in chosen.items())
+    return "What auto chose:\n\n" + "".join(f"- {name}: {text}\n" for name, text in plan.items())
 
 
 def at(row: Row, metric: str, mark: float) -> float:
@@ -275,11 +283,17 @@ def first_at(row: Row, psnr: float) -> float:
     return math.inf
 
 
-def _cell(values: Sequence[float], digits: int) -> str:
+def spread(values: Sequence[float], digits: int) -> str:
+    """A mean with half of its 95 % interval.
+
+    Args:
+        values: One a seed.
+        digits: Digits after the point.
+    """
     found: Summary = summarise(values)
     half = (found.high - found.low) / 2
-    spread = f" ± {half:.{digits}f}" if math.isfinite(half) else ""
-    return f"{found.mean:.{digits}f}{spread}"
+    told = f" ± {half:.{digits}f}" if math.isfinite(half) else ""
+    return f"{found.mean:.{digits}f}{told}"
 
 
 HEAD = """\

@@ -133,6 +133,23 @@ def test_growing_in_time_copies_an_anchor_along_its_path():
     torch.testing.assert_close(moved, swing * torch.tensor([40.0, 0.0, 0.0]), atol=1e-5, rtol=1e-4)
 
 
+def test_nothing_grows_in_time_where_an_anchor_stands():
+    """What does not move would be copied onto itself."""
+    chosen, parameters = control(temporal_gradient=1e-3, temporal_share=1.0)
+    parameters.rows["velocities"][4] = 0.0
+    chosen.temporal[4] = 1.0
+    assert edited(chosen, parameters) == len(parameters)
+
+
+def test_the_record_of_visits_goes_on():
+    chosen, parameters = control()
+    chosen.unvisited[:] = torch.arange(len(parameters)) % 5
+    record = chosen.unvisited.tolist()
+    pulled(chosen, parameters, 3, 50 * chosen.voxel)
+    assert edited(chosen, parameters) == len(parameters) - 1
+    assert chosen.unvisited.tolist() == [*record, 0]
+
+
 def test_the_faint_and_the_unvisited_go_and_the_unvisited_only_where_asked():
     for unvisited, left in ((10, 2), (0, 1)):
         chosen, parameters = control(unvisited=unvisited)

@@ -74,11 +74,11 @@ def test_long_lives_are_split_and_short_ones_cloned_by_the_gradient_of_their_pea
 
 
 def test_gradients_of_opposite_signs_cancel_and_the_mean_counts():
-    of = control(tensors(2))
-    observe(of, [5e-3, 5e-3])
-    observe(of, [-5e-3, 1e-4])
+    of = control(tensors(3))
+    observe(of, [5e-3, 5e-3, 1.5e-3])
+    observe(of, [-5e-3, 1e-4, 1.5e-3])  # the last one's sum is above 2e-3, and its mean below
     _, second = apply(of)
-    assert second.tolist() == [0, 1, 1]
+    assert second.tolist() == [0, 2, 1, 1]
 
 
 def test_later_three_children_live_shorter_and_start_without_moments():
