@@ -9,8 +9,8 @@ from splatproof.methods.threedgs.control import control
 from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
-from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.density import Density
+from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.remembering import remembering

@@ -176,7 +176,7 @@ class DensityControl:
         if resting is not None:
             gradient[resting] = absolute[resting] = -1  # below any threshold
         rows = densify(
-            shapes(parameters), gradient, self.settings, extent=self.extent,
+            _shapes(parameters), gradient, self.settings, extent=self.extent,
             prune_large=0 < every < step, generator=generator, fixed=fixed,
             absolute=absolute if self.settings.split_gradient else None,
         )  # fmt: skip
@@ -217,7 +217,7 @@ class DensityControl:
         self.seen = state["seen"].clone()
 
 
-def shapes(parameters: Parameters) -> Gaussians:
+def _shapes(parameters: Parameters) -> Gaussians:
     """The rows without their colours, which density control does not look at."""
     rows = {name: value.detach() for name, value in parameters.rows.items()}
     return Gaussians(
