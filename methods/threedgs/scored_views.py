@@ -21,7 +21,7 @@ class ScoredView:
     """One training view beside its render."""
 
     camera: Camera
-    """Of the photo as training sees it at this step."""
+    """Camera of the photo, as large as training sees it at this step."""
     factor: float
     """Factor, >= 1, by which the photo is shrunk."""
     image: Float[Tensor, "h w 3"]
@@ -95,7 +95,7 @@ class ViewScorer:
         one's.
 
         Args:
-            camera: Of the marked image.
+            camera: Camera of the marked image.
             splats: The model.
             marks: Which pixels are marked.
         """
