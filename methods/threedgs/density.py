@@ -23,10 +23,14 @@ class Mcmc:
     positions' learning rate times Sigma xi, lengths in extents of the scene; opaque ones hardly do. 0: none."""
     scale_weight: float = 0.01
     """Weight of the mean scale, in extents of the scene, in the loss. 0: none."""
+    spread: float = 0.0
+    """How far from what it copies a Gaussian is put: drawn from the copy's own shape, so many times as large.
+    Copies in one place are pulled alike, and opaque ones not shaken, so that short runs hardly part them. 0: in
+    its place, as in the paper."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
-        for name in ("growth", "noise", "scale_weight"):
+        for name in ("growth", "noise", "scale_weight", "spread"):
             value = getattr(self, name)
             require(0 <= value < math.inf, f"density.mcmc.{name}", value, ">= 0")
 

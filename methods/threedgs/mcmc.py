@@ -12,7 +12,7 @@ from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.training.density_control import densifies, shrunk
 from splatproof.reference.density.relocation import nudges, stacked
-from splatproof.reference.rasterizer.rotation import covariance
+from splatproof.reference.rasterizer.rotation import covariance, half_covariance
 
 SHUT = 0.1
 """Opacity from which on nothing is shaken: the gate on noise is below 1e-4 there, and time is saved."""
@@ -95,7 +95,8 @@ class McmcControl(Frozen):
         source[dead] = onto
         fresh = torch.zeros_like(dead)
         fresh[onto] = True
-        yield Edit(parents=parents, fresh=fresh, values=self._stacks(parameters, source))
+        values = self._stacks(parameters, source, torch.where(dead)[0], generator)
+        yield Edit(parents=parents, fresh=fresh, values=values)
 
     def grow(self, parameters: Parameters, generator: torch.Generator) -> Iterator[Edit]:
         """Copy Gaussians drawn by opacity, until there are 1 + growth times as many or `most`.
@@ -111,12 +112,20 @@ class McmcControl(Frozen):
             return
         opacities = parameters.rows["opacity_logits"].detach().sigmoid()
         of = drawn(opacities, added, generator)
-        parents = torch.cat([torch.arange(count, device=of.device), of])
-        fresh = torch.arange(count + added, device=of.device) >= count
+        rows = torch.arange(count + added, device=of.device)
+        parents = torch.cat([rows[:count], of])
+        fresh = rows >= count
         fresh[of] = True
-        yield Edit(parents=parents, fresh=fresh, values=self._stacks(parameters, parents))
+        values = self._stacks(parameters, parents, rows[count:], generator)
+        yield Edit(parents=parents, fresh=fresh, values=values)
 
-    def _stacks(self, parameters: Parameters, source: Int[Tensor, " m"]) -> dict[str, Tensor]:
+    def _stacks(
+        self,
+        parameters: Parameters,
+        source: Int[Tensor, " m"],
+        copied: Int[Tensor, " k"],
+        generator: torch.Generator,
+    ) -> dict[str, Tensor]:
         """All tensors with each row that of its source; sources that have several rows are shared out."""
         rows = {name: value.detach() for name, value in parameters.rows.items()}
         values = {name: value[source] for name, value in rows.items()}
@@ -130,6 +139,12 @@ class McmcControl(Frozen):
         )
         values["opacity_logits"][several] = opacities.logit().to(values["opacity_logits"])
         values["log_scales"][several] = scales.log().to(values["log_scales"])
+        if self.settings.mcmc.spread:
+            half = half_covariance(
+                values["quaternions"][copied], values["log_scales"][copied].exp()
+            )
+            draws = torch.randn(len(copied), 3, 1, generator=generator).to(half)
+            values["means"][copied] += self.settings.mcmc.spread * (half @ draws)[:, :, 0]
         return values
 
 

@@ -42,7 +42,8 @@ OFTEN: dict[str, Any] = {
     "stop": 25_000,
     "reset_interval": 0,
 }
-MCMC = StrategicDensity(strategy="mcmc", most=60, **OFTEN)
+MCMC = StrategicDensity(strategy="mcmc", most=60, mcmc=Mcmc(spread=0.5), **OFTEN)
+IN_PLACE = replace(MCMC, mcmc=Mcmc())
 ERROR = StrategicDensity(
     strategy="error", most=80, gradient=1e-5, scored_views=3, **OFTEN,
     error=ErrorGate(pixels=0.5, blame=0.95), insertion=Insertion(share=0.1),
@@ -77,7 +78,7 @@ def only(edits) -> Edit:
 def test_what_is_dead_becomes_a_copy_and_what_it_copies_a_stack():
     rows = parameters(torch.tensor([0.001, 0.9, 0.002, 0.0049]))
     before = {name: value.clone() for name, value in rows.rows.items()}
-    edit = only(moves().relocate(rows, seeded()))
+    edit = only(moves(IN_PLACE).relocate(rows, seeded()))
     assert edit.fresh is not None
     assert edit.fresh.tolist() == [False, True, False, False]  # those that move keep their moments
     rows.edit(edit)
@@ -99,7 +100,7 @@ def test_the_living_are_drawn_by_opacity_and_untouched_rows_keep_their_bits():
     opacities = torch.cat([torch.full((3000,), 0.001), torch.tensor([0.1, 0.3, 0.6])])
     rows = parameters(opacities)
     before = {name: value.clone() for name, value in rows.rows.items()}
-    edit = only(moves().relocate(rows, seeded()))
+    edit = only(moves(IN_PLACE).relocate(rows, seeded()))
     assert edit.fresh is not None
     same = edit.values["means"][:3000, None] == before["means"][None, 3000:]
     shares = same.all(dim=2).double().mean(dim=0)
@@ -137,6 +138,22 @@ def test_growth_is_a_share_up_to_the_cap(count, most, wanted):
         assert torch.equal(edit.fresh[:count].nonzero()[:, 0], edit.parents[count:].unique())
         rows.edit(edit)
     assert len(rows) == wanted
+
+
+def test_copies_are_spread_by_their_own_shape_and_what_they_copy_stays():
+    rows = parameters(torch.cat([torch.full((4000,), 0.001), torch.tensor([0.5])]))
+    before = {name: value.clone() for name, value in rows.rows.items()}
+    wide = moves(replace(MCMC, mcmc=Mcmc(spread=2.0)))
+    rows.edit(only(wide.relocate(rows, seeded())))
+    assert torch.equal(rows.rows["means"][-1], before["means"][-1])
+    away = (rows.rows["means"][:-1] - before["means"][-1]).double()
+    shape = rotation.covariance(rows.rows["quaternions"][:1], rows.rows["log_scales"][:1].exp())
+    # 4,000 draws: a covariance by 2 / sqrt(4000) = 0.03 of itself
+    torch.testing.assert_close(away.T.cov(), 4 * shape[0].double(), rtol=0.15,
+                               atol=0.15 * float(4 * shape.max()))  # fmt: skip
+    count = len(rows)
+    (edit,) = moves(replace(wide.settings, most=5000)).grow(rows, seeded())
+    assert torch.equal(edit.values["means"][:count], rows.rows["means"])
 
 
 def test_noise_depends_on_no_unit_and_spares_the_opaque():
@@ -431,6 +448,7 @@ def test_errors_are_not_looked_at_through_exposures():
     ("kind", "setting"),
     [
         (Mcmc, {"growth": -0.1}), (Mcmc, {"noise": -1.0}), (Mcmc, {"scale_weight": -1.0}),
+        (Mcmc, {"spread": -1.0}),
         (ErrorGate, {"threshold": 1.5}), (ErrorGate, {"pixels": -1.0}), (ErrorGate, {"blame": 2.0}),
         (Insertion, {"share": -1.0}), (Insertion, {"size": 0.0}), (Insertion, {"opacity": 1.0}),
         (StrategicDensity, {"scored_views": 0}),
