@@ -6,14 +6,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 import torch
 
 from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
-from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, KeptBack, keep_back
 from splatproof.methods.auto.matching import planned_matching
@@ -38,6 +36,7 @@ from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.remembering import remembering
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
@@ -193,22 +192,6 @@ class Recount:
         steps = max(step, min(step + left, self.most))
         self.tell(steps)
         return steps
-
-
-def remembering(scene: Scene, image_bytes: int) -> Scene:
-    """The scene whose photos are read once for all that looks at them, as far as memory is allowed.
-
-    Args:
-        scene: The scene as a method gets it.
-        image_bytes: Most bytes of photos that are kept.
-    """
-    cache = ImageCache(image_bytes)
-    train = set(scene.train)
-    views = tuple(
-        replace(view, load=partial(cache.load, view)) if index in train else view
-        for index, view in enumerate(scene.views)
-    )
-    return replace(scene, views=views)
 
 
 def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:

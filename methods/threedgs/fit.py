@@ -5,14 +5,24 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
+from splatproof.methods.threedgs.control import control
+from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
-from splatproof.methods.training.density_control import DensityControl
+from splatproof.methods.training.density import Density
 from splatproof.methods.training.fewer_points import with_at_most
+from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.remembering import remembering
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
-from splatproof.methods.training.terms import ImageTerm, ParameterTerm, Photometric, mean_opacity
+from splatproof.methods.training.terms import (
+    ImageTerm,
+    ParameterTerm,
+    Photometric,
+    mean_opacity,
+    mean_scale,
+)
 from splatproof.reference.types.scene import Scene
 
 
@@ -73,11 +83,13 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         start, settings.rates, extent=size, mode=settings.mode,
         sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
     )  # fmt: skip
+    if isinstance(settings.density, StrategicDensity) and settings.density.looks:
+        scene = remembering(scene, image_room(run.image_bytes, scene.train_views))
     return model, Plan(
         steps=settings.iterations,
         views=scene.train_views,
-        terms=terms(settings),
-        density=DensityControl(settings.density, iterations=settings.iterations, extent=size),
+        terms=(*terms(settings), *moving_terms(settings.density, size)),
+        density=control(settings, scene.train_views, size, run),
         key=run_key(scene, settings, run),
         views_per_step=settings.views_per_step,
         resolution=settings.resolution,
@@ -86,10 +98,23 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
 
 
 def terms(settings: Settings) -> tuple[ImageTerm | ParameterTerm, ...]:
-    """What method 3dgs minimises.
+    """What method 3dgs minimises, whatever controls its density.
 
     Args:
         settings: Settings of which dssim and opacity_weight count.
     """
     image = Photometric(dssim=settings.dssim)
     return (image, mean_opacity(settings.opacity_weight)) if settings.opacity_weight else (image,)
+
+
+def moving_terms(density: Density, extent: float) -> tuple[ParameterTerm, ...]:
+    """What strategy mcmc minimises besides; nothing for others.
+
+    Args:
+        density: What is chosen about density control.
+        extent: Size of the scene in scene units.
+    """
+    if not isinstance(density, StrategicDensity) or density.strategy != "mcmc":
+        return ()
+    weight = density.mcmc.scale_weight
+    return (mean_scale(weight, extent),) if weight else ()

@@ -3,11 +3,11 @@
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.threedgs.cost import cost
 from splatproof.methods.threedgs.fit import fit
-from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.threedgs.settings import ThreeDGS
 
 THREEDGS = Method(
     name="3dgs",
-    settings=Settings,
+    settings=ThreeDGS,
     fit=fit,
     cost=cost,
     description="3D Gaussian Splatting (Kerbl et al. 2023): SfM points, adaptive density control, "

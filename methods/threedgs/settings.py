@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from splatproof.methods.models.exposure import Exposure
+from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import Rates, require, require_cell
@@ -13,8 +14,8 @@ from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Method 3dgs. Steps are those of a 30,000 step run; a shorter run shrinks them in
-    proportion."""
+    """What method 3dgs and its relatives share. Steps are those of a 30,000 step run; a shorter run shrinks them
+    in proportion."""
 
     iterations: int = 30_000
     """Number of training steps, each on `views_per_step` views (the paper: 30,000, and 7,000). In
@@ -86,3 +87,20 @@ class Settings:
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThreeDGS(Settings):
+    """Method 3dgs. Steps are those of a 30,000 step run; a shorter run shrinks them in
+    proportion."""
+
+    density: StrategicDensity = field(default_factory=StrategicDensity)
+    """How, when and where Gaussians are added and removed."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no run can follow."""
+        super().__post_init__()
+        self.density.require_in_place()
+        seen = not self.density.looks or self.exposure == "off"
+        require(seen, "exposure", self.exposure, "off where density control looks at errors of views, which "
+                "it renders without exposures")  # fmt: skip

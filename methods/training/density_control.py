@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import torch
 from jaxtyping import Bool
@@ -14,6 +15,8 @@ from splatproof.methods.training.density import Density, densify, reset_opacity
 from splatproof.methods.training.schedules import shrink, shrunk_interval
 from splatproof.reference.types.gaussians import Gaussians
 
+D = TypeVar("D", bound=Density)
+
 
 @dataclass(frozen=True, kw_only=True)
 class RowRules:
@@ -25,6 +28,41 @@ class RowRules:
     """Rows that are never removed either."""
     steady: Callable[[Parameters], Bool[Tensor, " n"]]
     """Rows whose opacity a reset leaves alone."""
+
+
+def shrunk(settings: D, iterations: int) -> D:
+    """Density control whose steps are those of a run of some length.
+
+    Args:
+        settings: Steps of a 30,000 step run.
+        iterations: Steps of the run.
+    """
+    factor = shrink(iterations)
+    start, stop = round(settings.start * factor), round(settings.stop * factor)
+    return replace(
+        settings,
+        start=start,
+        stop=stop,
+        interval=shrunk_interval(
+            settings.interval,
+            settings.least_interval,
+            settings.fewest,
+            start=start,
+            stop=stop,
+            iterations=iterations,
+        ),
+        reset_interval=round(settings.reset_interval * factor),
+    )
+
+
+def densifies(settings: Density, step: int) -> bool:
+    """Whether a step ends with a densification.
+
+    Args:
+        settings: Density control whose steps are the run's own.
+        step: Number of the step, from 1.
+    """
+    return settings.start < step < settings.stop and step % settings.interval == 0
 
 
 class DensityControl:
@@ -48,22 +86,7 @@ class DensityControl:
             rules: Which rows are left alone; None: none are.
             statistic: Gradient that is compared with the threshold.
         """
-        factor = shrink(iterations)
-        start, stop = round(settings.start * factor), round(settings.stop * factor)
-        self.settings = replace(
-            settings,
-            start=start,
-            stop=stop,
-            interval=shrunk_interval(
-                settings.interval,
-                settings.least_interval,
-                settings.fewest,
-                start=start,
-                stop=stop,
-                iterations=iterations,
-            ),
-            reset_interval=round(settings.reset_interval * factor),
-        )
+        self.settings = shrunk(settings, iterations)
         self.extent, self.rules = extent, rules
         self.statistic: Statistic = statistic
         self.needs: frozenset[Statistic] = frozenset(
@@ -117,21 +140,27 @@ class DensityControl:
 
     def densifies(self, step: int) -> bool:
         """Whether a step ends with a densification."""
-        settings = self.settings
-        return settings.start < step < settings.stop and step % settings.interval == 0
+        return densifies(self.settings, step)
 
     def resets(self, step: int) -> bool:
         """Whether a step ends with an opacity reset."""
         every = self.settings.reset_interval
         return every > 0 and step < self.settings.stop and step % every == 0
 
-    def densify(self, step: int, parameters: Parameters, generator: torch.Generator) -> Edit:
+    def densify(
+        self,
+        step: int,
+        parameters: Parameters,
+        generator: torch.Generator,
+        resting: Bool[Tensor, " n"] | None = None,
+    ) -> Edit:
         """Clone, split and prune by the statistics so far, and forget them.
 
         Args:
             step: Number of the step, from 1.
             parameters: The model's tensors, as for `edits`.
             generator: Source of the children's positions.
+            resting: Rows that are neither cloned nor split, whatever pulls at them; None: none.
         """
         every = self.settings.reset_interval
         fixed = None
@@ -141,9 +170,11 @@ class DensityControl:
             total / self.seen.clamp(min=1) for total in (self.gradient_sum, self.absolute_sum)
         )
         if self.rules is not None:
-            resting = ~self.rules.growing(parameters)
-            gradient[resting] = absolute[resting] = -1  # below any threshold
+            labelled = ~self.rules.growing(parameters)
+            resting = labelled if resting is None else resting | labelled
             fixed = self.rules.fixed(parameters)
+        if resting is not None:
+            gradient[resting] = absolute[resting] = -1  # below any threshold
         rows = densify(
             _shapes(parameters), gradient, self.settings, extent=self.extent,
             prune_large=0 < every < step, generator=generator, fixed=fixed,

@@ -54,3 +54,15 @@ def opacity_pull(logits: Float[Tensor, " n"], weight: float) -> Float[Tensor, " 
     """
     opacities = torch.sigmoid(logits)
     return opacities * (1 - opacities) * (weight / len(logits))
+
+
+def scale_pull(log_scales: Float[Tensor, "n 3"], weight: float) -> Float[Tensor, "n 3"]:
+    """Gradient of weight * mean(scale) by the log scales.
+
+    Args:
+        log_scales: Logarithms of the scales of all Gaussians, at least one.
+        weight: Factor on the mean over Gaussians and axes, >= 0.
+
+    Source: Kheradmand et al. 2024, "3D Gaussian Splatting as Markov Chain Monte Carlo", Eq. 12.
+    """
+    return log_scales.exp() * (weight / log_scales.numel())

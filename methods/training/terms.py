@@ -10,7 +10,7 @@ from torch import Tensor
 from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.kernels.loss import photometric
-from splatproof.methods.training.regularisers import opacity_pull
+from splatproof.methods.training.regularisers import opacity_pull, scale_pull
 from splatproof.reference.supervision import losses
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
@@ -115,3 +115,22 @@ def mean_opacity(weight: float) -> ParameterTerm:
         return weight * float(torch.sigmoid(logits.detach()).mean())
 
     return ParameterTerm(name="mean opacity", add=add)
+
+
+def mean_scale(weight: float, extent: float) -> ParameterTerm:
+    """The term weight * mean(scale) / extent: what no photo needs shrinks.
+
+    Args:
+        weight: Factor, >= 0 (3DGS-MCMC: 0.01 on scene units, which made giants of an aerial block).
+        extent: Size of the scene in scene units, so that another unit changes nothing (ours).
+
+    Source: Kheradmand et al. 2024, "3D Gaussian Splatting as Markov Chain Monte Carlo", Eq. 12.
+    """
+
+    def add(parameters: Parameters) -> float:
+        log_scales = parameters.rows["log_scales"]
+        if log_scales.grad is not None:
+            log_scales.grad += scale_pull(log_scales.detach(), weight / extent)
+        return weight / extent * float(log_scales.detach().exp().mean())
+
+    return ParameterTerm(name="mean scale", add=add)

@@ -9,12 +9,12 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.registry import get_method
-from splatproof.methods.training.density import Density
+from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene
 
 SCENE, PROTOCOL = "courtyard", "quick"
-DENSITY = {"density": Density(least_interval=10)}
+DENSITY = {"density": StrategicDensity(least_interval=10)}
 """Settings of 3dgs by which something is densified in runs as short as these."""
 SETTINGS: dict[str, dict[str, Any]] = {"3dgs": DENSITY, "scaffold-gs": {}}
 

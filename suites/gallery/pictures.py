@@ -66,6 +66,11 @@ COMPONENTS = (
         source="FSGS, Eqs. 4 and 6; CoR-GS, Eqs. 4 to 6",
     ),
     Component(
+        title="Density control: relocation and errors of several views",
+        modules=("reference/density/relocation", "reference/density/multi_view_error"),
+        source="Kheradmand et al. 2024, 3DGS-MCMC; Ren et al. 2025, FastGS",
+    ),
+    Component(
         title="Layered memory and sequential depth adaptation",
         modules=("reference/layered_memory/layered_depth", "reference/layered_memory/depth_adaptation",
                  "reference/layered_memory/edge_diffusion", "reference/layered_memory/guide_depth",

@@ -35,6 +35,8 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/sparse_views/depth_correlation": ("depth correlation",),
     "reference/sparse_views/co_pruning": ("co-pruning",),
     "reference/sparse_views/pseudo_views": ("pseudo views",),
+    "reference/density/relocation": ("relocation",),
+    "reference/density/multi_view_error": ("view errors",),
     "reference/layered_memory/layered_depth": ("layered depth",),
     "reference/layered_memory/depth_adaptation": ("depth adaptation",),
     "reference/layered_memory/edge_diffusion": ("edge diffusion",),

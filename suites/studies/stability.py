@@ -16,6 +16,7 @@ from splatproof.suites.hard_cases import (
     gaussians,
     images,
     rising_blocks,
+    rising_density,
     rising_metrics,
     rising_views,
     steps,
@@ -26,7 +27,12 @@ from splatproof.suites.studies import ladders
 
 CASES: tuple[HardCase, ...] = (*components.CASES, *blocks.CASES, *coders.CASES, *images.CASES)
 """One difficult input each."""
-RISING: tuple[Rising, ...] = (*rising_blocks.CASES, *rising_views.CASES, *rising_metrics.CASES)
+RISING: tuple[Rising, ...] = (
+    *rising_blocks.CASES,
+    *rising_views.CASES,
+    *rising_density.CASES,
+    *rising_metrics.CASES,
+)
 """A difficulty each that is raised rung by rung."""
 
 

@@ -1,6 +1,6 @@
 """What every baseline of few views keeps: a continued run's bits, a model on disk, its own settings."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +14,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.registry import get_method
+from splatproof.methods.training.density import Density
 from splatproof.reference.types.scene import camera_view
 
 NAMES = ("fsgs", "dropgaussian", "cor-gs")
@@ -73,7 +74,8 @@ def test_dropgaussian_hides_in_training_alone_and_without_it_is_3dgs():
         {"iterations": 35, "sh_degree": 1, "sh_interval": 3000, "dssim": 1 / 6},
         "suite.toml",
     )
-    plain = replace(plain, density=off.density)
+    same = {part.name: getattr(off.density, part.name) for part in fields(Density)}
+    plain = replace(plain, density=replace(plain.density, **same))
     ours, theirs, hiding = (
         baked(get_method(name).fit(tiny_scene(), each, RUN))
         for name, each in (("dropgaussian", off), ("3dgs", plain), ("dropgaussian", settings))
