@@ -54,18 +54,17 @@ INLINE void set_rank(float* rec, uint32_t rank) {
 INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec,
                         float& mx, float& my) {
   const float* g = tiles.geo + (size_t)id * GEO;
-  const float* f = in_line(tiles, features) ? g + COLOUR : tiles.features + (size_t)id * tiles.stride;
   mx = (g[X_WHOLE] - left) + g[X_PART];
   my = (g[Y_WHOLE] - top) + g[Y_PART];
+  if (in_line(tiles, features)) __builtin_memcpy(rec, g, GEO * sizeof(float));
+  else {
+    const float* f = tiles.features + (size_t)id * tiles.stride;
+    __builtin_memcpy(rec, g, R_FEATURES * sizeof(float));
+    for (int j = 0; j < features; j += 4) __builtin_memcpy(rec + R_FEATURES + j, f + j, 4 * sizeof(float));
+  }
   rec[R_U0] = -(g[L11] * mx + g[L12] * my);
   rec[R_V0] = -g[L22] * my;
-  rec[R_L11] = g[L11];
-  rec[R_L12] = g[L12];
-  rec[R_L22] = g[L22];
-  rec[R_LOG_OPACITY] = g[LOG_OPACITY];
-  rec[R_OPACITY] = g[OPACITY];
   set_rank(rec, rank);
-  for (int j = 0; j < features; j += 4) __builtin_memcpy(rec + R_FEATURES + j, f + j, 4 * sizeof(float));
 }
 
 constexpr int AHEAD = 16;  // Gaussians that are fetched before they are needed
