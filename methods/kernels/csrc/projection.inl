@@ -256,25 +256,26 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       out.drawn[i + l] = (uint8_t)(drawn >> l & 1);
     }
     if (!drawn) continue;
-    float* features = out.features + i * out.stride;
     const int lit = with_sh(model, i, count);
+    const auto colour_of = [&](int l) { return model.colours + (i + l - model.sh_count) * model.channels; };
     if (lit) {
       sh_colour(model, i, lit, dir, geo + COLOUR);
       for (int l = 0; l < lit; ++l)
-        for (int c = 0; c < 3; ++c) features[l * out.stride + c] = geo[COLOUR + c][l];
+        for (int c = 0; out.drawn[i + l] && c < 3; ++c)
+          if (geo[COLOUR + c][l] > 0) out.drawn[i + l] |= (uint8_t)(LIT << c);
     }
-    for (int l = lit; l < count; ++l)
-      for (int c = 0; c < model.channels; ++c)
-        features[l * out.stride + c] = model.colours[(i + l - model.sh_count) * model.channels + c];
-    for (int c = 0; c < 3; ++c)
-      for (int l = lit; l < L; ++l) geo[COLOUR + c][l] = model.channels == 3 && l < count ? features[l * out.stride + c] : 0;
+    for (int l = lit; l < L; ++l)
+      for (int c = 0; c < 3; ++c) geo[COLOUR + c][l] = model.channels == 3 && l < count ? colour_of(l)[c] : 0;
     if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
     else
       for (int l = 0; l < count; ++l)
         for (int k = 0; k < GEO; ++k) out.geo[(i + l) * GEO + k] = geo[k][l];
+    if (!out.features) continue;
     for (int l = 0; l < count; ++l) {
-      features[l * out.stride + model.channels] = geo[DEPTH][l];
-      features[l * out.stride + model.channels + 1] = distance[l];
+      float* row = out.features + (i + l) * out.stride;
+      for (int c = 0; c < model.channels; ++c) row[c] = l < lit ? geo[COLOUR + c][l] : colour_of(l)[c];
+      row[model.channels] = geo[DEPTH][l];
+      row[model.channels + 1] = distance[l];
     }
   }
 }

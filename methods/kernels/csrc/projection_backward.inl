@@ -75,10 +75,9 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
           narrow(dir[2] + l, ray.z);
         }
         for (int l = 0; l < L; ++l) {
-          const float* value = drawn.features + (i + (l < count ? l : 0)) * drawn.stride;
+          const int lit_by = l < lit && visible[l] ? drawn.drawn[i + l] : 0;
           for (int c = 0; c < 3; ++c) {
-            // no gradient where the colour is clamped at 0
-            colour[c][l] = l < lit && visible[l] && value[c] > 0 ? g[S_FEATURES + c][l] : 0;
+            colour[c][l] = lit_by & LIT << c ? g[S_FEATURES + c][l] : 0;  // none where the colour is clamped at 0
             dir[c][l] = visible[l] ? dir[c][l] : 0;
           }
         }

@@ -2,8 +2,7 @@
 
 namespace {
 
-// Whether a Gaussian's features are three colours, and perhaps its depth, which lie beside its ellipse.
-INLINE bool in_line(const Tiles& tiles, int features) { return tiles.coloured && features <= 4; }
+INLINE bool in_line(const Tiles& tiles, int features) { return in_geo(tiles.coloured ? 3 : 0, features); }
 
 INLINE void prefetch(const Tiles& tiles, uint32_t id, int features) {
   __builtin_prefetch(tiles.geo + (size_t)id * GEO);

@@ -26,8 +26,8 @@ struct State {
   size_t bytes() const;
 };
 
-// Project and sort into tiles: what every picture of the model from this camera shares.
-void lay_out(const Model& model, float* radii, int threads, State& state);
+// Project and sort into tiles: what every picture of the model with as many features as these shares, from this camera.
+void lay_out(const Model& model, const Pictures& pictures, float* radii, int threads, State& state);
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state);
 
 // Pairs of Gaussian and tile that all pictures of this process so far were made of: work that does not depend on

@@ -76,11 +76,12 @@ struct Model {
 
 struct Projection {  // what projecting writes, per Gaussian
   float* geo;        // [n, GEO]
-  float* features;   // [n, stride]: colours, depth, distance
+  float* features;   // [n, stride]: colours, depth, distance; null where geo has all that pictures need
   int stride;
   float* radii;      // [n]
-  uint8_t* drawn;    // [n]
+  uint8_t* drawn;    // [n]: 0, or 1 with LIT << c where channel c of its harmonics is above 0
 };
+constexpr int LIT = 2;
 
 // Which tiles a Gaussian touches: `rows` rows of tiles from `first_row` on; in each, columns [from, to].
 struct Footprint {
@@ -92,7 +93,7 @@ struct Span {
 
 struct Tiles {
   const float* geo;
-  const float* features;
+  const float* features;       // null where geo has them
   int stride;                  // floats between the features of two Gaussians
   bool coloured;               // whether geo has their colours
   const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
@@ -115,6 +116,9 @@ struct Pictures {  // outputs, row-major; all but colour null where not asked fo
 };
 
 inline int features_of(const Pictures& p) { return p.channels + (p.distance ? 2 : p.depth || p.median ? 1 : 0); }
+
+// Whether that many features of a picture are in a Gaussian's geo: three colours, and perhaps its depth.
+inline bool in_geo(int channels, int features) { return channels == 3 && features <= 4; }
 
 struct PictureGradients {  // d loss / d output; null is zero
   int channels;
