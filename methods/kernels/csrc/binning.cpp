@@ -95,7 +95,8 @@ void sort_by_depth(const float* geo, const uint8_t* drawn, int64_t count, int th
 
 }  // namespace
 
-void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, int64_t count, int threads, Bins& out) {
+void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, float reach, int64_t count, int threads,
+         Bins& out) {
   const int across = (camera.width + TILE - 1) / TILE, down = (camera.height + TILE - 1) / TILE;
   const int tiles = across * down;
   const size_t n = (size_t)count;
@@ -119,7 +120,7 @@ void bin(const Kernels& kernels, const Camera& camera, const float* geo, const u
   out.slot_start.resize(n + 1);
   uint32_t* slot_start = out.slot_start.data();
   over_gaussians(threads, count, [&](int64_t first, int64_t last) {
-    kernels.spans(geo, footprints.data(), span_start.data(), across, spans.data(), slot_start, first, last);
+    kernels.spans(geo, footprints.data(), span_start.data(), across, reach, spans.data(), slot_start, first, last);
   });
   uint64_t pairs = 0;
   for (size_t i = 0; i < n; ++i) {

@@ -31,8 +31,8 @@ void footprints(const float* geo, const uint8_t* drawn, int down, Footprint* out
   }
 }
 
-void spans(const float* geo, const Footprint* footprint, const uint32_t* span_start, int across, Span* out,
-           uint32_t* touched, int64_t first, int64_t last) {
+void spans(const float* geo, const Footprint* footprint, const uint32_t* span_start, int across, float reach,
+           Span* out, uint32_t* touched, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
     int most = 0;
@@ -45,7 +45,7 @@ void spans(const float* geo, const Footprint* footprint, const uint32_t* span_st
     uint32_t tiles[L] = {};
     alignas(64) float g[GEO][L], from[L], to[L];
     gather_geo(geo, i, count, g);
-    const vf mx = load(g[X_WHOLE]) + load(g[X_PART]), reach2 = wider_reach(g), corner = load(top);
+    const vf mx = load(g[X_WHOLE]) + load(g[X_PART]), reach2 = wider_reach(g, reach), corner = load(top);
     for (int row = 0; row < most; ++row) {
       const vf d0 = ((corner + all(row * TILE + 0.5f)) - load(g[Y_WHOLE])) - load(g[Y_PART]);
       vf x0, x1;

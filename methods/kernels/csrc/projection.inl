@@ -220,9 +220,9 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       Ewa e;
       ewa(cam, model, in, l, e);
       const Whitening w = whiten(e);
-      const vd o = e.o * e.compensation, zero = alld(0);
+      const vd o = e.o * e.compensation;
       const vd limit = logarithm2(255 * select((o > 1e-6) & (o < 1e30), o, alld(1e-6)));
-      const vd reach2 = larger(limit, zero) * (1 / (WHITEN * WHITEN));
+      const vd reach2 = clamp(limit, 0, model.reach) * (1 / (WHITEN * WHITEN));
       const vd hx = square_root(reach2 * e.cxx), hy = square_root(reach2 * e.cyy);
       const maskd meets = (e.px + hx > 0) & (e.px - hx < cam.width) & (e.py + hy > 0) & (e.py - hy < cam.height);
       const maskd finite = (e.det < 1e200) & (e.det > 0) & (o < 1e30);

@@ -31,12 +31,14 @@ uint64_t pairs_listed() { return listed; }
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
-  return {geo.data(), features.size() ? features.data() : nullptr, stride, channels == 3, bins.entries.data(), bins.start.data(),
-          processed.data(), blocks.size() ? blocks.data() : nullptr, trace.size() ? trace.data() : nullptr, across(),
-          camera.width, camera.height};
+  return {geo.data(), features.size() ? features.data() : nullptr, stride, channels == 3, bins.entries.data(),
+          bins.start.data(), processed.data(), blocks.size() ? blocks.data() : nullptr,
+          trace.size() ? trace.data() : nullptr, stop, reach, across(), camera.width, camera.height};
 }
 
-Projection State::projection(float* radii) { return {geo.data(), features.size() ? features.data() : nullptr, stride, radii, drawn.data()}; }
+Projection State::projection(float* radii) {
+  return {geo.data(), features.size() ? features.data() : nullptr, stride, radii, drawn.data()};
+}
 
 size_t State::bytes() const {
   return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + blocks.bytes() + trace.bytes() +
@@ -47,6 +49,8 @@ void lay_out(const Model& model, const Pictures& pictures, float* radii, int thr
   StageClock clock;
   state.count = model.count;
   state.channels = model.channels;
+  state.stop = model.stop;
+  state.reach = model.reach;
   state.stride = (model.channels + 2 + 3) / 4 * 4;
   const size_t n = (size_t)model.count;
   const Camera& camera = state.camera;
@@ -59,7 +63,7 @@ void lay_out(const Model& model, const Pictures& pictures, float* radii, int thr
   over_gaussians(threads, model.count,
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
   clock.lap(STAGE_PROJECT);
-  bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
+  bin(k, camera, state.geo.data(), state.drawn.data(), model.reach, model.count, threads, state.bins);
   listed += state.bins.entries.size();
   clock.lap(STAGE_BIN);
 }

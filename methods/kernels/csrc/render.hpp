@@ -12,6 +12,7 @@ struct State {
   Camera camera;
   int64_t count = 0;
   int channels = 0, stride = 0;
+  float stop = T_MIN, reach = 0;  // of the model
   Buffer<float> geo, features;
   Buffer<uint8_t> drawn;
   Buffer<uint32_t> processed;

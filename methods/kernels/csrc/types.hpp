@@ -39,7 +39,8 @@ enum Geo {
 // One Gaussian as a tile sees it: u and v at the tile's corner, its rank in the tile's list, then its features.
 // alpha = 2^(log2(opacity) - u^2 - v^2) down to 2^LEAST = 1/255.
 enum Rec { R_U0, R_V0, R_L11, R_L12, R_L22, R_LOG_OPACITY, R_OPACITY, R_RANK, R_FEATURES };
-static_assert((int)R_L11 == L11 && (int)R_LOG_OPACITY == LOG_OPACITY && (int)R_OPACITY == OPACITY && (int)R_FEATURES == COLOUR,
+static_assert((int)R_L11 == L11 && (int)R_LOG_OPACITY == LOG_OPACITY && (int)R_OPACITY == OPACITY &&
+                  (int)R_FEATURES == COLOUR,
               "records are copies of what projection writes");
 constexpr float LEAST = -7.99435343685885793f;
 
@@ -72,6 +73,8 @@ struct Model {
   int sh_used, sh_stored;
   bool raw;              // scales are logarithms, opacities logits
   bool antialiased;
+  float stop = T_MIN;               // light left of every pixel below which a block ends
+  float reach = __builtin_inff();   // u^2 + v^2 beyond which no block is drawn
 };
 
 struct Projection {  // what projecting writes, per Gaussian
@@ -101,6 +104,7 @@ struct Tiles {
   uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
   uint16_t* blocks;            // [entries]: bit b where block b draws the Gaussian, for those looked at; or null
   float* trace;                // [tiles, BLOCKS, TRACE, LANES]; null with `blocks`
+  float stop, reach;           // of the model
   int across;                  // tiles in a row
   int width, height;
 };
@@ -175,8 +179,8 @@ struct Kernels {
   const char* name;
   void (*project)(const Camera&, const Model&, const Projection&, int64_t first, int64_t last);
   void (*footprints)(const float* geo, const uint8_t* drawn, int down, Footprint*, int64_t first, int64_t last);
-  void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, Span*, uint32_t* touched,
-                int64_t first, int64_t last);
+  void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, float reach, Span*,
+                uint32_t* touched, int64_t first, int64_t last);
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
                         float* sums, int sums_stride);
