@@ -92,7 +92,7 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   const Kernels& k = kernels();
   pictures.moduli = out.screen_absolute != nullptr;
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
-  if (!state.features.size() && !in_geo(model.channels, features))
+  if (model.count > 0 && !state.features.size() && !in_geo(model.channels, features))
     throw std::invalid_argument("gradients by the distance, of a picture without it");
   const int stride = sum_stride(features);
   const Tiles tiles = state.view();
