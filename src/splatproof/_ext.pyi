@@ -1,5 +1,7 @@
 """Native CPU kernels of splatproof."""
 
+import math
+
 from torch import Tensor
 
 def simd_level() -> str:
@@ -90,6 +92,8 @@ class Model:
         raw: bool,
         antialiased: bool,
         sh_rest: Tensor | None = None,
+        stop: float = 1e-4,
+        sigmas: float = math.inf,
     ) -> None: ...
 
 class State:

@@ -1,6 +1,7 @@
 """Rasterizers, from activated parameters and from raw ones, on random scenes."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import torch
@@ -112,6 +113,9 @@ def label(size: Size) -> str:
 ONLY_JUDGED = 0
 """`most` of the dense reference: it holds every pair in memory."""
 
+EARLY, NARROW = native.Shortcuts(stop=1 / 255), native.Shortcuts(sigmas=3.0)
+"""Shortcuts that have a row of their own."""
+
 RASTERIZER = Component(
     name="rasterizer",
     problem=activated,
@@ -124,6 +128,10 @@ RASTERIZER = Component(
              approximates="harmonics of degree 2 and 3 are left out"),
         Twin(name="cpu, SH of degree 0", start=draws(native.rasterize, keep=1),
              approximates="harmonics of degree 1 to 3 are left out"),
+        Twin(name="cpu, stop at 1/255", start=draws(partial(native.rasterize_roughly, EARLY)),
+             approximates="a block ends where less than 1/255 of the light is left of each pixel"),
+        Twin(name="cpu, 3 sigma", start=draws(partial(native.rasterize_roughly, NARROW)),
+             approximates="blocks of 4 x 4 pixels beyond 3 standard deviations of a Gaussian are left out"),
         Twin(name="torch dense", start=draws(reference.rasterize), most=ONLY_JUDGED),
     ),
     usual=f"cpu {_ext.simd_levels()[-1]}",

@@ -40,6 +40,7 @@ struct ModelArrays {
   Maybe<In<float, 3>> sh, sh_rest;
   int sh_used;
   bool raw, antialiased;
+  double stop, sigmas;
 
   // Throws std::invalid_argument where they do not fit together.
   Model model() const;

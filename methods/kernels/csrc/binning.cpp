@@ -95,80 +95,80 @@ void sort_by_depth(const float* geo, const uint8_t* drawn, int64_t count, int th
 
 }  // namespace
 
-void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, int64_t count, int threads, Bins& out) {
+void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, float reach, int64_t count, int threads,
+         Bins& out) {
   const int across = (camera.width + TILE - 1) / TILE, down = (camera.height + TILE - 1) / TILE;
   const int tiles = across * down;
   const size_t n = (size_t)count;
   Buffer<uint32_t> ids;
   sort_by_depth(geo, drawn, count, threads, ids);
 
-  // From here to the tiles' lists everything lies in the order of depth.
-  const size_t visible = ids.size();
-  Buffer<Footprint> footprints(visible);
-  Buffer<uint32_t> span_start(visible + 1), touched(visible + 1);
-  over_gaussians(threads, (int64_t)visible, [&](int64_t first, int64_t last) {
-    kernels.footprints(geo, ids.data(), down, footprints.data(), first, last);
+  // In the order of the Gaussians, so that their ellipses are read once and in a row.
+  Buffer<Footprint> footprints(n);
+  Buffer<uint32_t> span_start(n + 1);
+  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
+    kernels.footprints(geo, drawn, down, footprints.data(), first, last);
   });
   uint64_t rows = 0;
-  for (size_t i = 0; i < visible; ++i) {
+  for (size_t i = 0; i < n; ++i) {
     span_start[i] = (uint32_t)rows;
     rows += footprints[i].rows;
   }
   if (rows >> 32) throw std::length_error("more than 2^32 rows of tiles; render a smaller image or fewer Gaussians");
-  span_start[visible] = (uint32_t)rows;
+  span_start[n] = (uint32_t)rows;
   Buffer<Span> spans(rows);
-  over_gaussians(threads, (int64_t)visible, [&](int64_t first, int64_t last) {
-    kernels.spans(geo, ids.data(), footprints.data(), span_start.data(), across, spans.data(), touched.data(), first, last);
-  });
-  uint64_t pairs = 0;
   out.slot_start.resize(n + 1);
   uint32_t* slot_start = out.slot_start.data();
-  std::memset(slot_start, 0, (n + 1) * sizeof(uint32_t));
-  for (size_t i = 0; i < visible; ++i) {
-    const uint32_t here = touched[i];
-    slot_start[ids[i] + 1] = here;
-    touched[i] = (uint32_t)pairs;
+  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
+    kernels.spans(geo, footprints.data(), span_start.data(), across, reach, spans.data(), slot_start, first, last);
+  });
+  uint64_t pairs = 0;
+  for (size_t i = 0; i < n; ++i) {
+    const uint32_t here = slot_start[i];
+    slot_start[i] = (uint32_t)pairs;
     pairs += here;
   }
   if (pairs >> 32) throw std::length_error("more than 2^32 pairs of Gaussian and tile; render a smaller image or fewer Gaussians");
-  touched[visible] = (uint32_t)pairs;
-  for (size_t i = 0; i < n; ++i) slot_start[i + 1] += slot_start[i];
+  slot_start[n] = (uint32_t)pairs;
+  out.slots.resize(pairs);
+  over_gaussians(threads, count, [&](int64_t first, int64_t last) {
+    for (int64_t i = first; i < last; ++i) {
+      uint32_t* tile = out.slots.data() + slot_start[i];  // the places of its pairs take the tiles' place below
+      const Span* span = spans.data() + span_start[i];
+      for (int r = 0; r < footprints[i].rows; ++r) {
+        const uint32_t row = (uint32_t)((footprints[i].first_row + r) * across);
+        for (int c = span[r].from; c <= span[r].to; ++c) *tile++ = row + (uint32_t)c;
+      }
+    }
+  });
 
-  // The tiles of each Gaussian; then pieces write their pairs where the pieces before them end, tile by tile.
-  const Pieces pieces(visible, threads, 512);
+  // In the order of depth: pieces write their pairs where the pieces before them end, tile by tile.
+  const Pieces pieces(ids.size(), threads, 512);
   std::vector<uint32_t> counts((size_t)pieces.number * tiles, 0);
-  Buffer<uint32_t> tile_of(pairs);
+  const auto over_pairs = [&](int p, auto&& pair) {
+    constexpr size_t AHEAD = 8;  // Gaussians whose slots are fetched before they are needed, and their places before
+    uint32_t* slots = out.slots.data();
+    for (size_t i = pieces.start(p), end = pieces.start(p + 1); i < end; ++i) {
+      if (i + 2 * AHEAD < end) __builtin_prefetch(slot_start + ids[i + 2 * AHEAD]);
+      if (i + AHEAD < end) __builtin_prefetch(slots + slot_start[ids[i + AHEAD]]);
+      for (uint32_t k = slot_start[ids[i]], last = slot_start[ids[i] + 1]; k < last; ++k) pair(ids[i], slots[k]);
+    }
+  };
   parallel(threads, pieces.number, [&](int p, int) {
     uint32_t* mine = counts.data() + (size_t)p * tiles;
-    for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) {
-      uint32_t* tile = tile_of.data() + touched[i];
-      const Span* span = spans.data() + span_start[i];
-      const int first = footprints[i].first_row * across;
-      for (int r = 0; r < footprints[i].rows; ++r)
-        for (int c = span[r].from; c <= span[r].to; ++c) {
-          const uint32_t t = (uint32_t)(first + r * across + c);
-          *tile++ = t;
-          ++mine[t];
-        }
-    }
+    over_pairs(p, [=](uint32_t, uint32_t slot) { ++mine[slot]; });
   });
   out.start.resize((size_t)tiles + 1);
   out.start[tiles] = (uint32_t)places(counts, pieces.number, tiles,
                                       [&](int tile, uint64_t sum) { out.start[tile] = (uint32_t)sum; });
   out.entries.resize(pairs);
-  out.slots.resize(pairs);
   parallel(threads, pieces.number, [&](int p, int) {
-    constexpr size_t AHEAD = 16;  // Gaussians whose places among the slots are fetched before they are needed
-    uint32_t* next = counts.data() + (size_t)p * tiles;
-    for (size_t i = pieces.start(p), end = pieces.start(p + 1); i < end; ++i) {
-      if (i + AHEAD < end) __builtin_prefetch(slot_start + ids[i + AHEAD]);
-      uint32_t* slot = out.slots.data() + slot_start[ids[i]];
-      for (uint32_t k = touched[i]; k < touched[i + 1]; ++k) {
-        const uint32_t place = next[tile_of[k]]++;
-        out.entries[place] = ids[i];
-        *slot++ = place;
-      }
-    }
+    uint32_t *next = counts.data() + (size_t)p * tiles, *entries = out.entries.data();
+    over_pairs(p, [=](uint32_t id, uint32_t& slot) {
+      const uint32_t place = next[slot]++;
+      entries[place] = id;
+      slot = place;
+    });
   });
 }
 

@@ -14,7 +14,7 @@ struct Bins {
 
 // Sort by depth (stable: ties by index) and list, for each tile, the Gaussians whose support meets its pixels.
 // Throws std::length_error where there are 2^32 pairs or more.
-void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, int64_t count,
-         int threads, Bins& out);
+void bin(const Kernels& kernels, const Camera& camera, const float* geo, const uint8_t* drawn, float reach,
+         int64_t count, int threads, Bins& out);
 
 }  // namespace splat

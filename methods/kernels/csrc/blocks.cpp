@@ -13,7 +13,7 @@ void forward_blocks(const Model& model, const Camera& camera, const int64_t* blo
   State state;
   state.camera = camera;
   Buffer<float> radii((size_t)model.count);
-  lay_out(model, radii.data(), threads, state);
+  lay_out(model, first, radii.data(), threads, state);
   const Kernels& k = kernels();
   const int tiles = state.tiles();
   const size_t parts = (size_t)count * tiles;

@@ -11,31 +11,27 @@ INLINE vf floor_quotient(vf x, float divisor) {  // floor(x / divisor) for a pow
   return load(out);
 }
 
-INLINE void gather_geo(const float* geo, const uint32_t* ids, int count, float g[GEO][L]) {
-  transpose_rows([=](int r) { return geo + (size_t)ids[r < count ? r : count - 1] * GEO; }, g[0], L);
+INLINE void gather_geo(const float* geo, int64_t first, int count, float g[GEO][L]) {
+  transpose_rows([=](int r) { return geo + (size_t)(first + (r < count ? r : count - 1)) * GEO; }, g[0], L);
 }
 
-INLINE void prefetch_geo(const float* geo, const uint32_t* ids, int64_t from, int64_t last) {
-  for (int64_t i = from; i < from + L && i < last; ++i) __builtin_prefetch(geo + (size_t)ids[i] * GEO);
-}
-
-void footprints(const float* geo, const uint32_t* ids, int down, Footprint* out, int64_t first, int64_t last) {
+// The rows of tiles of each Gaussian, none of those that are not drawn, whose ellipses may hold anything.
+void footprints(const float* geo, const uint8_t* drawn, int down, Footprint* out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    prefetch_geo(geo, ids, i + L, last);
     alignas(64) float g[GEO][L], from[L], to[L];
-    gather_geo(geo, ids + i, count, g);
+    gather_geo(geo, i, count, g);
     const vf y = load(g[Y_WHOLE]) + load(g[Y_PART]), half = wider_half(g), end = all((float)(down - 1));
     store(from, maximum(floor_quotient(y - half - all(0.5f), TILE), all(0)));
     store(to, minimum(floor_quotient(y + half - all(0.5f), TILE), end));
     for (int l = 0; l < count; ++l) {
-      const bool seen = to[l] >= from[l];
+      const bool seen = drawn[i + l] && to[l] >= from[l];
       out[i + l] = {(uint16_t)(seen ? from[l] : 0), (uint16_t)(seen ? to[l] - from[l] + 1 : 0)};
     }
   }
 }
 
-void spans(const float* geo, const uint32_t* ids, const Footprint* footprint, const uint32_t* span_start, int across,
+void spans(const float* geo, const Footprint* footprint, const uint32_t* span_start, int across, float reach,
            Span* out, uint32_t* touched, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
@@ -46,11 +42,10 @@ void spans(const float* geo, const uint32_t* ids, const Footprint* footprint, co
       most = f.rows > most ? f.rows : most;
       top[l] = (float)(f.first_row * TILE);
     }
-    prefetch_geo(geo, ids, i + L, last);
     uint32_t tiles[L] = {};
     alignas(64) float g[GEO][L], from[L], to[L];
-    gather_geo(geo, ids + i, count, g);
-    const vf mx = load(g[X_WHOLE]) + load(g[X_PART]), reach2 = wider_reach(g), corner = load(top);
+    gather_geo(geo, i, count, g);
+    const vf mx = load(g[X_WHOLE]) + load(g[X_PART]), reach2 = wider_reach(g, reach), corner = load(top);
     for (int row = 0; row < most; ++row) {
       const vf d0 = ((corner + all(row * TILE + 0.5f)) - load(g[Y_WHOLE])) - load(g[Y_PART]);
       vf x0, x1;

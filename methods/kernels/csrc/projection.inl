@@ -5,12 +5,42 @@ namespace {
 
 constexpr int L = LANES;
 
-// Columns of [count, columns] rows; lanes past `count` repeat the last row.
-INLINE void gather_rows(const float* rows, int columns, int64_t first, int count, float out[][L]) {
-  for (int l = 0; l < L; ++l) {
-    const float* row = rows + (first + (l < count ? l : count - 1)) * columns;
-    for (int c = 0; c < columns; ++c) out[c][l] = row[c];
+// Columns of [count, C] rows; lanes past `count` repeat the last row.
+template <int C>
+INLINE void gather_rows(const float* rows, int64_t first, int count, float (*out)[L]) {
+  const float* from = rows + first * C;
+  if (count == L) {
+    split_columns<C>(from, out);
+    return;
   }
+  float some[C * L];
+  for (int l = 0; l < L; ++l)
+    for (int c = 0; c < C; ++c) some[C * l + c] = from[C * (l < count ? l : count - 1) + c];
+  split_columns<C>(some, out);
+}
+
+// The other way, into rows [first, first + count); null is nowhere.
+template <int C>
+INLINE void scatter_rows(const float (*in)[L], float* rows, int64_t first, int count) {
+  if (!rows) return;
+  float* to = rows + first * C;
+  if (count == L) {
+    join_columns<C>(in, to);
+    return;
+  }
+  float some[C * L];
+  join_columns<C>(in, some);
+  for (int i = 0; i < C * count; ++i) to[i] = some[i];
+}
+
+constexpr int64_t COMING = 2 * L;  // Gaussians after these that memory is asked for while these are worked on
+
+// Fetch rows [first, first + LANES) of C numbers, to be read or written; null is nothing, as is
+// what lies past an array's end.
+template <int C, bool WRITE>
+INLINE void fetch_rows(const float* rows, int64_t first) {
+  if (!rows) return;
+  for (int c = 0; c < C; ++c) __builtin_prefetch(rows + first * C + c * L, WRITE);
 }
 
 struct Lane16 {
@@ -18,10 +48,17 @@ struct Lane16 {
 };
 
 INLINE void gather(const Model& model, int64_t first, int count, Lane16& in) {
-  gather_rows(model.means, 3, first, count, in.mean);
-  gather_rows(model.quaternions, 4, first, count, in.quaternion);
-  gather_rows(model.scales, 3, first, count, in.scale);
-  gather_rows(model.opacities, 1, first, count, in.opacity);
+  gather_rows<3>(model.means, first, count, in.mean);
+  gather_rows<4>(model.quaternions, first, count, in.quaternion);
+  gather_rows<3>(model.scales, first, count, in.scale);
+  gather_rows<1>(model.opacities, first, count, in.opacity);
+}
+
+INLINE void fetch_model(const Model& model, int64_t first) {
+  fetch_rows<3, false>(model.means, first);
+  fetch_rows<4, false>(model.quaternions, first);
+  fetch_rows<3, false>(model.scales, first);
+  fetch_rows<1, false>(model.opacities, first);
 }
 
 INLINE vd clamp(vd x, double low, double high) {
@@ -173,9 +210,8 @@ INLINE V<double, N> round_down(V<double, N> x) {
 void project(const Camera& cam, const Model& model, const Projection& out, int64_t first, int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    if (i + L < last)
-      fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L,
-                      with_sh(model, i + L, last - i < 2 * L ? (int)(last - i) - L : L));
+    fetch_model(model, i + COMING);
+    fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + COMING, with_sh(model, i + COMING, L));
     Lane16 in;
     gather(model, i, count, in);
     alignas(64) float geo[GEO][L], radius[L], dir[3][L], distance[L];
@@ -184,9 +220,9 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       Ewa e;
       ewa(cam, model, in, l, e);
       const Whitening w = whiten(e);
-      const vd o = e.o * e.compensation, zero = alld(0);
+      const vd o = e.o * e.compensation;
       const vd limit = logarithm2(255 * select((o > 1e-6) & (o < 1e30), o, alld(1e-6)));
-      const vd reach2 = larger(limit, zero) * (1 / (WHITEN * WHITEN));
+      const vd reach2 = clamp(limit, 0, model.reach) * (1 / (WHITEN * WHITEN));
       const vd hx = square_root(reach2 * e.cxx), hy = square_root(reach2 * e.cyy);
       const maskd meets = (e.px + hx > 0) & (e.px - hx < cam.width) & (e.py + hy > 0) & (e.py - hy < cam.height);
       const maskd finite = (e.det < 1e200) & (e.det > 0) & (o < 1e30);
@@ -220,25 +256,26 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
       out.drawn[i + l] = (uint8_t)(drawn >> l & 1);
     }
     if (!drawn) continue;
-    float* features = out.features + i * out.stride;
     const int lit = with_sh(model, i, count);
+    const auto colour_of = [&](int l) { return model.colours + (i + l - model.sh_count) * model.channels; };
     if (lit) {
       sh_colour(model, i, lit, dir, geo + COLOUR);
       for (int l = 0; l < lit; ++l)
-        for (int c = 0; c < 3; ++c) features[l * out.stride + c] = geo[COLOUR + c][l];
+        for (int c = 0; out.drawn[i + l] && c < 3; ++c)
+          if (geo[COLOUR + c][l] > 0) out.drawn[i + l] |= (uint8_t)(LIT << c);
     }
-    for (int l = lit; l < count; ++l)
-      for (int c = 0; c < model.channels; ++c)
-        features[l * out.stride + c] = model.colours[(i + l - model.sh_count) * model.channels + c];
-    for (int c = 0; c < 3; ++c)
-      for (int l = lit; l < L; ++l) geo[COLOUR + c][l] = model.channels == 3 && l < count ? features[l * out.stride + c] : 0;
+    for (int l = lit; l < L; ++l)
+      for (int c = 0; c < 3; ++c) geo[COLOUR + c][l] = model.channels == 3 && l < count ? colour_of(l)[c] : 0;
     if (count == L) transpose(&geo[0][0], L, out.geo + i * GEO, GEO);
     else
       for (int l = 0; l < count; ++l)
         for (int k = 0; k < GEO; ++k) out.geo[(i + l) * GEO + k] = geo[k][l];
+    if (!out.features) continue;
     for (int l = 0; l < count; ++l) {
-      features[l * out.stride + model.channels] = geo[DEPTH][l];
-      features[l * out.stride + model.channels + 1] = distance[l];
+      float* row = out.features + (i + l) * out.stride;
+      for (int c = 0; c < model.channels; ++c) row[c] = l < lit ? geo[COLOUR + c][l] : colour_of(l)[c];
+      row[model.channels] = geo[DEPTH][l];
+      row[model.channels + 1] = distance[l];
     }
   }
 }

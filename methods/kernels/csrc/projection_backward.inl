@@ -28,6 +28,14 @@ STAGE void collect(const float* sums, int stride, const uint32_t* slot_start, co
   for (int j = stride; j < MOST_SUMS; ++j) store(out[j], all(0));
 }
 
+INLINE void fetch_gradients(const ModelGradients& out, int64_t first) {
+  fetch_rows<3, true>(out.means, first);
+  fetch_rows<4, true>(out.quaternions, first);
+  fetch_rows<3, true>(out.scales, first);
+  fetch_rows<1, true>(out.opacities, first);
+  fetch_rows<2, true>(out.screen, first);
+}
+
 // As float32, the largest one rather than infinity, as for a quaternion of norm 1e-40.
 INLINE void put(float* p, vd x) { narrow(p, clamp(x, -3.4e38, 3.4e38)); }
 
@@ -37,15 +45,13 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
   fetch_sums(sums, sums_stride, slot_start, slots, first, last - first < L ? last : first + L);
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    if (i + L < last) {  // while this group is worked on, what the next one needs comes in
-      fetch_sums(sums, sums_stride, slot_start, slots, i + L, last - i < 2 * L ? last : i + 2 * L);
-      if (model.sh) {
-        const int next = with_sh(model, i + L, last - i < 2 * L ? (int)(last - i) - L : L);
-        fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + L, next);
-        fetch_sh<true>(coefficients(model, out.sh, out.sh_rest), i + L, next);
-      }
-    }
-    float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[L] = {}, screen[4][L] = {};
+    if (i + L < last) fetch_sums(sums, sums_stride, slot_start, slots, i + L, last - i < 2 * L ? last : i + 2 * L);
+    const int coming = with_sh(model, i + COMING, L);
+    fetch_model(model, i + COMING);
+    fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + COMING, coming);
+    fetch_gradients(out, i + COMING);
+    fetch_sh<true>(coefficients(model, out.sh, out.sh_rest), i + COMING, coming);
+    float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[1][L] = {}, screen[4][L] = {};
     const int channels = model.channels, lit = with_sh(model, i, count);
     if (slot_start[i] == slot_start[i + count]) {  // none was drawn
       sh_clear(model, i, lit, out);
@@ -69,10 +75,9 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
           narrow(dir[2] + l, ray.z);
         }
         for (int l = 0; l < L; ++l) {
-          const float* value = drawn.features + (i + (l < count ? l : 0)) * drawn.stride;
+          const int lit_by = l < lit && visible[l] ? drawn.drawn[i + l] : 0;
           for (int c = 0; c < 3; ++c) {
-            // no gradient where the colour is clamped at 0
-            colour[c][l] = l < lit && visible[l] && value[c] > 0 ? g[S_FEATURES + c][l] : 0;
+            colour[c][l] = lit_by & LIT << c ? g[S_FEATURES + c][l] : 0;  // none where the colour is clamped at 0
             dir[c][l] = visible[l] ? dir[c][l] : 0;
           }
         }
@@ -147,7 +152,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
         put(quaternion[3] + l, iq * (dq[3] - z * along));
         for (int k = 0; k < 3; ++k) put(scale[k] + l, model.raw ? ds[k] * e.s[k] : ds[k]);
         const vd by_opacity = d_drawn * e.compensation;
-        put(opacity + l, model.raw ? by_opacity * e.o * (1 - e.o) : by_opacity);
+        put(opacity[0] + l, model.raw ? by_opacity * e.o * (1 - e.o) : by_opacity);
 
         // camera-space mean: through J, the pixel position and the depth
         vd by_w0 = zero, by_wx = zero, by_w1 = zero, by_wy = zero;
@@ -176,18 +181,15 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
         if (visible[l]) continue;
         for (int k = 0; k < 3; ++k) mean[k][l] = scale[k][l] = 0;
         for (int k = 0; k < 4; ++k) quaternion[k][l] = screen[k][l] = 0;
-        opacity[l] = 0;
+        opacity[0][l] = 0;
       }
     }
-    for (int l = 0; l < count; ++l) {
-      const int64_t n = i + l;
-      for (int k = 0; out.means && k < 3; ++k) out.means[3 * n + k] = mean[k][l];
-      for (int k = 0; out.quaternions && k < 4; ++k) out.quaternions[4 * n + k] = quaternion[k][l];
-      for (int k = 0; out.scales && k < 3; ++k) out.scales[3 * n + k] = scale[k][l];
-      if (out.opacities) out.opacities[n] = opacity[l];
-      for (int k = 0; out.screen && k < 2; ++k) out.screen[2 * n + k] = screen[k][l];
-      for (int k = 0; out.screen_absolute && k < 2; ++k) out.screen_absolute[2 * n + k] = screen[2 + k][l];
-    }
+    scatter_rows<3>(mean, out.means, i, count);
+    scatter_rows<4>(quaternion, out.quaternions, i, count);
+    scatter_rows<3>(scale, out.scales, i, count);
+    scatter_rows<1>(opacity, out.opacities, i, count);
+    scatter_rows<2>(screen, out.screen, i, count);
+    scatter_rows<2>(screen + 2, out.screen_absolute, i, count);
   }
 }
 

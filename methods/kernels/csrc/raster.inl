@@ -2,8 +2,7 @@
 
 namespace {
 
-// Whether a Gaussian's features are three colours, and perhaps its depth, which lie beside its ellipse.
-INLINE bool in_line(const Tiles& tiles, int features) { return tiles.coloured && features <= 4; }
+INLINE bool in_line(const Tiles& tiles, int features) { return in_geo(tiles.coloured ? 3 : 0, features); }
 
 INLINE void prefetch(const Tiles& tiles, uint32_t id, int features) {
   __builtin_prefetch(tiles.geo + (size_t)id * GEO);
@@ -21,15 +20,18 @@ INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to)
   from = zero - square_root(maximum(reach2 - vl * vl, zero)) * inv - slope * left - slack;
 }
 
-INLINE vf wider_reach(const float (*g)[L]) { return (load(g[LOG_OPACITY]) - all(LEAST)) * all(1.0001f) + all(1e-4f); }
+INLINE vf wider_reach(const float (*g)[L], float reach) {
+  return minimum(load(g[LOG_OPACITY]) - all(LEAST), all(reach)) * all(1.0001f) + all(1e-4f);
+}
 INLINE vf wider_half(const float (*g)[L]) { return load(g[HALF_Y]) * all(1.0001f) + all(1e-3f); }
 
 // Which of a tile's blocks hold a pixel row that the support of a Gaussian covers some of; `mx`, `my` is its mean
 // relative to the tile's corner. The sixteen lanes are the tile's rows of pixels.
-INLINE unsigned blocks_met(const float* g, float mx, float my, vf rows) {
+INLINE unsigned blocks_met(const float* g, float reach, float mx, float my, vf rows) {
   const vf dy = rows - all(my), v = all(g[L22]) * dy;
   const float slope = g[L12] * g[INV_L11];
-  const vf reach2 = all((g[LOG_OPACITY] - LEAST) * 1.0001f + 1e-4f) - v * v;
+  const float own = g[LOG_OPACITY] - LEAST, least = own < reach ? own : reach;
+  const vf reach2 = all(least * 1.0001f + 1e-4f) - v * v;
   const vf half = square_root(maximum(reach2, all(0))) * all(g[INV_L11]);
   const vf middle = all(mx) - all(slope) * dy;
   const vf slack = all(1e-3f) + all(1e-6f * __builtin_fabsf(slope)) * absolute(dy);
@@ -54,18 +56,17 @@ INLINE void set_rank(float* rec, uint32_t rank) {
 INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec,
                         float& mx, float& my) {
   const float* g = tiles.geo + (size_t)id * GEO;
-  const float* f = in_line(tiles, features) ? g + COLOUR : tiles.features + (size_t)id * tiles.stride;
   mx = (g[X_WHOLE] - left) + g[X_PART];
   my = (g[Y_WHOLE] - top) + g[Y_PART];
+  if (in_line(tiles, features)) __builtin_memcpy(rec, g, GEO * sizeof(float));
+  else {
+    const float* f = tiles.features + (size_t)id * tiles.stride;
+    __builtin_memcpy(rec, g, R_FEATURES * sizeof(float));
+    for (int j = 0; j < features; j += 4) __builtin_memcpy(rec + R_FEATURES + j, f + j, 4 * sizeof(float));
+  }
   rec[R_U0] = -(g[L11] * mx + g[L12] * my);
   rec[R_V0] = -g[L22] * my;
-  rec[R_L11] = g[L11];
-  rec[R_L12] = g[L12];
-  rec[R_L22] = g[L22];
-  rec[R_LOG_OPACITY] = g[LOG_OPACITY];
-  rec[R_OPACITY] = g[OPACITY];
   set_rank(rec, rank);
-  for (int j = 0; j < features; j += 4) __builtin_memcpy(rec + R_FEATURES + j, f + j, 4 * sizeof(float));
 }
 
 constexpr int AHEAD = 16;  // Gaussians that are fetched before they are needed
@@ -85,7 +86,7 @@ STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int
     if (k + AHEAD < count) prefetch(tiles, ids[k + AHEAD], features);
     float mx, my;
     fill_record(tiles, ids[k], begin + (uint32_t)k, features, (float)left, (float)top, scratch.recs + (size_t)k * stride, mx, my);
-    if (MEET) met[k] = (uint16_t)blocks_met(tiles.geo + (size_t)ids[k] * GEO, mx, my, rows);
+    if (MEET) met[k] = (uint16_t)blocks_met(tiles.geo + (size_t)ids[k] * GEO, tiles.reach, mx, my, rows);
   }
 }
 
@@ -183,10 +184,11 @@ INLINE Exponent<W> exponent(const float* rec, const Pixels<W>& p) {
 
 // Draw the listed Gaussians over W pixels, STEPS at a time: weighted sums of N features of each; with KEEP, alpha
 // and weight of each, zero where it is dropped, go into rows of LANES. A record without any alpha must follow the
-// list's last one, at `nothing`. Returns how many entries were looked at: all, or enough to fill the pixels.
+// list's last one, at `nothing`. It ends where less light than `stop` is left of every pixel. Returns how many
+// entries were looked at: all, or enough for that.
 template <int W, int N, bool SUM, bool KEEP>
-STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing, const Pixels<W>& pixels,
-                Light<W>& light, float* sums, float* weights, float* alphas) {
+STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing, float stop,
+                const Pixels<W>& pixels, Light<W>& light, float* sums, float* weights, float* alphas) {
   typedef V<float, W> Value;
   Light<W> now = light;
   Value acc[N ? N : 1];
@@ -202,13 +204,12 @@ STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint3
       alpha[j] = t[j] = exponent<W>(rec[j], pixels).t;
     }
     exp2_of(alpha);
-    M<float, W> live;
 #pragma GCC unroll 4
     for (int j = 0; j < STEPS; ++j) {
       alpha[j] = keep(t[j] >= broadcast<float, W>(LEAST), minimum(alpha[j], broadcast<float, W>(ALPHA_MAX)));
       const Value before = now.all;
       now.all = before - alpha[j] * before;
-      live = now.all >= broadcast<float, W>(T_MIN);
+      const M<float, W> live = now.all >= broadcast<float, W>(T_MIN);
       const Value weight = keep(live, alpha[j] * before);
       now.left = select(live, now.all, now.left);
       now.last = select(live, at<W>(rec[j], R_RANK), now.last);
@@ -220,7 +221,10 @@ STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint3
       }
     }
     k += STEPS;
-    if (!any(live)) break;
+    if (!any(now.all >= broadcast<float, W>(stop))) {
+      now.all = broadcast<float, W>(0);  // full, also for the other registers of the block that may go on
+      break;
+    }
   }
   light = now;
   for (int f = 0; f < N; ++f) store(sums + f * L, acc[f]);
@@ -229,13 +233,14 @@ STAGE int blend(const float* recs, int stride, uint32_t* list, int length, uint3
 
 // The same for a block, whose pixels are drawn register by register: their state stays in registers so.
 template <int N, bool SUM>
-INLINE int blend_block(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing,
+INLINE int blend_block(const float* recs, int stride, uint32_t* list, int length, uint32_t nothing, float stop,
                        const Centres& centres, int b, float* state) {
   int looked = 0;
   for (int part = 0; part < L; part += WIDTH) {
     Light<WIDTH> light = read_light<WIDTH>(state + part);
-    const int here = blend<WIDTH, N, SUM, false>(recs, stride, list, length, nothing, pixels_of<WIDTH>(centres, b, part),
-                                                 light, state + ST_FEATURES * L + part, nullptr, nullptr);
+    const int here = blend<WIDTH, N, SUM, false>(recs, stride, list, length, nothing, stop,
+                                                 pixels_of<WIDTH>(centres, b, part), light,
+                                                 state + ST_FEATURES * L + part, nullptr, nullptr);
     store_light(state + part, light);
     looked = here > looked ? here : looked;
   }
@@ -363,12 +368,13 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
       int looked;
       if (!stored) {
         const auto draw = features == 3 ? blend_block<3, false> : blend_block<4, true>;
-        looked = draw(scratch.recs, stride, list, lengths[b], (uint32_t)count, centres, b, state);
+        looked = draw(scratch.recs, stride, list, lengths[b], (uint32_t)count, tiles.stop, centres, b, state);
       } else {
         Light<L> light = read_light<L>(state);
         const vf sum_before = light.sum;
         looked = blend<L, 0, true, true>(scratch.recs, stride, list, lengths[b], (uint32_t)count,
-                                         pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
+                                         tiles.stop, pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights,
+                                         scratch.alphas);
         store_light(state, light);
         blend_stored(scratch.recs, stride, list, looked, scratch.weights, features, state + ST_FEATURES * L);
         if (out.median)
@@ -384,7 +390,7 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
           }
       }
       uint32_t end = done + count;
-      if (!any(load(state + ST_ALL * L) >= all(T_MIN))) {
+      if (!any(load(state + ST_ALL * L) >= all(tiles.stop))) {
         open &= ~(1u << b);
         end = done + (looked ? list[looked - 1] + 1 : 0);
         for (int k = looked; k < lengths[b]; ++k) met[list[k]] &= (uint16_t)~(1u << b);

@@ -199,7 +199,7 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
       ones[l] = x + l % BLOCK < tiles.width && y + l / BLOCK < tiles.height ? 1 : 0;
     Light<L> light = {load(ones), load(ones), all(0), all(0)};
     const int k = blend<L, 0, false, true>(scratch.recs, stride, list, lengths[b], (uint32_t)count,
-                                           pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
+                                           T_MIN, pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
     if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, sums, sums_stride);
     for (int f = in.channels; f < features; ++f)
       residue(scratch.recs, stride, list, k, f, scratch.weights, pixel.centre[f - in.channels],

@@ -1,6 +1,7 @@
 // Rendering and its backward pass, for Python. Outputs are written into arrays that the caller allocated.
 #include <nanobind/stl/tuple.h>
 
+#include <limits>
 #include <memory>
 #include <tuple>
 
@@ -57,6 +58,8 @@ Model ModelArrays::model() const {
   m.sh_stored = stored;
   m.raw = raw;
   m.antialiased = antialiased;
+  m.stop = (float)stop;
+  m.reach = (float)(sigmas * sigmas * WHITEN * WHITEN);
   return m;
 }
 
@@ -180,13 +183,16 @@ void bind_raster(nb::module_& m) {
       .def("__init__",
            [](ModelArrays* self, In<float, 2> means, In<float, 2> quaternions, In<float, 2> scales,
               In<float, 1> opacities, Maybe<In<float, 2>> colours, Maybe<In<float, 3>> sh, int sh_used, bool raw,
-              bool antialiased, Maybe<In<float, 3>> sh_rest) {
+              bool antialiased, Maybe<In<float, 3>> sh_rest, double stop, double sigmas) {
+             if (!(stop >= T_MIN && stop < 1 && sigmas > 0))
+               throw std::invalid_argument("stop must be in [1e-4, 1) and sigmas above 0");
              new (self)
-                 ModelArrays{means, quaternions, scales, opacities, colours, sh, sh_rest, sh_used, raw, antialiased};
+                 ModelArrays{means, quaternions, scales, opacities, colours, sh, sh_rest, sh_used, raw, antialiased, stop, sigmas};
            },
            array("means"), array("quaternions"), array("scales"), array("opacities"),
            array("colours").none(), array("sh").none(), nb::arg("sh_used"), nb::arg("raw"),
-           nb::arg("antialiased"), array("sh_rest").none() = nb::none());
+           nb::arg("antialiased"), array("sh_rest").none() = nb::none(), nb::arg("stop") = T_MIN,
+           nb::arg("sigmas") = std::numeric_limits<double>::infinity());
   nb::class_<State>(m, "State", "What a backward pass needs of the forward pass.")
       .def_prop_ro("bytes", &State::bytes, "Memory held.")
       .def_prop_ro("pairs", [](const State& s) { return s.bins.entries.size(); }, "Pairs of Gaussian and tile.");

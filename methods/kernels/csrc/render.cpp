@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <stdexcept>
 #include <vector>
 
 #include "pool.hpp"
@@ -30,27 +31,31 @@ uint64_t pairs_listed() { return listed; }
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
-  return {geo.data(), features.data(), stride, channels == 3, bins.entries.data(), bins.start.data(),
-          processed.data(), blocks.size() ? blocks.data() : nullptr, trace.size() ? trace.data() : nullptr, across(),
-          camera.width, camera.height};
+  return {geo.data(), features.size() ? features.data() : nullptr, stride, channels == 3, bins.entries.data(),
+          bins.start.data(), processed.data(), blocks.size() ? blocks.data() : nullptr,
+          trace.size() ? trace.data() : nullptr, stop, reach, across(), camera.width, camera.height};
 }
 
-Projection State::projection(float* radii) { return {geo.data(), features.data(), stride, radii, drawn.data()}; }
+Projection State::projection(float* radii) {
+  return {geo.data(), features.size() ? features.data() : nullptr, stride, radii, drawn.data()};
+}
 
 size_t State::bytes() const {
   return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + blocks.bytes() + trace.bytes() +
          bins.entries.bytes() + bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
 }
 
-void lay_out(const Model& model, float* radii, int threads, State& state) {
+void lay_out(const Model& model, const Pictures& pictures, float* radii, int threads, State& state) {
   StageClock clock;
   state.count = model.count;
   state.channels = model.channels;
+  state.stop = model.stop;
+  state.reach = model.reach;
   state.stride = (model.channels + 2 + 3) / 4 * 4;
   const size_t n = (size_t)model.count;
   const Camera& camera = state.camera;
   state.geo.resize(n * GEO);
-  state.features.resize(n * state.stride);
+  state.features.resize(in_geo(state.channels, features_of(pictures)) ? 0 : n * state.stride);
   state.drawn.resize(n);
   state.processed.resize(state.tiles());
   const Kernels& k = kernels();
@@ -58,13 +63,13 @@ void lay_out(const Model& model, float* radii, int threads, State& state) {
   over_gaussians(threads, model.count,
                  [&](int64_t first, int64_t last) { k.project(camera, model, projection, first, last); });
   clock.lap(STAGE_PROJECT);
-  bin(k, camera, state.geo.data(), state.drawn.data(), model.count, threads, state.bins);
+  bin(k, camera, state.geo.data(), state.drawn.data(), model.reach, model.count, threads, state.bins);
   listed += state.bins.entries.size();
   clock.lap(STAGE_BIN);
 }
 
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state) {
-  lay_out(model, radii, threads, state);
+  lay_out(model, pictures, radii, threads, state);
   StageClock clock;
   const Kernels& k = kernels();
   const Camera& camera = state.camera;
@@ -87,6 +92,8 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   const Kernels& k = kernels();
   pictures.moduli = out.screen_absolute != nullptr;
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
+  if (model.count > 0 && !state.features.size() && !in_geo(model.channels, features))
+    throw std::invalid_argument("gradients by the distance, of a picture without it");
   const int stride = sum_stride(features);
   const Tiles tiles = state.view();
   const int count = state.tiles();

@@ -12,6 +12,7 @@ struct State {
   Camera camera;
   int64_t count = 0;
   int channels = 0, stride = 0;
+  float stop = T_MIN, reach = 0;  // of the model
   Buffer<float> geo, features;
   Buffer<uint8_t> drawn;
   Buffer<uint32_t> processed;
@@ -26,8 +27,8 @@ struct State {
   size_t bytes() const;
 };
 
-// Project and sort into tiles: what every picture of the model from this camera shares.
-void lay_out(const Model& model, float* radii, int threads, State& state);
+// Project and sort into tiles: what every picture of the model with as many features as these shares, from this camera.
+void lay_out(const Model& model, const Pictures& pictures, float* radii, int threads, State& state);
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state);
 
 // Pairs of Gaussian and tile that all pictures of this process so far were made of: work that does not depend on

@@ -400,6 +400,79 @@ INLINE void transpose(const float* in, ptrdiff_t stride, float* out, ptrdiff_t o
   transpose_rows([=](int r) { return in + r * stride; }, out, out_stride);
 }
 
+// Element p of the three values a, b and c one after another is element p / 3 of column p % 3.
+template <int C, int... I>
+INLINE NF column_of_3(NF a, NF b, NF c, Lanes<I...>) {
+  const NF ab = __builtin_shufflevector(a, b, (3 * I + C < 2 * WIDTH ? 3 * I + C : 0)...);
+  return __builtin_shufflevector(ab, c, (3 * I + C < 2 * WIDTH ? I : 3 * I + C - WIDTH)...);
+}
+template <int PART, int... I>
+INLINE NF part_of_3(NF x, NF y, NF z, Lanes<I...>) {
+  constexpr int FIRST = PART * WIDTH;
+  const NF xy = __builtin_shufflevector(x, y, ((FIRST + I) % 3 ? WIDTH + (FIRST + I) / 3 : (FIRST + I) / 3)...);
+  return __builtin_shufflevector(xy, z, ((FIRST + I) % 3 < 2 ? I : WIDTH + (FIRST + I) / 3)...);
+}
+// Elements 2 i + ODD of a and b one after another; and back, the half PART of a0 b0 a1 b1 ...
+template <int ODD, int... I>
+INLINE NF every_second(NF a, NF b, Lanes<I...>) { return __builtin_shufflevector(a, b, (2 * I + ODD)...); }
+template <int PART, int... I>
+INLINE NF zip(NF a, NF b, Lanes<I...>) {
+  return __builtin_shufflevector(a, b, (PART * WIDTH / 2 + I / 2 + I % 2 * WIDTH)...);
+}
+
+// out[c][l] = rows[C l + c] for LANES rows of C numbers that follow one another.
+template <int C>
+INLINE void split_columns(const float* rows, float (*out)[LANES]) {
+  const typename MakeLanes<WIDTH>::type every;
+  for (int i = 0; i < LANES; i += WIDTH) {
+    NF in[C], columns[C];
+    for (int c = 0; c < C; ++c) __builtin_memcpy(&in[c], rows + C * i + c * WIDTH, sizeof(NF));
+    if constexpr (C == 1) columns[0] = in[0];
+    else if constexpr (C == 3) {
+      columns[0] = column_of_3<0>(in[0], in[1], in[2], every);
+      columns[1] = column_of_3<1>(in[0], in[1], in[2], every);
+      columns[2] = column_of_3<2>(in[0], in[1], in[2], every);
+    } else {
+      static_assert(C == 4, "rows of 1, 3 or 4 numbers");
+      const NF even[] = {every_second<0>(in[0], in[1], every), every_second<0>(in[2], in[3], every)};
+      const NF odd[] = {every_second<1>(in[0], in[1], every), every_second<1>(in[2], in[3], every)};
+      columns[0] = every_second<0>(even[0], even[1], every);
+      columns[1] = every_second<0>(odd[0], odd[1], every);
+      columns[2] = every_second<1>(even[0], even[1], every);
+      columns[3] = every_second<1>(odd[0], odd[1], every);
+    }
+    for (int c = 0; c < C; ++c) __builtin_memcpy(out[c] + i, &columns[c], sizeof(NF));
+  }
+}
+
+// rows[C l + c] = in[c][l] for LANES rows.
+template <int C>
+INLINE void join_columns(const float (*in)[LANES], float* rows) {
+  const typename MakeLanes<WIDTH>::type every;
+  for (int i = 0; i < LANES; i += WIDTH) {
+    NF x[C], out[C];
+    for (int c = 0; c < C; ++c) __builtin_memcpy(&x[c], in[c] + i, sizeof(NF));
+    if constexpr (C == 1) out[0] = x[0];
+    else if constexpr (C == 2) {
+      out[0] = zip<0>(x[0], x[1], every);
+      out[1] = zip<1>(x[0], x[1], every);
+    } else if constexpr (C == 3) {
+      out[0] = part_of_3<0>(x[0], x[1], x[2], every);
+      out[1] = part_of_3<1>(x[0], x[1], x[2], every);
+      out[2] = part_of_3<2>(x[0], x[1], x[2], every);
+    } else {
+      static_assert(C == 4, "rows of 1 to 4 numbers");
+      const NF low[] = {zip<0>(x[0], x[2], every), zip<0>(x[1], x[3], every)};
+      const NF high[] = {zip<1>(x[0], x[2], every), zip<1>(x[1], x[3], every)};
+      out[0] = zip<0>(low[0], low[1], every);
+      out[1] = zip<1>(low[0], low[1], every);
+      out[2] = zip<0>(high[0], high[1], every);
+      out[3] = zip<1>(high[0], high[1], every);
+    }
+    for (int c = 0; c < C; ++c) __builtin_memcpy(rows + C * i + c * WIDTH, &out[c], sizeof(NF));
+  }
+}
+
 #if defined(__AVX512F__)
 // Append first + l for each set bit l of `chosen`. May write 16 numbers, so leave room for them.
 INLINE int append(uint32_t* list, int length, uint32_t first, unsigned chosen) {

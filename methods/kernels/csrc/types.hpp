@@ -20,21 +20,28 @@ constexpr double WHITEN = 0.84932180028801904272;  // sqrt(log2(e) / 2): exponen
 // One projected Gaussian, a line of the cache. With d = pixel - mean, u = l11 dx + l12 dy and v = l22 dy (a Cholesky
 // factor of the inverse covariance, so that no large terms cancel as in a dx^2 + 2 b dx dy + c dy^2):
 // alpha = opacity 2^-(u^2 + v^2), and the support is where that is 1/255 or more.
+// The numbers that a record of a tile has too stand where it has them.
 enum Geo {
-  X_WHOLE, X_PART, Y_WHOLE, Y_PART,  // mean in pixels = whole + part: float32 alone loses 1e-4 px at 1000
-  L11, L12, L22, OPACITY,
+  X_WHOLE, X_PART,  // mean in pixels = whole + part: float32 alone loses 1e-4 px at 1000
+  L11, L12, L22,
   LOG_OPACITY,  // log2(opacity)
+  OPACITY,
+  Y_WHOLE,
+  COLOUR,       // where there are three channels: what tiles need of most pictures is in this line
+  DEPTH = COLOUR + 3,
+  Y_PART,
   TIP,          // dy at the ellipse's rightmost point
   INV_L11,      // l12 times it is how the ellipse's middle moves with dy
   HALF_Y,       // half-extent of the support in pixels
-  COLOUR,       // where there are three channels: what tiles need of most pictures is in this line
-  DEPTH = COLOUR + 3,
   GEO
 };
 
 // One Gaussian as a tile sees it: u and v at the tile's corner, its rank in the tile's list, then its features.
 // alpha = 2^(log2(opacity) - u^2 - v^2) down to 2^LEAST = 1/255.
 enum Rec { R_U0, R_V0, R_L11, R_L12, R_L22, R_LOG_OPACITY, R_OPACITY, R_RANK, R_FEATURES };
+static_assert((int)R_L11 == L11 && (int)R_LOG_OPACITY == LOG_OPACITY && (int)R_OPACITY == OPACITY &&
+                  (int)R_FEATURES == COLOUR,
+              "records are copies of what projection writes");
 constexpr float LEAST = -7.99435343685885793f;
 
 // A rank as the bits of a float that is no denormal: numbers of this kind are ordered as ranks are.
@@ -66,15 +73,18 @@ struct Model {
   int sh_used, sh_stored;
   bool raw;              // scales are logarithms, opacities logits
   bool antialiased;
+  float stop = T_MIN;               // light left of every pixel below which a block ends
+  float reach = __builtin_inff();   // u^2 + v^2 beyond which no block is drawn
 };
 
 struct Projection {  // what projecting writes, per Gaussian
   float* geo;        // [n, GEO]
-  float* features;   // [n, stride]: colours, depth, distance
+  float* features;   // [n, stride]: colours, depth, distance; null where geo has all that pictures need
   int stride;
   float* radii;      // [n]
-  uint8_t* drawn;    // [n]
+  uint8_t* drawn;    // [n]: 0, or 1 with LIT << c where channel c of its harmonics is above 0
 };
+constexpr int LIT = 2;
 
 // Which tiles a Gaussian touches: `rows` rows of tiles from `first_row` on; in each, columns [from, to].
 struct Footprint {
@@ -86,7 +96,7 @@ struct Span {
 
 struct Tiles {
   const float* geo;
-  const float* features;
+  const float* features;       // null where geo has them
   int stride;                  // floats between the features of two Gaussians
   bool coloured;               // whether geo has their colours
   const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
@@ -94,6 +104,7 @@ struct Tiles {
   uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
   uint16_t* blocks;            // [entries]: bit b where block b draws the Gaussian, for those looked at; or null
   float* trace;                // [tiles, BLOCKS, TRACE, LANES]; null with `blocks`
+  float stop, reach;           // of the model
   int across;                  // tiles in a row
   int width, height;
 };
@@ -109,6 +120,9 @@ struct Pictures {  // outputs, row-major; all but colour null where not asked fo
 };
 
 inline int features_of(const Pictures& p) { return p.channels + (p.distance ? 2 : p.depth || p.median ? 1 : 0); }
+
+// Whether that many features of a picture are in a Gaussian's geo: three colours, and perhaps its depth.
+inline bool in_geo(int channels, int features) { return channels == 3 && features <= 4; }
 
 struct PictureGradients {  // d loss / d output; null is zero
   int channels;
@@ -164,9 +178,8 @@ struct AdamRate {
 struct Kernels {
   const char* name;
   void (*project)(const Camera&, const Model&, const Projection&, int64_t first, int64_t last);
-  // of the Gaussians ids[first] to ids[last - 1]; all that they write goes by that order
-  void (*footprints)(const float* geo, const uint32_t* ids, int down, Footprint*, int64_t first, int64_t last);
-  void (*spans)(const float* geo, const uint32_t* ids, const Footprint*, const uint32_t* span_start, int across, Span*,
+  void (*footprints)(const float* geo, const uint8_t* drawn, int down, Footprint*, int64_t first, int64_t last);
+  void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, float reach, Span*,
                 uint32_t* touched, int64_t first, int64_t last);
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,

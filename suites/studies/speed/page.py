@@ -40,7 +40,7 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
         *peers(machine, rows), *roofline(rows), *growth(rows),
         "## Error against speed",
         ("One point a twin, on the case that its error is from; the line is the frontier. An error "
-        "of 0 is drawn at 1e-16."),
+        "of 0 is drawn at 1e-16; what approximates is hollow and has a star."),
         *(f"![{Path(name).stem}]({name})" for name in pictures),
         *components(rows),
     ]  # fmt: skip

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,6 +16,16 @@ LEAST_ERROR = 1e-16
 MARKERS = "osD^vP*X"
 Row = dict[str, Any]
 Point = tuple[float, float]
+
+
+class Judged(NamedTuple):
+    """One point of the picture."""
+
+    twin: str
+    milliseconds: float
+    error: float
+    exact: bool
+    """Whether it approximates nothing: others are hollow and have a star."""
 
 
 def draw(rows: Sequence[Row], folder: Path) -> list[Path]:
@@ -42,16 +52,17 @@ def frontier(points: Sequence[Point]) -> list[Point]:
     return kept
 
 
-def judged(rows: Sequence[Row]) -> dict[str, list[tuple[str, float, float]]]:
-    """Twin, milliseconds and error of each component, on the case that its errors are from."""
-    found: dict[str, list[tuple[str, float, float]]] = {}
+def judged(rows: Sequence[Row]) -> dict[str, list[Judged]]:
+    """Twins of each component, on the case that their errors are from."""
+    found: dict[str, list[Judged]] = {}
     for row in rows:
         time, error = total_ms(row), row.get("max_abs_error")
         if time is None or error is None or row["case"] != row.get("error_case"):
             continue
         if math.isfinite(error):
             place = found.setdefault(row["component"], [])
-            place.append((row["twin"], time, max(error, LEAST_ERROR)))
+            exact = not row.get("approximates")
+            place.append(Judged(row["twin"], time, max(error, LEAST_ERROR), exact))
     return {component: points for component, points in found.items() if len(points) > 1}
 
 
@@ -71,13 +82,15 @@ def pareto(rows: Sequence[Row]) -> Figure | None:
     return figure
 
 
-def _pareto_panel(axes: Axes, component: str, points: list[tuple[str, float, float]]) -> None:
-    best = frontier([(time, error) for _, time, error in points])
+def _pareto_panel(axes: Axes, component: str, points: list[Judged]) -> None:
+    best = frontier([(point.milliseconds, point.error) for point in points])
     axes.plot(*zip(*best, strict=True), color="#bbbbbb", drawstyle="steps-post", zorder=0)
-    for i, (twin, time, error) in enumerate(points):
+    for i, point in enumerate(points):
+        colour = COLOURS[i % len(COLOURS)]
         axes.plot(
-            [time], [error], MARKERS[i % len(MARKERS)], color=COLOURS[i % len(COLOURS)],
-            label=twin, markersize=7,
+            [point.milliseconds], [point.error], MARKERS[i % len(MARKERS)], color=colour, markersize=7,
+            label=point.twin if point.exact else f"{point.twin} *",
+            markerfacecolor=colour if point.exact else "none",
         )  # fmt: skip
     axes.set(xscale="log", yscale="log", title=component, xlabel="forward + backward, ms",
              ylabel="largest error")  # fmt: skip

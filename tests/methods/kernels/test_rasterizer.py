@@ -319,3 +319,19 @@ def test_harmonics_and_colours_that_do_not_add_up_are_refused(lit, plain, channe
         native.rasterize(
             scene.camera, *leaves, sh=sh.repeat(2, 1, 1)[:lit], colours=torch.rand(plain, channels)
         )
+
+
+def test_gradients_by_a_distance_that_was_not_drawn_are_refused():
+    scene = random_scene(5, 0)
+    height, width = scene.camera.height, scene.camera.width
+    means, quaternions, scales, opacities = scene.arguments(torch.float32)[:4]
+    parts = [t.detach() for t in (means, quaternions, scales, opacities)]
+    model = _ext.Model(*parts, torch.zeros(5, 3), None, 0, False, False)
+    flat = [torch.zeros(height, width) for _ in range(4)]
+    camera = native.native_camera(scene.camera)
+    colour, radii, none = torch.zeros(height, width, 3), torch.zeros(5), [None] * 5
+    state = _ext.render(model, *camera, None, colour, *flat[:2], radii, *none)
+    with pytest.raises(ValueError, match="a picture without it"):
+        _ext.render_backward(
+            state, model, None, *flat[:3], None, None, None, flat[3], *[None] * 9
+        )  # fmt: skip

@@ -320,3 +320,16 @@ def test_scenes_repeat_and_differ():
 def test_the_study_is_registered():
     assert STUDIES["speed"].rows is speed.rows
     assert KEYS - {"peak_mb"} <= set(STUDIES["speed"].columns)
+
+
+def test_approximations_are_hollow_and_have_a_star():
+    base = {"component": "rasterizer", "case": "c", "error_case": "c", "backward_ms": 1.0}
+    rows = [
+        base | {"twin": "cpu", "forward_ms": 1.0, "max_abs_error": 1e-7, "approximates": ""},
+        base | {"twin": "rough", "forward_ms": 0.5, "max_abs_error": 1e-2, "approximates": "much"},
+    ]
+    figure = speed_plot.pareto(rows)
+    assert figure is not None
+    marks = {line.get_label(): line for line in figure.axes[0].get_lines()}
+    assert marks["cpu"].get_markerfacecolor() != "none"
+    assert marks["rough *"].get_markerfacecolor() == "none"
