@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -323,15 +324,12 @@ def test_harmonics_and_colours_that_do_not_add_up_are_refused(lit, plain, channe
 
 def test_gradients_by_a_distance_that_was_not_drawn_are_refused():
     scene = random_scene(5, 0)
-    height, width = scene.camera.height, scene.camera.width
-    means, quaternions, scales, opacities = scene.arguments(torch.float32)[:4]
-    parts = [t.detach() for t in (means, quaternions, scales, opacities)]
-    model = _ext.Model(*parts, torch.zeros(5, 3), None, 0, False, False)
-    flat = [torch.zeros(height, width) for _ in range(4)]
-    camera = native.native_camera(scene.camera)
-    colour, radii, none = torch.zeros(height, width, 3), torch.zeros(5), [None] * 5
-    state = _ext.render(model, *camera, None, colour, *flat[:2], radii, *none)
+    parts: list[Any] = [t.detach() for t in scene.arguments(torch.float32)[:4]]
+    parts += [torch.zeros(5, 3), None, 0, False, False]
+    model = _ext.Model(*parts)
+    flat = [torch.zeros(scene.camera.height, scene.camera.width) for _ in range(4)]
+    wanted: list[Any] = [None, flat[0][..., None].repeat(1, 1, 3), *flat[:2], torch.zeros(5)]
+    state = _ext.render(model, *native.native_camera(scene.camera), *wanted, *[None] * 5)
+    given: list[Any] = [None, *flat[:3], None, None, None, flat[3], *[None] * 9]
     with pytest.raises(ValueError, match="a picture without it"):
-        _ext.render_backward(
-            state, model, None, *flat[:3], None, None, None, flat[3], *[None] * 9
-        )  # fmt: skip
+        _ext.render_backward(state, model, *given)
