@@ -137,6 +137,8 @@ def test_nothing_grows_in_time_where_an_anchor_stands():
     """What does not move would be copied onto itself."""
     chosen, parameters = control(temporal_gradient=1e-3, temporal_share=1.0)
     parameters.rows["velocities"][4] = 0.0
+    parameters.rows["log_spans"][4] = -2.5
+    parameters.rows["peaks"][4] = 0.0
     chosen.temporal[4] = 1.0
     assert edited(chosen, parameters) == len(parameters)
 
