@@ -84,7 +84,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
     )  # fmt: skip
     if isinstance(settings.density, StrategicDensity) and settings.density.looks:
-        scene = remembering(scene, image_room(run.image_bytes, scene.train_views))
+        scene = remembering(scene, image_room(run.image_bytes, scene.train_views).kept)
     return model, Plan(
         steps=settings.iterations,
         views=scene.train_views,
