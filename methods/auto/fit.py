@@ -12,6 +12,7 @@ from itertools import pairwise
 import torch
 
 from splatproof.base.files import read_json, write_text
+from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, KeptBack, keep_back
@@ -220,7 +221,8 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
     left = settings.seconds * (1 - RESERVE) - (clock() - started) - matching.seconds
     choices = (matching.choice, *choices)
-    return Planned(plan=plan(settings, facts, chosen, choices, speed, left), facts=facts)
+    made = plan(settings, facts, chosen, choices, speed, left, available_mb())
+    return Planned(plan=made, facts=facts)
 
 
 def _probed(

@@ -8,6 +8,8 @@ from splatproof.base.memory import MEBIBYTE
 from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.threedgs.cost import training_memory_mb
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.resolution import Resolution
@@ -38,6 +40,10 @@ MOST_VISITS = 250
 """How often a training photo is looked at, at most: what is learnt after that is these photos by heart. Held-out
 training photos of brighton_beach at 250 px, one seed: 20.2 dB after 80 visits, 20.0 dB after 400; photos of
 aerial-sparse/town: 27.5 dB after 200, 27.6 dB after 425."""
+LEAST_GAUSSIANS = 1000
+"""Gaussians that a plan allows however few pixels there are."""
+MEMORY_SHARE = 0.8
+"""Share of the free memory that a plan takes: the estimate is right to a quarter."""
 WORTH = 0.3
 """Decibels that a candidate has to gain in the probe over the usual value: a probe is short and small, and
 on courtyard preferred by 0.3 dB what a whole run loses 0.9 dB with."""
@@ -173,22 +179,60 @@ def compete(
     )  # fmt: skip
 
 
-def most_gaussians(asked: AutoSettings, facts: SceneFacts, degree: int) -> tuple[int, str]:
+def most_gaussians(
+    asked: AutoSettings, facts: SceneFacts, degree: int, free: float
+) -> tuple[int, str]:
     """Cap on the number of Gaussians, and why.
 
     Args:
         asked: The budget.
         facts: What was measured.
         degree: Degree of the harmonics.
+        free: Megabytes of this machine's memory that are free.
     """
     pixels = facts.views * facts.width * facts.height
-    most = max(1000, pixels // PIXELS_A_GAUSSIAN)
-    why = f"all photos together have {pixels:,} pixels, {PIXELS_A_GAUSSIAN} a Gaussian"
+    bounds = [(
+        pixels // PIXELS_A_GAUSSIAN,
+        f"all photos together have {pixels:,} pixels, {PIXELS_A_GAUSSIAN} a Gaussian",
+    )]  # fmt: skip
     if asked.megabytes:
-        fit = max(1, int(asked.megabytes * MEBIBYTE / (4 * (11 + 3 * (degree + 1) ** 2))))
-        if fit < most:
-            return fit, f"what {asked.megabytes:g} MB hold"
-    return most, why
+        fit = asked.megabytes * MEBIBYTE / (4 * (11 + 3 * (degree + 1) ** 2))
+        bounds.append((int(fit), f"what {asked.megabytes:g} MB hold"))
+    if math.isfinite(free):
+        none, one = (training_mb(facts, count, degree) for count in (0, 1))
+        room = max(0.0, MEMORY_SHARE * free - none) / (one - none)
+        bounds.append((int(room), f"what training may hold of {free:,.0f} MB of free memory"))
+    most, why = min(bounds)
+    return max(1 if asked.megabytes else LEAST_GAUSSIANS, most), why
+
+
+def training_mb(facts: SceneFacts, gaussians: int, degree: int) -> float:
+    """Peak memory of a training process, 2^20 bytes.
+
+    Args:
+        facts: Number and size of the photos.
+        gaussians: Number of Gaussians at the end.
+        degree: Degree of the harmonics.
+    """
+    return training_memory_mb(
+        float(gaussians), image_bytes=float(min(facts.image_bytes, Run.image_bytes)),
+        pixels=float(facts.width * facts.height), sh_degree=degree,
+    )  # fmt: skip
+
+
+def blocks(needed: float, free: float) -> Choice:
+    """One model or several: what does not fit into memory as one is trained in blocks, by another method.
+
+    Args:
+        needed: Megabytes that training takes with as many Gaussians as the photos bear.
+        free: Megabytes of this machine's memory that are free.
+    """
+    fits = needed <= MEMORY_SHARE * free
+    return Choice(
+        component="blocks", value="one model" if fits else "one model, with fewer Gaussians than the photos bear",
+        because=f"training takes {needed:,.0f} MB at most, and {free:,.0f} MB are free"
+        + ("" if fits else "; method odbp+stitch trains blocks apart"),
+    )  # fmt: skip
 
 
 def plan(
@@ -198,6 +242,7 @@ def plan(
     choices: Sequence[Choice],
     speed: Speed,
     seconds: float,
+    free: float = math.inf,
 ) -> AutoPlan:
     """Number of Gaussians and of steps for the seconds that are left.
 
@@ -208,10 +253,14 @@ def plan(
         choices: Why.
         speed: How fast this machine trains such photos.
         seconds: Wall seconds that training may take.
+        free: Megabytes of this machine's memory that are free; inf: not known, memory bounds nothing.
     """
-    most, why = most_gaussians(asked, facts, settings.sh_degree)
+    most, why = most_gaussians(asked, facts, settings.sh_degree, free)
     settings = replace(settings, density=replace(settings.density, most=most))
     told = list(choices)
+    if math.isfinite(free):
+        wanted, _ = most_gaussians(asked, facts, settings.sh_degree, math.inf)
+        told.append(blocks(training_mb(facts, wanted, settings.sh_degree), free))
     start = min(facts.points, settings.most_points or facts.points)
     told.append(Choice(
         component="points", value=f"{start:,} of {facts.points:,}",

@@ -15,6 +15,7 @@ from splatproof.methods.auto.planner import (
     coarsest,
     compete,
     plan,
+    training_mb,
     training_seconds,
     usual,
 )
@@ -55,6 +56,21 @@ def test_a_file_has_a_bound():
     found = planned(AutoSettings(megabytes=2.0))
     assert found.settings.density.most == 2 * 2**20 // (4 * 59)
     assert any("2 MB" in choice.because for choice in found.choices)
+
+
+@given(free=st.floats(100, 1e5), views=st.integers(1, 3000))
+def test_training_fits_into_memory_or_is_as_small_as_it_gets(free, views):
+    facts = replace(FACTS, views=views, width=2000, height=1500, image_bytes=views * 36_000_000)
+    asked = AutoSettings()
+    found = plan(asked, facts, usual(asked, facts), (), SPEED, 50.0, free)
+    most = found.settings.density.most
+    assert most is not None
+    assert training_mb(facts, most, 3) <= 0.8 * free or most == 1000
+    alone = plan(asked, facts, usual(asked, facts), (), SPEED, 50.0).settings.density.most
+    assert alone is not None
+    (told,) = (choice for choice in found.choices if choice.component == "blocks")
+    assert ("fewer Gaussians" in told.value) == (most < alone)
+    assert ("odbp+stitch" in told.because) == (most < alone)
 
 
 def test_a_quality_asked_for_stands_in_the_plan():
