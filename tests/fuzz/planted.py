@@ -26,7 +26,7 @@ def _long(path: Path) -> object:
 
 
 def _large(path: Path) -> object:
-    return len(b"x" * 288 * 2**20)  # the bound is 256; more takes so long on a busy machine that it is "long"
+    return len(b"x" * 288 * 2**20)  # the bound is 256; 400 were too slow on a busy machine
 
 
 def _huge(path: Path) -> object:
