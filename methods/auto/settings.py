@@ -16,8 +16,8 @@ class AutoSettings:
     megabytes: float = 0.0
     """Most megabytes (2^20 bytes) of the saved model; 0: no bound."""
     db: float = 0.0
-    """PSNR in dB at which training ends before its seconds are over, on every sixth training photo, which is
-    kept back for that. 0: none is kept back, and the seconds are used."""
+    """PSNR in dB at which training ends before its seconds are over, on every sixth training photo, 12 at most,
+    which are kept back for that. 0: none is kept back, and the seconds are used."""
     probe_share: float = 0.15
     """Share of the seconds, 0 to 0.5, that short trainings may take in which settings compete on
     training views that they do not see. 0: none; what they would decide stays as it is by default."""

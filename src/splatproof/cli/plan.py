@@ -61,7 +61,7 @@ def plan(
         seconds: With SCENE: wall seconds that everything may take. None: 60.
         megabytes: With SCENE: most megabytes of the saved model. None: no bound.
         db: With SCENE: PSNR in dB at which training ends before its seconds are over, on every sixth training
-            photo, which is kept back for that. None: the seconds are used.
+            photo, 12 at most, which are kept back for that. None: the seconds are used.
         protocol: With SCENE: name or file of the rules by which it is opened. None: default.
         views: Number of training views.
         gaussians: Number of Gaussians in the finished model.
