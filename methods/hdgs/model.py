@@ -13,10 +13,12 @@ from torch import Tensor
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dynamic.sky import Sky
+from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
 from splatproof.methods.hdgs.decode import decoded, placed
 from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
+from splatproof.methods.hdgs.settings import Smoothing
 from splatproof.reference.anchors.motion_hierarchy import (
     HierarchySettings,
     MotionAnchors,
@@ -74,6 +76,7 @@ class HdgsModel(Model):
         clock: Clock,
         voxel: float,
         ice: Ice,
+        smoothing: Smoothing,
     ) -> None:
         """Take the tensors.
 
@@ -85,9 +88,10 @@ class HdgsModel(Model):
             clock: What turns a view's seconds into model time.
             voxel: Edge of the consistency step's voxels in the frame's unit.
             ice: Which parts of the consistency step run.
+            smoothing: What is smoothed while training.
         """
         super().__init__(parameters, schedules)
-        self.sizes, self.frame, self.clock = sizes, frame, clock
+        self.sizes, self.frame, self.clock, self.smoothing = sizes, frame, clock, smoothing
         self.voxel = voxel
         self.ice: Ice = ice
         self.sky = Sky()
@@ -123,7 +127,7 @@ class HdgsModel(Model):
         return self._near[1]
 
     @torch.no_grad()
-    def in_view(self, camera: Camera, time: float) -> Int[Tensor, " v"]:
+    def in_view(self, camera: Camera, time: float, later: float = 0.0) -> Int[Tensor, " v"]:
         """Rows of the anchors that are alive and of whose Gaussians an image may show one.
 
         All of them are put in their places, residuals and vibration included, by the small networks
@@ -134,17 +138,22 @@ class HdgsModel(Model):
         Args:
             camera: Camera of the image.
             time: In the unit of the peaks.
+            later: Time in the same unit that what is drawn has moved on by since then.
         """
         rows = self.parameters.rows
         alive = life(rows["peaks"], rows["log_spans"].exp(), time) > ALIVE
         (index,) = torch.where(alive)
         networks = hierarchy(self.parameters.shared, self.sizes.layers)
         times = rows["peaks"].new_full((len(index),), time)
-        last = placed(self.anchors(index), networks, self.sizes, times)
+        anchors = self.anchors(index)
+        last = placed(anchors, networks, self.sizes, times)
+        at = last.at
+        if later:
+            at = at + self.drift(anchors, later).repeat_interleave(self.sizes.leaves, dim=0)
         # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
         away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
         radius = away + REACH * last.base.amax(dim=1)
-        local = transform_points(camera, self.frame.outwards(last.at)) / self.frame.unit
+        local = transform_points(camera, self.frame.outwards(at)) / self.frame.unit
         depth = local[:, 2]
         focal = float(camera.K.diagonal()[:2].min())
         radius = radius + BLUR / focal * (depth.abs() + away)
@@ -154,16 +163,28 @@ class HdgsModel(Model):
             seen &= local @ inwards > -radius
         return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
 
+    def drift(self, anchors: MotionAnchors, later: float) -> Float[Tensor, "n 3"]:
+        """How far anchors get at their average velocity, in the model's unit.
+
+        Args:
+            anchors: Their velocities and spans count.
+            later: Time in the unit of the peaks.
+        """
+        spans, period = anchors.log_spans.exp(), self.sizes.period
+        return later * average_velocities(anchors.velocities, spans, period, self.smoothing.decay)
+
     def splats(self, view: View, moment: Moment) -> Splats:
         """What the anchors alive and in view decode to.
 
+        While training, some steps draw the state of a moment nearby, moved on by the average velocity.
+
         Args:
             view: Its camera and time count.
-            moment: Not looked at.
+            moment: Its generator draws the other moment.
         """
-        del moment
-        time = self.time(view)
-        seen = self.in_view(view.camera, time)
+        later = skipped(moment, self.smoothing.probability, self.smoothing.reach)
+        time = self.time(view) - later
+        seen = self.in_view(view.camera, time, later)
         shared, layers = self.parameters.shared, self.sizes.layers
         anchors = self.anchors(seen)
         if CONVOLUTION in shared:
@@ -176,6 +197,9 @@ class HdgsModel(Model):
         centre = self.frame.inwards(view.camera.centre)
         splats = decoded(anchors, hierarchy(shared, layers), self.sizes, time, centre)
         k = self.sizes.gaussians
+        if later:
+            drift = self.drift(anchors, later).repeat_interleave(k, dim=0)
+            splats = replace(splats, means=splats.means + drift)
         places = torch.arange(k, device=seen.device)
         return replace(
             splats,
@@ -241,5 +265,5 @@ def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> HdgsMod
     frame = Frame(middle=(x, y, z), unit=float(facts["frame"]["unit"]))
     return HdgsModel(
         parameters, {}, sizes=sizes, frame=frame, clock=Clock.read(facts["clock"]),
-        voxel=float(facts["voxel"]), ice=facts["ice"],
+        voxel=float(facts["voxel"]), ice=facts["ice"], smoothing=Smoothing(),
     )  # fmt: skip

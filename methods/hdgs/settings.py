@@ -75,6 +75,27 @@ class Rates:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Smoothing:
+    """How training keeps the model smooth between its moments: as PVG does (HDGS does not say)."""
+
+    probability: float = 0.5
+    """Probability, 0 to 1, that a step draws a view from the state of another moment, moved on by the
+    average velocity of its anchors (PVG's release: 0.5); 0: never. Without, networks that read the time
+    learn each moment by heart (row `hdgs@no-smoothing` of suite street)."""
+    reach: float = 0.15
+    """Greatest time between the two moments in tens of frames (PVG's release: one and a half frames)."""
+    decay: float = 1.0
+    """How fast the average velocity falls with the span of life in periods (PVG's release: 1)."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that no run can follow."""
+        require(0 <= self.probability <= 1, "smoothing.probability", self.probability, "0 to 1")
+        for name in ("reach", "decay"):
+            value = getattr(self, name)
+            require(0 <= value < math.inf, f"smoothing.{name}", value, ">= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
 class DepthSettings:
     """Depth supervision beside the LiDAR (GDS and LDS)."""
 
@@ -132,6 +153,7 @@ class Settings:
     """Period of the vibration, in tens of frames (PVG's release: 1)."""
     motion: Motion = "vibration"
     """How layer 0 moves; residual networks of deeper layers read the time in any case."""
+    smoothing: Smoothing = field(default_factory=Smoothing)
     still_span: float = 1.0
     """Life span at the start of anchors that stand still, in durations of the drive (pvg: 1)."""
     moving_span: float = 0.2

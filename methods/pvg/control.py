@@ -10,7 +10,8 @@ from torch import Tensor
 
 from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.parameters import Edit, Parameters
-from splatproof.methods.pvg.model import average_velocities, spans
+from splatproof.methods.dynamic.smoothing import average_velocities
+from splatproof.methods.pvg.model import spans
 from splatproof.methods.pvg.settings import Motion, MovingDensity
 from splatproof.methods.training.density import SPLIT_SHRINK
 from splatproof.methods.training.density_control import DensityControl
@@ -111,7 +112,10 @@ class MovingControl(DensityControl):
         draw = torch.randn(len(index), generator=generator).to(own["peaks"])
         away = draw * spans(own).clamp(max=self.motion.period)
         means, peaks = rows["means"].clone(), rows["peaks"].clone()
-        means[index] += average_velocities(own, self.motion) * away[:, None]
+        slow = average_velocities(
+            own["velocities"], spans(own), self.motion.period, self.motion.decay
+        )
+        means[index] += slow * away[:, None]
         peaks[index] += away
         return {"means": means, "peaks": peaks}
 

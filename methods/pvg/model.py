@@ -11,6 +11,7 @@ from torch import Tensor
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dynamic.sky import Sky
+from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.models.gaussian_model import assemble
 from splatproof.methods.pvg.settings import Motion
@@ -86,18 +87,20 @@ class VibrationModel(Model):
 
         Raises: UsageError if the view has no time.
         """
-        time, skipped = self.clock.of(view), self._skipped(moment)
-        then = time - skipped
+        motion = self.motion
+        later = skipped(moment, motion.smoothing, motion.reach)
+        then = self.clock.of(view) - later
         rows = self.parameters.rows
         with torch.no_grad():
-            shown = life(rows["peaks"], spans(rows), then) > self.motion.least_life
+            shown = life(rows["peaks"], spans(rows), then) > motion.least_life
         index = None
         if not bool(shown.all()):
             index = torch.where(shown)[0]
             rows = {name: rows[name].index_select(0, index) for name in ROWS}
-        means = vibrate(rows["means"], rows["velocities"], rows["peaks"], then, self.motion.period)
-        if skipped:
-            means = means + average_velocities(rows, self.motion) * skipped
+        means = vibrate(rows["means"], rows["velocities"], rows["peaks"], then, motion.period)
+        if later:
+            slow = average_velocities(rows["velocities"], spans(rows), motion.period, motion.decay)
+            means = means + slow * later
         degree = self.degree
         if moment.trains:
             degree = active_degree(moment.step, self.sh_every, self.degree)
@@ -106,14 +109,6 @@ class VibrationModel(Model):
             means=drawn.means, quaternions=drawn.quaternions, scales=drawn.scales, sh=drawn.sh,
             opacities=drawn.opacities * life(rows["peaks"], spans(rows), then), rows=index,
         )  # fmt: skip
-
-    def _skipped(self, moment: Moment) -> float:
-        """Model time between the moment of a view and the one whose state is drawn for it."""
-        motion = self.motion
-        if moment.generator is None or not motion.smoothing:
-            return 0.0
-        chance, place = torch.rand(2, generator=moment.generator).tolist()
-        return (2 * place - 1) * motion.reach if chance < motion.smoothing else 0.0
 
     def finish_image(self, view: View, output: RenderOutput) -> Float[Tensor, "h w c"]:
         """The sky behind what was drawn, where there is one.
@@ -139,19 +134,6 @@ def spans(rows: Mapping[str, Tensor]) -> Float[Tensor, " n"]:
         rows: log_spans counts.
     """
     return rows["log_spans"].clamp(math.log(LEAST_SPAN), math.log(MOST_SPAN)).exp()
-
-
-def average_velocities(rows: Mapping[str, Tensor], motion: Motion) -> Float[Tensor, "n 3"]:
-    """v exp(-decay beta / (2 p)): how fast a Gaussian moves on the whole; 0 for what stays long.
-
-    Args:
-        rows: velocities and log_spans count.
-        motion: decay and period count.
-
-    Source: Chen et al. 2023, "Periodic Vibration Gaussian", Sec. 3.4.
-    """
-    share = torch.exp(-motion.decay * spans(rows) / (2 * motion.period))
-    return rows["velocities"] * share[:, None]
 
 
 def restored(facts: Mapping[str, Any], tensors: Mapping[str, Tensor]) -> VibrationModel:

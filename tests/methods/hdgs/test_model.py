@@ -1,5 +1,6 @@
 """The model of moving anchors: what is decoded, where, and what neither view nor time may change."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,12 +9,12 @@ import torch
 from helpers.tiny_drive import tiny_drive
 from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.backends import get_backend
-from splatproof.methods.contracts.model import TRAINED
+from splatproof.methods.contracts.model import TRAINED, Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.hdgs.fit import prepare
-from splatproof.methods.hdgs.model import HdgsModel
+from splatproof.methods.hdgs.model import CYCLE, HdgsModel
 from splatproof.methods.hdgs.networks import hierarchy, support
-from splatproof.methods.hdgs.settings import Settings
+from splatproof.methods.hdgs.settings import Settings, Smoothing
 from splatproof.reference.anchors.motion_hierarchy import decode
 from splatproof.reference.anchors.support_network import support as reference_support
 from splatproof.reference.types.scene import View
@@ -47,7 +48,7 @@ def test_nothing_that_a_view_shows_is_left_out(seed, monkeypatch):
     rows = model.parameters.rows
     alive = torch.exp(-0.5 * ((model.time(view) - rows["peaks"]) / rows["log_spans"].exp()) ** 2)
     everything = torch.where(alive > 0.05)[0]
-    monkeypatch.setattr(model, "in_view", lambda camera, time: everything)
+    monkeypatch.setattr(model, "in_view", lambda camera, time, later: everything)
     all_splats = model.splats(view, TRAINED)
     assert 0 < len(some) < len(all_splats)
     torch.testing.assert_close(image, drawn(model, view), atol=1e-6, rtol=0)
@@ -123,3 +124,48 @@ def test_pairs_are_found_again_only_when_the_anchors_change():
 def test_a_view_without_a_time_is_refused():
     with pytest.raises(UsageError, match="has no time"):
         shaken().splats(replace(tiny_drive().views[0], time=None), TRAINED)
+
+
+def test_a_smoothed_step_draws_another_moment_moved_on():
+    model = shaken(smoothing=Smoothing(probability=1.0, reach=0.15))
+    model.parameters.rows["log_spans"].fill_(0.3)  # all are alive at both moments, and drift
+    view = tiny_drive().views[2]
+    _, place = torch.rand(2, generator=torch.Generator().manual_seed(11)).tolist()
+    later = (2 * place - 1) * 0.15
+    generator = torch.Generator().manual_seed(11)
+    splats = model.splats(view, Moment(step=1, total=9, generator=generator))
+    assert view.time is not None
+    then = replace(view, time=view.time - later * CYCLE / model.clock.second)
+    still = model.splats(then, TRAINED)
+    at = {int(row): place for place, row in enumerate(still.slots)}
+    both = [(place, at[int(row)]) for place, row in enumerate(splats.slots) if int(row) in at]
+    ours, theirs = (torch.tensor(places) for places in zip(*both, strict=True))
+    slow = model.anchors(splats.rows).velocities * math.exp(-math.exp(0.3) / 2)
+    moved = model.frame.outwards(slow * later) - model.frame.outwards(torch.zeros(1, 3))
+    assert len(both) > 0.9 * len(splats)
+    assert float(moved.abs().max()) > 1e-3
+    torch.testing.assert_close(splats.means[ours], (still.means[theirs] + moved[ours]))
+    torch.testing.assert_close(splats.opacities[ours], still.opacities[theirs])
+    torch.testing.assert_close(splats.colours[ours], still.colours[theirs])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nothing_that_a_smoothed_step_shows_is_left_out(seed, monkeypatch):
+    model = shaken(seed, smoothing=Smoothing(probability=1.0))
+    model.parameters.rows["velocities"] *= 20  # some drift in from beyond the border
+    model.parameters.rows["log_spans"].fill_(0.3)  # all are alive
+    model.parameters.rows["log_scales"] -= 3
+    view = tiny_drive().views[5]
+    view = replace(view, camera=replace(view.camera, width=9, height=7))
+
+    def image() -> tuple[torch.Tensor, int]:
+        moment = Moment(step=1, total=9, generator=torch.Generator().manual_seed(seed))
+        splats = model.splats(view, moment)
+        return get_backend("reference").draw(view.camera, splats).colour, len(splats)
+
+    some, drawn_of = image()
+    rows = torch.arange(len(model.parameters))
+    monkeypatch.setattr(model, "in_view", lambda camera, time, later: rows)
+    everything, most = image()
+    assert 0 < drawn_of < most
+    torch.testing.assert_close(some, everything, atol=1e-6, rtol=0)

@@ -14,10 +14,11 @@ from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.settings import SkySettings
 from splatproof.methods.dynamic.sky import SKY, started
+from splatproof.methods.dynamic.smoothing import average_velocities
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.pvg.fit import schedules
-from splatproof.methods.pvg.model import ROWS, VibrationModel, average_velocities, restored
+from splatproof.methods.pvg.model import ROWS, VibrationModel, restored
 from splatproof.methods.pvg.settings import Motion, MovingRates, Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.density_control import DensityControl
@@ -124,24 +125,15 @@ def test_a_smoothed_step_draws_another_moment_moved_on():
     motion = every(smoothing=1.0, reach=0.03)
     ours, generator = model(motion=motion), torch.Generator().manual_seed(11)
     _, place = torch.rand(2, generator=torch.Generator().manual_seed(11)).tolist()
-    skipped = (2 * place - 1) * 0.03
+    later = (2 * place - 1) * 0.03
     splats = ours.splats(at(0.02), Moment(step=1, total=9, generator=generator))
-    then = model(motion=every()).splats(at(0.02 - skipped), TRAINED)
-    slow = average_velocities(ours.parameters.rows, motion)
-    torch.testing.assert_close(splats.means, then.means + slow * skipped)
+    then = model(motion=every()).splats(at(0.02 - later), TRAINED)
+    rows = ours.parameters.rows
+    slow = average_velocities(rows["velocities"], rows["log_spans"].exp(), 0.2, 1.0)
+    torch.testing.assert_close(splats.means, then.means + slow * later)
     torch.testing.assert_close(splats.opacities, then.opacities)
     share = math.exp(-0.05 / (2 * 0.2))
     torch.testing.assert_close(slow, ours.parameters.rows["velocities"] * share)
-
-
-def test_smoothing_is_drawn_as_often_as_asked_within_reach_and_never_afterwards():
-    ours = model(motion=every(smoothing=0.3, reach=0.03))
-    moment = Moment(step=1, total=9, generator=torch.Generator().manual_seed(0))
-    skipped = torch.tensor([ours._skipped(moment) for _ in range(2000)])
-    assert int((skipped != 0).sum()) == pytest.approx(600, abs=80)  # 4 standard deviations
-    assert float(skipped.abs().max()) == pytest.approx(0.03, rel=0.05)
-    assert abs(float(skipped.mean())) < 2e-3
-    assert ours._skipped(TRAINED) == 0
 
 
 def test_the_sky_is_behind_it_and_its_gradient_reaches_the_texels():
