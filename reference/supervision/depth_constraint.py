@@ -6,6 +6,7 @@ renders blend inverse distances, which a robust affine map can bring to the netw
 which what nothing covers is infinitely far instead of at the camera (ours).
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -132,11 +133,20 @@ def normalise_disparity(
     clean = torch.where(valid, disparity, 0)
     if not valid.any():
         return clean
-    low, high = torch.quantile(disparity[valid].detach(), disparity.new_tensor(QUANTILES))
+    known = disparity[valid].detach()
+    low, high = (_quantile(known, share) for share in QUANTILES)
     spread = high - low
     if not spread > 0:
         return torch.where(valid, clean * 0, 0)
     return torch.where(valid, (clean - low) / spread, 0)
+
+
+def _quantile(values: Float[Tensor, " n"], share: float) -> Float[Tensor, ""]:
+    """Linear between neighbours in order, as torch.quantile, which sorts all of them."""
+    rank = share * (len(values) - 1)
+    below = math.floor(rank)
+    low = values.kthvalue(below + 1).values
+    return low.lerp(values.kthvalue(min(below + 2, len(values))).values, rank - below)
 
 
 def appearance_weight(

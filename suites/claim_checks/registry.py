@@ -12,9 +12,10 @@ from splatproof.suites.claim_checks.check import Check
 from splatproof.suites.claim_checks.seam import SEAM
 from splatproof.suites.claim_checks.size import SIZE
 from splatproof.suites.claim_checks.speed import SPEED
+from splatproof.suites.claim_checks.steps import STEPS
 from splatproof.suites.environment import environment
 
-CHECKS: dict[str, Check] = {**SPEED, **BITS, **SIZE, **ACCURACY, **SEAM}
+CHECKS: dict[str, Check] = {**SPEED, **STEPS, **BITS, **SIZE, **ACCURACY, **SEAM}
 
 
 def run_check(name: str, *, reduced: bool = False) -> Checked:

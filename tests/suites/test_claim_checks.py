@@ -1,5 +1,7 @@
 """Checks of our own claims: each measures what it says, and sees the fault that it is there for."""
 
+import statistics
+import time
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,18 @@ from splatproof.base.errors import MissingError, UsageError
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.ply import read_ply
+from splatproof.methods.training.loop import Trainer
 from splatproof.reference.types.gaussians import Gaussians
-from splatproof.suites.claim_checks import accuracy, bits, registry, seam, size, speed, trained
+from splatproof.suites.claim_checks import (
+    accuracy,
+    bits,
+    registry,
+    seam,
+    size,
+    speed,
+    steps,
+    trained,
+)
 from splatproof.suites.claim_checks.registry import CHECKS, run_check
 from splatproof.suites.twins.registry import COMPONENTS
 
@@ -36,6 +48,33 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trained, "scene", tiny_scene)
     for kept in (bits._kept, size.model, size.quality, size.row):
         kept.cache_clear()
+
+
+class Slow(Trainer):
+    """A run whose steps take so many milliseconds."""
+
+    def __init__(self, milliseconds: float) -> None:
+        self.seconds, self.step = milliseconds / 1e3, 0
+
+    def advance(self) -> dict[str, float]:
+        self.step += 1
+        time.sleep(self.seconds)
+        return {"loss": 0.0}
+
+
+def test_a_step_that_takes_thrice_as_long_is_measured_so(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(steps, "QUICK_TURNS", 5)
+    both = [Slow(15), Slow(5)]
+    found = steps._ratio("one over other", both, reduced=True)
+    assert statistics.median(found.values) == pytest.approx(3, rel=0.3)
+    assert [one.step for one in both] == [steps.QUICK_WARM + 5 * steps.QUICK_TURN] * 2
+
+
+def test_the_step_of_scaffold_is_one_of_as_many_anchors_as_are_said():
+    found = run_check("scaffold_step", reduced=True)
+    assert len(found.values) == steps.QUICK_TURNS
+    assert f"of {steps.QUICK_ANCHORS:,} anchors, 400x300" in found.compared
+    assert min(found.values) > 0
 
 
 def test_bytes_that_differ_are_counted():

@@ -198,3 +198,11 @@ def test_loss_by_hand():
     assert float(got) == pytest.approx(want)
     same = dc.depth_loss(reference, 3 * reference + 1, reference, ALL, weight, strength)
     assert float(same) == pytest.approx(0, abs=1e-9)
+
+
+@given(st.integers(1, 400), st.integers(0, 2**31))
+def test_quantiles_are_torchs(count, seed):
+    values = torch.randn(count, generator=torch.Generator().manual_seed(seed)).round(decimals=1)
+    for share in (0.0, *dc.QUANTILES, 0.5, 1.0):
+        ours = dc._quantile(values, share)
+        assert_close(ours, values.quantile(share))
