@@ -32,6 +32,8 @@ SETTLED_SHARE = 0.1
 
 TIMES = ("train_seconds", "render_ms", "seconds_max_over_mean", "seconds_std_over_mean")
 """Metrics that other work on the machine changes."""
+TOTALS = ("train_seconds", "cpu_seconds")
+"""Metrics that are sums over a run's steps: with half of them there is half of it, and nothing has changed."""
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
 one thread, it has no more than 1."""
@@ -206,13 +208,15 @@ def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
             another.
         metric: Name of a value of cases.
         runs: All cases of the suite.
-    Returns: Mean difference; nan where there are no two such rows.
+    Returns: Mean difference, of sums over steps that of the second half of the steps to the first; nan
+        where there are no two such rows.
     """
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
     halves = [r for r in alike if r.row == r.named(HALF) and r.named() == run.named(axes=_axes(r))]
     halves = [r for r in halves if _axes(r) == _axes(run)] or halves
+    before = 2 if metric in TOTALS else 1
     gains = [
-        whole.values[metric] - half.values[metric]
+        whole.values[metric] - before * half.values[metric]
         for half in halves
         for whole in alike
         if (whole.row, whole.seed) == (half.named(), half.seed)

@@ -23,7 +23,8 @@ LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what tru
 - `hdgs`: anchors in three layers that move, K = 12 Gaussians an initial anchor; `@n2`, `@n4` layers, `-leaf` with
   K = 6 for each anchor of the last layer; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step;
   `@no-lds` without local depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth,
-  warped, blurred and disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`.
+  warped, blurred and disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`:
+  layer 0 does not move; `@no-smoothing` draws every step at its photo's own time.
 """,
     printed=(
         Printed(

@@ -211,6 +211,24 @@ def test_sizes_have_to_have_settled_too():
     assert "training loss" in too_short(runs(0.0, late_gain=9.0), claim)
 
 
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.5, "holds"), (0.47, "holds"), (0.3, "too short to judge")]
+)
+def test_a_sum_over_steps_has_not_changed_where_half_the_steps_have_half_of_it(share, expected):
+    """Row a takes 1.2 times as long; where its first half took far less, it was still growing."""
+    found = []
+    for row, seconds in (("a", 120.0), ("b", 100.0)):
+        for seed in range(3):
+            own = {"cpu_seconds": seconds + 0.1 * seed}
+            found.append(run(row, seed, [20.0] * 6, values=own))
+        half = {"cpu_seconds": (share if row == "a" else 0.5) * seconds}
+        found.append(run(f"{row}@half", 0, [20.0] * 6, values=half))
+    claim = dataclasses.replace(
+        CLAIM, metric="cpu_seconds", better="lower", relative=True, bar=1.0, printed=None
+    )
+    assert verdict(claim, found).verdict == expected
+
+
 def test_a_variant_needs_as_many_steps_as_its_method():
     def renamed(row: str) -> list[Measured]:
         return [
