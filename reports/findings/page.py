@@ -181,8 +181,8 @@ def _in_words(found: Sequence[Finding]) -> str:
     return "\n".join(sentences)
 
 
-ABOUT = """Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages (street.json, tunnel.json, sparse.json,
-city.json) and of the checks ([claims_checks.json](claims_checks.json)); a test compares. `bench claims` prints the same
+ABOUT = """Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages (street.json, tunnel.json, anchors.json,
+sparse.json, city.json) and of the checks ([claims_checks.json](claims_checks.json)); a test compares. `bench claims` prints the same
 table, `--runs` judges other runs, `--run` makes what is missing. Measured on {machines}. Printed effects are computed from
 the papers' tables (`bench published`); scenes here are other and smaller ones: a verdict is about the effect, not about
 the papers' numbers. It takes three seeds or more and a paired bootstrap over images and seeds (`reports/verdicts.py`):

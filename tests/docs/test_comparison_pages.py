@@ -1,4 +1,4 @@
-"""The pages of the street, the tunnel and few views: made of the committed rows, and every part of them by hand."""
+"""The pages of the street, the tunnel, few views and anchors: made of the committed rows, and every part of them by hand."""
 
 import json
 import math
@@ -11,6 +11,7 @@ import pytest
 import torch
 from comparison_files import page, planned
 from comparison_page import Page, Picture, render_page
+from make_anchors_page import ANCHORS
 from make_sparse_page import SPARSE
 from make_street_page import STREET
 from make_tunnel_page import TUNNEL
@@ -26,7 +27,7 @@ from splatproof.suites.published.rows import numbers
 from splatproof.suites.suite_files import load_suite, suite_names
 
 DOCS = Path(__file__).parents[2] / "docs"
-BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE], ids=lambda one: one.suite)
+BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE, ANCHORS], ids=lambda one: one.suite)
 
 
 @BOTH

@@ -21,6 +21,16 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
     assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
 
 
+@pytest.mark.slow  # both methods run whole in street's reduced form
+def test_anchors_stand_beside_gaussians(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    rows = rows_of(["run", "anchors", "--quick", "--out", str(tmp_path)], capsys)
+    assert {row["method"] for row in rows} == {"3dgs", "scaffold-gs"}
+    assert all(row["psnr"] > 10 for row in rows)
+    reasons = judged_in_reduced_form("anchors", tmp_path, capsys)
+    assert all("1 seed; 3 are needed" in r or "not been run" in r for r in reasons.values())
+
+
 # every twin in a process of its own, each with all imports: a minute
 @pytest.mark.parametrize("study", ["stability", pytest.param("speed", marks=pytest.mark.slow)])
 def test_studies_pass_in_their_reduced_form(study: str, tmp_path, capsys, monkeypatch):
