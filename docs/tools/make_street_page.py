@@ -24,7 +24,8 @@ LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what tru
   K = 6 for each anchor of the last layer; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step;
   `@no-lds` without local depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth,
   warped, blurred and disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`:
-  layer 0 does not move; `@no-smoothing` draws every step at its photo's own time.
+  layer 0 does not move; `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most
+  24,000 anchors in place of 10,000.
 """,
     printed=(
         Printed(
