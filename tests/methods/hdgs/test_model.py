@@ -37,10 +37,15 @@ def drawn(model: HdgsModel, view: View) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_nothing_that_a_view_shows_is_left_out(seed, monkeypatch):
+@pytest.mark.parametrize("wide", [False, True])
+def test_nothing_that_a_view_shows_is_left_out(seed, wide, monkeypatch):
     model, views = shaken(seed), tiny_drive().views
     model.parameters.rows["velocities"] *= 20  # some swing in from beyond the border
-    model.parameters.rows["log_scales"] -= 3
+    model.parameters.rows["log_scales"] -= 1 if wide else 3
+    if wide:  # Gaussians at their anchors, and reaching into the view from beyond its border
+        model.parameters.rows["offsets2"] *= 0
+        model.parameters.shared["leaf_position.weight1"] *= 0
+        model.parameters.shared["leaf_position.bias1"] *= 0
     near = replace(views[0].camera, width=9, height=7)  # most anchors lie outside
     view = replace(views[5], camera=near)
     some = model.splats(view, TRAINED)
@@ -152,7 +157,7 @@ def test_a_smoothed_step_draws_another_moment_moved_on():
 @pytest.mark.parametrize("seed", range(4))
 def test_nothing_that_a_smoothed_step_shows_is_left_out(seed, monkeypatch):
     model = shaken(seed, smoothing=Smoothing(probability=1.0))
-    model.parameters.rows["velocities"] *= 20  # some drift in from beyond the border
+    model.parameters.rows["velocities"] *= 200  # some drift in from beyond the border
     model.parameters.rows["log_spans"].fill_(0.3)  # all are alive
     model.parameters.rows["log_scales"] -= 3
     view = tiny_drive().views[5]
