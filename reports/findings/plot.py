@@ -116,8 +116,9 @@ def _legend(axes: Axes, found: Sequence[Finding]) -> None:
     for one in {one.verdict: one for one in found}.values():
         colour = COLOURS[one.verdict]
         axes.plot([], [], "o-", color=colour, linewidth=3, label=one.verdict)
-    axes.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, 1.0 + 0.9 / (len(found) + 1)),
-                ncols=4, frameon=False)  # fmt: skip
+    figure = axes.get_figure()
+    assert isinstance(figure, Figure)
+    figure.legend(loc="outside upper center", fontsize=8, ncols=len(COLOURS), frameon=False)
 
 
 def _save(figure: Figure, path: Path) -> None:
