@@ -2,6 +2,7 @@
 
 import statistics
 import time
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def anchored(count: int) -> Scene:
     )  # fmt: skip
 
 
-def turns(trainers: list[Trainer], *, reduced: bool) -> list[tuple[float, ...]]:
+def turns(trainers: Sequence[Trainer], *, reduced: bool) -> list[tuple[float, ...]]:
     """Milliseconds a step of each trainer, a turn a row; what else the machine does meets all.
 
     Args:
@@ -134,7 +135,7 @@ def hdgs_over_pvg(reduced: bool, folder: Path) -> Measurement:
     return _ratio("hdgs over pvg, street 240x160", both, reduced=reduced)
 
 
-def _ratio(compared: str, both: list[Trainer], *, reduced: bool) -> Measurement:
+def _ratio(compared: str, both: Sequence[Trainer], *, reduced: bool) -> Measurement:
     found = turns(both, reduced=reduced)
     first, second = (statistics.median(column) for column in zip(*found, strict=True))
     return Measurement(

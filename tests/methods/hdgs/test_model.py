@@ -142,6 +142,10 @@ def test_a_smoothed_step_draws_another_moment_moved_on():
     assert view.time is not None
     then = replace(view, time=view.time - later * CYCLE / model.clock.second)
     still = model.splats(then, TRAINED)
+    assert splats.slots is not None
+    assert still.slots is not None
+    assert splats.colours is not None
+    assert still.colours is not None
     at = {int(row): place for place, row in enumerate(still.slots)}
     both = [(place, at[int(row)]) for place, row in enumerate(splats.slots) if int(row) in at]
     ours, theirs = (torch.tensor(places) for places in zip(*both, strict=True))
