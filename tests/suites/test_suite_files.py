@@ -215,5 +215,7 @@ def test_shared_settings_and_variants(tmp_path):
 
 def test_the_reduced_form_is_the_suite_beside_it():
     assert quick_form("city") == "city-quick"
-    with pytest.raises(UsageError, match="suite 'brighton' has no reduced form; .* of city"):
+    with pytest.raises(
+        UsageError, match="suite 'brighton' has no reduced form; .* of anchors, city"
+    ):
         quick_form("brighton")
