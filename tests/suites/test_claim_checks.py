@@ -64,7 +64,7 @@ class Slow(Trainer):
 
 def test_a_step_that_takes_thrice_as_long_is_measured_so(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(steps, "QUICK_TURNS", 5)
-    both = [Slow(15), Slow(5)]
+    both = [Slow(60), Slow(20)]
     found = steps._ratio("one over other", both, reduced=True)
     assert statistics.median(found.values) == pytest.approx(3, rel=0.3)
     assert [one.step for one in both] == [steps.QUICK_WARM + 5 * steps.QUICK_TURN] * 2
