@@ -98,8 +98,8 @@ class Job:
     """True: a scene without held-out views is trained and not scored. False: it is refused."""
     cache: Path | None = None
     """Where cases of one suite and the same data share trained blocks; None: they do not."""
-    same_model: tuple[Path, ...] = ()
-    """Folders of cases whose model is this one's too: one that is there is taken, not trained."""
+    same_model: tuple[tuple[Path, str], ...] = ()
+    """Folders of cases whose model is this one's too, and their keys: one that is there is taken, not trained."""
     snapshots: Path | None = None
     """Folder that the model is written to now and then while it trains, for who watches; None: nobody."""
     data: dict[str, str] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from splatproof.base.numbers import in_range
 from splatproof.methods.priors.kinds import weights_facts
 from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
-from splatproof.suites.case_keys import key_of, prior_part
+from splatproof.suites.case_keys import case_key, key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen, made_of
 from splatproof.suites.plugin_facts import plugin_facts
 from splatproof.suites.records import RECORD_NAME, read_record
@@ -112,8 +112,8 @@ def run_suite(
 ) -> tuple[Outcome, ...]:
     """Run all cases that are not finished yet, one after the other.
 
-    Cases that differ in the rules of scoring alone are trained once, see `training_key`. A case is
-    finished if its record was made of these settings, protocol, backend and data. Where
+    Cases that differ in the rules of scoring alone are trained once, see `training_key`, also where
+    `only` chose one of them now and another before. A case is finished if its record was made of these settings, protocol, backend and data. Where
     the data behind the scene's name have changed it runs again, and what it had goes to
     <folder>/<suite>/.replaced/.../seed<k>/<n>.
 
@@ -143,16 +143,19 @@ def run_suite(
     with locked(root / ".lock", busy=_busy(root)):
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
-        trained: dict[str, list[Path]] = {}
+        models: dict[str, dict[Path, str]] = {}
+        for case in suite.cases if resume else ():  # also those that run another time
+            same = models.setdefault(training_key(case, backend), {})
+            same[root / case.folder] = case_key(case, backend)
         for index, case in enumerate(cases):
-            same = trained.setdefault(training_key(case, backend), [])
+            same = models.setdefault(training_key(case, backend), {})
             job = Job(
                 case=case, suite=suite.name, suite_scenes=suite.scenes, folder=root / case.folder,
                 backend=backend, threads=threads, resume=resume,
                 checkpoint_seconds=checkpoint_seconds, workers=workers, engine=engine,
-                same_model=tuple(same),
+                same_model=tuple(one for one in same.items() if one[0] != root / case.folder),
             )  # fmt: skip
-            same.append(job.folder)
+            same[job.folder] = job.key
             here = Progress(case=case, index=index, count=len(cases), stage="start")
             job, unread = _with_data(job, scenes, here, on_progress)
             job = replace(job, cache=blocks / ("unread" if unread else digest(job.data)))

@@ -36,22 +36,23 @@ def training_key(case: Case, backend: str) -> str:
 
 
 def take_model(
-    folder: Path, others: Sequence[Path], data: Mapping[str, str], origin: Origin
+    folder: Path, others: Sequence[tuple[Path, str]], data: Mapping[str, str], origin: Origin
 ) -> bool:
     """Copy the model, its curve and its costs from the first case that has trained the same.
 
     Args:
         folder: The case's own folder.
-        others: Folders of cases with the same `training_key`.
+        others: Folders of cases with the same `training_key`, and each one's `case_key`: a folder that
+            holds another case, of settings of before, is passed over.
         data: Facts of the scene's files; a case of other files is passed over.
         origin: What the copy says of where it comes from.
     Returns: Whether there was one.
     """
-    for other in others:
+    for other, key in others:
         if not (other / TRAINED).is_file():
             continue
         made_of = read_json(other / CASE_NAME)
-        if made_of["data"] != data:
+        if (made_of["key"], made_of["data"]) != (key, data):
             continue
         with new_folder(folder / "model") as copy:
             shutil.copytree(other / "model", copy, dirs_exist_ok=True)

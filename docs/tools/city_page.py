@@ -21,7 +21,7 @@ QUALITY: tuple[Cell, ...] = (
     ("fps", "FPS ↑", 1, 1.0), ("disk_mb", "disk MB ↓", 2, 1.0),
 )  # fmt: skip
 BALANCE: tuple[Cell, ...] = (
-    ("block_densifications", "densified ≥", 0, 1.0),
+    ("block_densifications", "densified ≥", 0, 1.0), ("retention", "kept %", 1, 100.0),
     ("load_max_over_mean", "load", 2, 1.0), ("views_max_over_mean", "views", 2, 1.0),
     ("seconds_max_over_mean", "time", 2, 1.0), ("seconds_std_over_mean", "time std/mean", 3, 1.0),
     ("memory_max_over_mean", "memory", 2, 1.0), ("peak_memory_mb", "peak MB", 0, 1.0),

@@ -28,6 +28,18 @@ def fewest_densifications(blocks: Sequence[BlockFacts]) -> dict[str, float]:
     return {"block_densifications": float(min(known))} if known else {}
 
 
+def retention(blocks: Sequence[BlockFacts]) -> dict[str, float]:
+    """retention: share of all blocks' trained Gaussians that the merge kept; nothing if none was trained.
+
+    What is trained and thrown away is work lost to the overlap of the blocks' regions.
+
+    Args:
+        blocks: One a block, after the merge; ghosts are not among their Gaussians.
+    """
+    trained = sum(block.primitives for block in blocks)
+    return {"retention": sum(block.kept for block in blocks) / trained} if trained else {}
+
+
 def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:
     """<what>_std_over_mean and <what>_max_over_mean over blocks, for all that FIELDS names.
 

@@ -7,7 +7,11 @@ from splatproof.methods.city.model import CityModel
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore
 from splatproof.reference.types.scene import Scene
-from splatproof.suites.scene_scores.block_balance import balance_metrics, fewest_densifications
+from splatproof.suites.scene_scores.block_balance import (
+    balance_metrics,
+    fewest_densifications,
+    retention,
+)
 from splatproof.suites.scene_scores.seams import score_seams
 
 
@@ -18,7 +22,8 @@ def city_scores(
     images: tuple[ImageScore, ...],
     folder: Path,
 ) -> tuple[tuple[ImageScore, ...], dict[str, float]]:
-    """The images' scores with their seam metrics, and the scene's: seams, balance, densifications, packed bytes.
+    """The images' scores with their seam metrics, and the scene's: seams, balance, densifications, retention, packed
+    bytes.
 
     The scene's seam metrics pool the seam pixels of all test views, as the paper defines them; they
     are not means of the images' values, of which those without a seam pixel are nan.
@@ -35,4 +40,5 @@ def city_scores(
     if model.packed is not None:
         whole["packed_bytes"] = float(len(model.packed))
     blocks = model.block_facts
-    return scored, whole | balance_metrics(blocks) | fewest_densifications(blocks)
+    whole |= balance_metrics(blocks) | fewest_densifications(blocks) | retention(blocks)
+    return scored, whole

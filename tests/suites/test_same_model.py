@@ -77,10 +77,24 @@ def test_a_model_of_other_files_is_passed_over(tmp_path, fits):
     other = tmp_path / "tiny" / CASE.folder
     job = cases.Job(
         case=replace(CASE, protocol=HALF), suite="tiny", suite_scenes=(), folder=tmp_path / "alone",
-        backend="reference", same_model=(other,),
+        backend="reference", same_model=((other, told["key"]),),
     )  # fmt: skip
     in_process(job, lambda *_: None)
     assert fits == [0, 0]
+
+
+def test_a_case_that_was_not_chosen_now_lends_its_model_unless_it_is_of_other_settings(
+    tmp_path, fits
+):
+    half = replace(CASE, protocol=HALF)
+    run(tmp_path, CASE, half, only="town/fake/default/*")
+    (taken,) = run(tmp_path, CASE, half, only="town/fake/half/*")
+    assert fits == [0]
+    assert taken.result.environment["trained in"] == CASE.label
+    more = [replace(one, settings=FakeSettings(iterations=41)) for one in (CASE, half)]
+    (own,) = run(tmp_path, *more, only="town/fake/half/*")
+    assert fits == [0, 0]
+    assert "trained in" not in own.result.environment
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from splatproof.suites.scene_scores.block_balance import (
     FIELDS,
     balance_metrics,
     fewest_densifications,
+    retention,
 )
 
 
@@ -38,3 +39,11 @@ def test_the_block_that_was_densified_least_is_told_and_empty_or_unknown_ones_do
     assert fewest_densifications([block, *others]) == {"block_densifications": 2.0}
     assert fewest_densifications([replace(block, densifications=-1)]) == {}
     assert "block_densifications" in SCENE_METRICS
+
+
+def test_retention_is_the_share_of_trained_gaussians_that_are_left():
+    block = BlockFacts(block=0, views=1, points=2, load=3, primitives=100, kept=80)
+    others = [replace(block, primitives=300, kept=20), replace(block, primitives=0, kept=0)]
+    assert retention([block, *others]) == {"retention": 0.25}
+    assert retention([replace(block, primitives=0, kept=0)]) == {}
+    assert "retention" in SCENE_METRICS
