@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Int64
+from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.ground import Ground, ground
@@ -42,12 +44,27 @@ def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Par
     yield citygaussian_blocks(place, blocks, backend)
 
 
+def edge_cut(place: Ground, labels: Int64[Tensor, " n"], blocks: int) -> int:
+    """Edges of the plain voxel grid between voxels of two blocks: one graph for all partitions of a scene.
+
+    A voxel belongs to the block that has most of its load, by points where nobody saw any.
+
+    Args:
+        place: The scene's points and views on the ground plane.
+        labels: Block of each sparse point, in [0, blocks).
+        blocks: Number of blocks K.
+    """
+    grid = grid_coordinates(place.positions.numpy(), place.voxel_size)
+    graph = voxel_graph(grid, place.loads.numpy(), np.zeros(len(grid), dtype=np.int64))
+    share = np.zeros((len(graph.weights), blocks))
+    np.add.at(share, (graph.voxel_of_point, labels.numpy()), place.loads.numpy() + 1e-9)
+    return cut_size(graph.all_edges, share.argmax(axis=1))
+
+
 def partition_row(place: Ground, found: Partition, blocks: int) -> dict[str, Any]:
     """Judge one partition: how even its loads, how long its cut, how many views a block.
 
-    Load is the summed track length of a block's points. The cut is counted for all partitions on
-    one graph, the plain voxel grid: a voxel belongs to the block that has most of its load, by
-    points where nobody saw any. Empty blocks count with load 0 and no views.
+    Load is the summed track length of a block's points. Empty blocks count with load 0 and no views.
 
     Args:
         place: The scene's points and views on the ground plane.
@@ -58,17 +75,13 @@ def partition_row(place: Ground, found: Partition, blocks: int) -> dict[str, Any
     load = torch.bincount(found.labels, weights=place.loads.double(), minlength=blocks)
     mean = load.mean()
     views = torch.tensor([int(chosen.sum()) for chosen in found.views]).double()
-    grid = grid_coordinates(place.positions.numpy(), place.voxel_size)
-    graph = voxel_graph(grid, place.loads.numpy(), np.zeros(len(grid), dtype=np.int64))
-    share = np.zeros((len(graph.weights), blocks))
-    np.add.at(share, (graph.voxel_of_point, found.labels.numpy()), place.loads.numpy() + 1e-9)
     return {
         "scene": place.scene.name,
         "k": blocks,
         "method": found.method,
         "load_std_over_mean": float(load.std(correction=0) / mean) if mean > 0 else 0.0,
         "load_max_over_mean": float(load.max() / mean) if mean > 0 else 0.0,
-        "edge_cut": cut_size(graph.all_edges, share.argmax(axis=1)),
+        "edge_cut": edge_cut(place, found.labels, blocks),
         "views_mean": float(views.mean()),
         "views_max": int(views.max()),
         "note": found.note,

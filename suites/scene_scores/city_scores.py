@@ -3,10 +3,13 @@
 from dataclasses import replace
 from pathlib import Path
 
+from splatproof.methods.city.ground import ground
 from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.regions import nearest_region
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore
 from splatproof.reference.types.scene import Scene
+from splatproof.suites.partition import edge_cut
 from splatproof.suites.scene_scores.block_balance import (
     balance_metrics,
     fewest_densifications,
@@ -22,8 +25,8 @@ def city_scores(
     images: tuple[ImageScore, ...],
     folder: Path,
 ) -> tuple[tuple[ImageScore, ...], dict[str, float]]:
-    """The images' scores with their seam metrics, and the scene's: seams, balance, densifications, retention, packed
-    bytes.
+    """The images' scores with their seam metrics, and the scene's: seams, balance, densifications, retention,
+    edge cut, packed bytes.
 
     The scene's seam metrics pool the seam pixels of all test views, as the paper defines them; they
     are not means of the images' values, of which those without a seam pixel are nan.
@@ -41,4 +44,7 @@ def city_scores(
         whole["packed_bytes"] = float(len(model.packed))
     blocks = model.block_facts
     whole |= balance_metrics(blocks) | fewest_densifications(blocks) | retention(blocks)
+    if len(model.regions) > 1 and len(scene.points):
+        owners = nearest_region(model.regions, scene.points.positions)
+        whole["edge_cut"] = float(edge_cut(ground(scene), owners, len(model.regions)))
     return scored, whole

@@ -224,7 +224,13 @@ def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
         block_facts=facts, packed=b"12345",
     )  # fmt: skip
     plain = score_views(scene(), model, PROTOCOL, tmp_path)
-    images, found = city_scores(scene(), model, PROTOCOL, plain, tmp_path)
+    line = torch.zeros(513, 3).double()
+    line[:, 0] = torch.linspace(-2, 2, 513)
+    rowed = replace(scene(), points=sparse_points(torch.cat([line, line + 1.0])))
+    images, found = city_scores(rowed, model, PROTOCOL, plain, tmp_path)
+    assert found["edge_cut"] == 2  # two rows of voxels that the wall between the blocks crosses
+    unmeasured = replace(scene(), points=sparse_points(torch.zeros(0, 3).double()))
+    assert "edge_cut" not in city_scores(unmeasured, model, PROTOCOL, plain, tmp_path)[1]
     assert found["seam_psnr"] == scores(of, tmp_path)[1]["seam_psnr"]
     assert found["seconds_max_over_mean"] == pytest.approx(2 / 1.5)
     assert found["packed_bytes"] == 5
