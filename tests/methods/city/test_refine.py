@@ -67,6 +67,25 @@ def test_quantisation_takes_part_in_training():
     assert not torch.equal(through.sh, past.sh)
 
 
+def test_a_checkpoint_of_another_merged_model_or_file_is_not_continued(tmp_path):
+    def killed(step: int, total: int, values: dict[str, float]):
+        del total, values
+        if step >= 30:
+            raise KeyboardInterrupt
+
+    of = (SCENE, RefineSettings(iterations=60), BASE)
+    run = replace(RUN, report=killed, checkpoint_seconds=0.0)
+    with pytest.raises(KeyboardInterrupt):
+        refine(spoilt(), *of, run, tmp_path, FileSettings(gate=0.02))
+    for model, gate in ((random_gaussians(40), 0.02), (spoilt(), 0.1)):
+        with pytest.raises(UsageError, match="differs"):
+            refine(model, *of, RUN, tmp_path, FileSettings(gate=gate))
+    steps: list[int] = []
+    run = replace(RUN, report=lambda step, total, values: steps.append(step))
+    refine(spoilt(), *of, run, tmp_path, FileSettings(gate=0.02))
+    assert steps[0] > 10
+
+
 def test_cleaning_drops_the_transparent_and_keeps_the_largest_unless_told():
     model = random_gaussians(2000)
     logits = model.opacity_logits.clone()

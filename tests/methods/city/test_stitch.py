@@ -284,3 +284,5 @@ def test_as_many_stay_of_a_shared_place_as_one_block_has_there():
     assert int(rim.sum()) > 3000
     stay = sum(int(mask[rim].sum()) for mask in drawn) / int(rim.sum())
     assert stay == pytest.approx(1, abs=4 * (0.5 / int(rim.sum()) ** 0.5))  # 4 standard deviations
+    for mask, share in zip(drawn, held, strict=True):
+        assert torch.equal(mask[~rim], share[~rim] == 1)  # a place of one block alone is that one's
