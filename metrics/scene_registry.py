@@ -33,9 +33,9 @@ RELEASED = (
     "as StitchGS's release is understood (metrics/seam_released.py), over the rims of boxes widened by "
     "15 %, at the rendered depth"
 )
-BLOCKS = ("load", "views", "points", "primitives", "seconds", "memory")
+BLOCKS = ("load", "views", "points", "primitives", "seconds", "cpu", "memory")
 """What is compared over blocks: observations, training views, points, Gaussians, training seconds,
-peak memory."""
+processor seconds, peak memory."""
 DEPTH = "Eigen et al. 2014, rendered against true z-depth, mean over the scored views that have it"
 TRUTH = "depth of the training views, back-projected, against the true surface that they see"
 

@@ -19,6 +19,8 @@ class BlockFacts:
     """Number of its training steps; 0: not known."""
     seconds: float = 0.0
     """Wall seconds of its training."""
+    cpu_seconds: float = 0.0
+    """Processor seconds of its training, over all threads: what other work on the machine changes least."""
     peak_mb: float = 0.0
     """Peak resident memory of the process that trained it, in 2^20 bytes."""
     primitives: int = 0

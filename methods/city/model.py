@@ -25,7 +25,7 @@ CONTAINER = "model.spgs"
 REGIONS = "regions.safetensors"
 """Where the blocks of the partition lie."""
 
-MEASURED = ("seconds", "peak_mb")
+MEASURED = ("seconds", "cpu_seconds", "peak_mb")
 """Fields of BlockFacts that no two runs share."""
 
 

@@ -112,7 +112,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         job: What to train, and where.
         report: Called as report(step, total, values) every few steps.
 
-    Returns: The job's facts with seconds, peak memory and primitives.
+    Returns: The job's facts with seconds, processor seconds, peak memory and primitives.
 
     Raises: UsageError if the folder holds a checkpoint of another block.
     """
@@ -138,6 +138,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     facts = replace(
         job.facts,
         seconds=trainer.seconds,
+        cpu_seconds=trainer.cpu_seconds,
         peak_mb=peak_memory_mb(),
         primitives=len(model),
         densifications=trainer.counts.densifications,

@@ -70,7 +70,7 @@ class Trainer:
         self.order = plan.order or Shuffled(len(plan.views))
         self.generator = torch.Generator().manual_seed(run.seed)
         self.step = 0
-        self.seconds = 0.0
+        self.seconds = self.cpu_seconds = 0.0
         self.counts = Counts()
         self.native = self._can_be_native()
         self.ahead: Ahead | None = None
@@ -102,10 +102,12 @@ class Trainer:
 
     def _train(self) -> None:
         clock = saved = time.perf_counter()
+        spent = time.process_time()
         while self.step < self.plan.steps:
             values = self.advance()
-            now = time.perf_counter()
+            now, used = time.perf_counter(), time.process_time()
             self.seconds, clock = self.seconds + now - clock, now
+            self.cpu_seconds, spent = self.cpu_seconds + used - spent, used
             if self.plan.recount and (steps := self.plan.recount(self.step, self.seconds)):
                 self.recounted(steps)
             last = self.step == self.plan.steps
@@ -116,6 +118,7 @@ class Trainer:
             if last or now - saved >= self.run.checkpoint_seconds:
                 self.save()
                 clock = saved = time.perf_counter()
+                spent = time.process_time()
 
     def recounted(self, steps: int) -> None:
         """Go on to another number of steps, with photos in full size.
@@ -313,7 +316,7 @@ class Trainer:
         }
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
-                 "seconds": self.seconds, "counts": self.counts.named(),
+                 "seconds": self.seconds, "cpu_seconds": self.cpu_seconds, "counts": self.counts.named(),
                  "steps": self.plan.steps}  # fmt: skip
         write_tensors(self.checkpoint, tensors, facts)
 
@@ -343,6 +346,7 @@ class Trainer:
         self.plan.density.restore({n: value.to(self.device) for n, value in counted.items()})
         self.generator.set_state(tensors["generator"])
         self.step, self.seconds = facts["step"], facts["seconds"]
+        self.cpu_seconds = facts.get("cpu_seconds", 0.0)  # older checkpoints do not know it
         self.counts = Counts(**facts["counts"])
         self.order.restore(facts["order"], self.step * self.plan.views_per_step)
         if facts.get("steps", self.plan.steps) != self.plan.steps:

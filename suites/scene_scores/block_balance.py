@@ -13,6 +13,7 @@ FIELDS = {
     "points": "points",
     "primitives": "primitives",
     "seconds": "seconds",
+    "cpu": "cpu_seconds",
     "memory": "peak_mb",
 }
 """Name in metrics: field of BlockFacts."""

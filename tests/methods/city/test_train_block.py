@@ -118,6 +118,7 @@ def test_continuation_is_bit_equal(tmp_path, sampling, step):
         assert torch.equal(values, loaded(killed)[name])
     assert facts.primitives == len(loaded(killed)["means"])
     assert facts.seconds > 0
+    assert facts.cpu_seconds > 0
     assert facts.densifications == 2
 
 

@@ -84,6 +84,19 @@ def test_continuation_is_bit_equal(tmp_path, step, backend):
     assert same(straight, fit(tiny_scene(), SHORT, run))
 
 
+def test_processor_seconds_add_up_over_attempts(tmp_path):
+    run = replace(ON_REFERENCE, backend="cpu", folder=tmp_path, checkpoint_seconds=0.0)
+    first = Trainer(*prepare(tiny_scene(), SHORT, run), replace(run, report=killed_at(30)))
+    with pytest.raises(Killed):
+        first.train()
+    second = Trainer(*prepare(tiny_scene(), SHORT, run), run)
+    second.resume()
+    before = second.cpu_seconds
+    assert 0 < before <= first.cpu_seconds
+    second.train()
+    assert second.cpu_seconds > before
+
+
 def test_native_bits_do_not_depend_on_threads():
     one, two = (
         fit(tiny_scene(), SHORT, replace(ON_REFERENCE, backend="cpu", threads=threads))

@@ -14,11 +14,30 @@ from splatproof.suites.scene_scores.block_balance import (
 
 def test_by_hand():
     blocks = [
-        BlockFacts(block=0, views=3, points=10, load=30, seconds=1.0, peak_mb=100.0, primitives=5),
-        BlockFacts(block=1, views=3, points=30, load=30, seconds=3.0, peak_mb=300.0, primitives=5),
+        BlockFacts(
+            block=0,
+            views=3,
+            points=10,
+            load=30,
+            seconds=1.0,
+            cpu_seconds=2.0,
+            peak_mb=100.0,
+            primitives=5,
+        ),
+        BlockFacts(
+            block=1,
+            views=3,
+            points=30,
+            load=30,
+            seconds=3.0,
+            cpu_seconds=4.0,
+            peak_mb=300.0,
+            primitives=5,
+        ),
     ]
     found = balance_metrics(blocks)
     assert found["seconds_max_over_mean"] == pytest.approx(1.5)
+    assert found["cpu_max_over_mean"] == pytest.approx(4 / 3)
     assert found["memory_std_over_mean"] == pytest.approx(0.5)
     assert found["load_std_over_mean"] == found["views_std_over_mean"] == 0
     assert found["load_max_over_mean"] == found["primitives_max_over_mean"] == 1
