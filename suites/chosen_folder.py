@@ -2,13 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from splatproof.base.differing import differences
-from splatproof.base.errors import DataError, UsageError
-from splatproof.base.files import read_json
-from splatproof.suites.run_case import CASE_NAME, OURS, Job
+from splatproof.base.errors import UsageError
+from splatproof.suites.run_case import OURS, Job
+from splatproof.suites.same_model import made_of
 
 
 def check_chosen(job: Job) -> None:
@@ -42,11 +41,3 @@ def _which(found: Mapping[str, Any], job: Job) -> str:
     parts = ("settings", "protocol")
     said = differences({name: before.get(name, {}) for name in parts}, {n: now[n] for n in parts})
     return f" ({said})" if said else ""
-
-
-def made_of(folder: Path) -> dict[str, Any]:
-    """What an earlier run says that the case in this folder is made of; {} where there is none."""
-    try:
-        return dict(read_json(folder / CASE_NAME))
-    except (DataError, ValueError, TypeError):
-        return {}

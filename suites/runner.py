@@ -14,11 +14,11 @@ from splatproof.methods.priors.kinds import weights_facts
 from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import case_key, key_of, prior_part
-from splatproof.suites.chosen_folder import check_chosen, made_of
+from splatproof.suites.chosen_folder import check_chosen
 from splatproof.suites.plugin_facts import plugin_facts
 from splatproof.suites.records import RECORD_NAME, read_record
 from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
-from splatproof.suites.same_model import CASE_NAME, training_key
+from splatproof.suites.same_model import CASE_NAME, made_of, training_key
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import MOST_CASES, Case, Suite
 from splatproof.suites.workers import Launch, in_worker
@@ -113,8 +113,8 @@ def run_suite(
     """Run all cases that are not finished yet, one after the other.
 
     Cases that differ in the rules of scoring alone are trained once, see `training_key`, also where
-    `only` chose one of them now and another before. A case is finished if its record was made of these settings, protocol, backend and data. Where
-    the data behind the scene's name have changed it runs again, and what it had goes to
+    `only` chose one of them now and another before. A case is finished if its record was made of these
+    settings, protocol, backend and data. Where the data behind the scene's name have changed it runs again, and what it had goes to
     <folder>/<suite>/.replaced/.../seed<k>/<n>.
 
     Args:

@@ -5,7 +5,9 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from splatproof.base.errors import DataError
 from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import new_folder
 from splatproof.methods.contracts.reconstruction import Origin, describe, write_description
@@ -51,8 +53,8 @@ def take_model(
     for other, key in others:
         if not (other / TRAINED).is_file():
             continue
-        made_of = read_json(other / CASE_NAME)
-        if (made_of["key"], made_of["data"]) != (key, data):
+        made = made_of(other)
+        if (made.get("key"), made.get("data")) != (key, data):
             continue
         with new_folder(folder / "model") as copy:
             shutil.copytree(other / "model", copy, dirs_exist_ok=True)
@@ -61,7 +63,15 @@ def take_model(
             write_description(copy, told["kind"], origin, facts)
         shutil.copyfile(other / CURVE, folder / CURVE)
         spent = json.loads(read_text(other / TRAINED))
-        spent["facts"]["trained in"] = made_of["case"]
+        spent["facts"]["trained in"] = made["case"]
         write_text(folder / TRAINED, json.dumps(spent))
         return True
     return False
+
+
+def made_of(folder: Path) -> dict[str, Any]:
+    """What an earlier run says that the case in this folder is made of; {} where there is none."""
+    try:
+        return dict(read_json(folder / CASE_NAME))
+    except (DataError, ValueError, TypeError):
+        return {}

@@ -24,7 +24,8 @@ BALANCE: tuple[Cell, ...] = (
     ("block_densifications", "densified ≥", 0, 1.0), ("retention", "kept %", 1, 100.0),
     ("edge_cut", "edge cut", 0, 1.0),
     ("load_max_over_mean", "load", 2, 1.0), ("views_max_over_mean", "views", 2, 1.0),
-    ("cpu_max_over_mean", "CPU time", 2, 1.0), ("seconds_max_over_mean", "time", 2, 1.0), ("seconds_std_over_mean", "time std/mean", 3, 1.0),
+    ("cpu_max_over_mean", "CPU time", 2, 1.0),
+    ("seconds_max_over_mean", "time", 2, 1.0), ("seconds_std_over_mean", "time std/mean", 3, 1.0),
     ("memory_max_over_mean", "memory", 2, 1.0), ("peak_memory_mb", "peak MB", 0, 1.0),
 )  # fmt: skip
 STAGES: tuple[Cell, ...] = (

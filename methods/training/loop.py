@@ -316,8 +316,8 @@ class Trainer:
         }
         tensors["generator"] = self.generator.get_state()
         facts = {"key": self.plan.key, "step": self.step, "order": self.order.state(),
-                 "seconds": self.seconds, "cpu_seconds": self.cpu_seconds, "counts": self.counts.named(),
-                 "steps": self.plan.steps}  # fmt: skip
+                 "seconds": self.seconds, "cpu_seconds": self.cpu_seconds,
+                 "counts": self.counts.named(), "steps": self.plan.steps}  # fmt: skip
         write_tensors(self.checkpoint, tensors, facts)
 
     def resume(self) -> None:

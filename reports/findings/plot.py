@@ -87,7 +87,7 @@ def draw_checks(found: Sequence[Finding], path: Path) -> bool:
         _interval(axes, line, sorted((share[0], share[2])), share[1], one.verdict)
     axes.set_xscale("log")
     axes.axvline(1, color="#222222", linewidth=1)
-    axes.set_xlabel(f"how many times better than asked (left of 1: missed; cut at {FURTHEST:g})")
+    axes.set_xlabel(f"times better than asked (below 1: missed; cut at {FURTHEST:g})")
     _names(axes, [f"{one.text}: {one.here}" for one in reversed(shown)])
     _legend(axes, shown)
     _save(figure, path)

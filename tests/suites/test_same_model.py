@@ -95,6 +95,9 @@ def test_a_case_that_was_not_chosen_now_lends_its_model_unless_it_is_of_other_se
     (own,) = run(tmp_path, *more, only="town/fake/half/*")
     assert fits == [0, 0]
     assert "trained in" not in own.result.environment
+    (tmp_path / "tiny" / CASE.folder / "case.json").write_text("{")  # damaged: passed over
+    run(tmp_path, CASE, half, only="town/fake/half/*")
+    assert fits == [0, 0, 0]
 
 
 @pytest.mark.parametrize(

@@ -13,27 +13,10 @@ from splatproof.suites.scene_scores.block_balance import (
 
 
 def test_by_hand():
+    block = BlockFacts(block=0, views=3, points=10, load=30, primitives=5)
     blocks = [
-        BlockFacts(
-            block=0,
-            views=3,
-            points=10,
-            load=30,
-            seconds=1.0,
-            cpu_seconds=2.0,
-            peak_mb=100.0,
-            primitives=5,
-        ),
-        BlockFacts(
-            block=1,
-            views=3,
-            points=30,
-            load=30,
-            seconds=3.0,
-            cpu_seconds=4.0,
-            peak_mb=300.0,
-            primitives=5,
-        ),
+        replace(block, seconds=1.0, cpu_seconds=2.0, peak_mb=100.0),
+        replace(block, points=30, seconds=3.0, cpu_seconds=4.0, peak_mb=300.0),
     ]
     found = balance_metrics(blocks)
     assert found["seconds_max_over_mean"] == pytest.approx(1.5)
