@@ -61,7 +61,7 @@ _ALL = (
     _metric("block_densifications", "times that the block was densified that was so least", None),
     _metric("retention", "share of all blocks' trained Gaussians that the merge kept", None, most=1.0),
     _metric("edge_cut", "edges of a grid of voxels, 64 along the scene, between voxels of two blocks "
-            "(suites/partition.py)"),
+            "(methods/city/partition.py)"),
     _metric("packed_bytes", "bytes of the compressed file, without facts about blocks", unit="B"),
     _metric("depth_abs_rel", f"{DEPTH}: abs(d - t) / t"),
     _metric("depth_sq_rel", f"{DEPTH}: (d - t)^2 / t", unit="scene units"),

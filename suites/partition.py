@@ -3,10 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Int64
-from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.ground import Ground, ground
@@ -15,11 +12,10 @@ from splatproof.methods.city.partition import (
     PartitionSettings,
     blockgaussian_blocks,
     citygaussian_blocks,
+    edge_cut,
     odbp_blocks,
     vastgaussian_blocks,
 )
-from splatproof.reference.partition.metis import cut_size
-from splatproof.reference.partition.voxel_graph import grid_coordinates, voxel_graph
 from splatproof.reference.types.scene import Scene
 
 PAPER = PartitionSettings(imbalance=0.05, seeds=1)
@@ -42,23 +38,6 @@ def partitions(place: Ground, blocks: int, backend: str = "cpu") -> Iterator[Par
     yield blockgaussian_blocks(place, blocks, PartitionSettings(method="blockgaussian"))
     yield vastgaussian_blocks(place, blocks)
     yield citygaussian_blocks(place, blocks, backend)
-
-
-def edge_cut(place: Ground, labels: Int64[Tensor, " n"], blocks: int) -> int:
-    """Edges of the plain voxel grid between voxels of two blocks: one graph for all partitions of a scene.
-
-    A voxel belongs to the block that has most of its load, by points where nobody saw any.
-
-    Args:
-        place: The scene's points and views on the ground plane.
-        labels: Block of each sparse point, in [0, blocks).
-        blocks: Number of blocks K.
-    """
-    grid = grid_coordinates(place.positions.numpy(), place.voxel_size)
-    graph = voxel_graph(grid, place.loads.numpy(), np.zeros(len(grid), dtype=np.int64))
-    share = np.zeros((len(graph.weights), blocks))
-    np.add.at(share, (graph.voxel_of_point, labels.numpy()), place.loads.numpy() + 1e-9)
-    return cut_size(graph.all_edges, share.argmax(axis=1))
 
 
 def partition_row(place: Ground, found: Partition, blocks: int) -> dict[str, Any]:

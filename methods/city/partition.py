@@ -25,8 +25,10 @@ from splatproof.reference.partition import density_split as partition_density
 from splatproof.reference.partition import odbp
 from splatproof.reference.partition.camera_cells import CameraGrid
 from splatproof.reference.partition.density_split import DensitySettings
+from splatproof.reference.partition.metis import cut_size
 from splatproof.reference.partition.odbp import OdbpPartition, OdbpSettings
 from splatproof.reference.partition.visibility import covering_views
+from splatproof.reference.partition.voxel_graph import grid_coordinates, voxel_graph
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
@@ -323,3 +325,20 @@ def _note(found: OdbpPartition) -> str:
     if found.balanced:
         return ""
     return f"loads differ from the mean by up to {found.worst:.1%}; the bound could not be met"
+
+
+def edge_cut(place: Ground, labels: Int64[Tensor, " n"], blocks: int) -> int:
+    """Edges of the plain voxel grid between voxels of two blocks: one graph for all partitions of a scene.
+
+    A voxel belongs to the block that has most of its load, by points where nobody saw any.
+
+    Args:
+        place: The scene's points and views on the ground plane.
+        labels: Block of each sparse point, in [0, blocks).
+        blocks: Number of blocks K.
+    """
+    grid = grid_coordinates(place.positions.numpy(), place.voxel_size)
+    graph = voxel_graph(grid, place.loads.numpy(), np.zeros(len(grid), dtype=np.int64))
+    share = np.zeros((len(graph.weights), blocks))
+    np.add.at(share, (graph.voxel_of_point, labels.numpy()), place.loads.numpy() + 1e-9)
+    return cut_size(graph.all_edges, share.argmax(axis=1))

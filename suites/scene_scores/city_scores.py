@@ -5,11 +5,11 @@ from pathlib import Path
 
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.model import CityModel
+from splatproof.methods.city.partition import edge_cut
 from splatproof.methods.city.regions import nearest_region
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore
 from splatproof.reference.types.scene import Scene
-from splatproof.suites.partition import edge_cut
 from splatproof.suites.scene_scores.block_balance import (
     balance_metrics,
     fewest_densifications,
