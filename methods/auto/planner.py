@@ -30,6 +30,8 @@ PIXELS_A_POINT = 4
 grow) 25.3 dB with 129,000; caliterra loses 0.7 dB where it starts from 12,000 points of 24,715."""
 GROWTH = Density(start=1500, gradient=4e-4, reset_interval=0, least_interval=100)
 """Density control of a run without opacity resets, which cost a short run more than they mend."""
+WIDEST = 0.5
+"""Largest scale as a share of the distance to the nearest training camera: see `ScaleBound`."""
 LEAST_EXPOSURE = 0.02
 """Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
 GROWTH_A_PASS = 1.25
@@ -98,6 +100,7 @@ def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
         random_background=True,
         opacity_weight=0.01 if asked.opacity_weight is None else asked.opacity_weight,
         dropout=0.2 if asked.dropout is None else asked.dropout,
+        widest=WIDEST if asked.widest is None else asked.widest,
         exposure=asked.exposure or "off",
         dense_cell=asked.dense_cell or 0.0,
         most_points=max(1, facts.width * facts.height // PIXELS_A_POINT)
@@ -274,6 +277,12 @@ def plan(
             expects=f"{100 * (1 - share):.0f} % fewer pixels",
         ))  # fmt: skip
     told.append(Choice(component="Gaussians", value=f"at most {most:,}", because=why))
+    told.append(Choice(
+        component="largest scale",
+        value=f"{settings.widest:g} of the distance to the nearest camera" if settings.widest else "no bound",
+        because="given" if asked.widest is not None
+        else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on",
+    ))  # fmt: skip
     if asked.steps is None:
         count, bound = steps_in(seconds, settings, facts, speed), most_steps(settings, facts.views)
         reason = (

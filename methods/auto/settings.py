@@ -37,6 +37,9 @@ class AutoSettings:
     """Weight of the mean opacity in the loss. None: planned."""
     dropout: float | None = None
     """Share of Gaussians that a step hides at random, growing to this. None: planned."""
+    widest: float | None = None
+    """Largest scale of a Gaussian as a share of its distance to the nearest training camera; 0: no bound.
+    None: planned."""
     gradient: float | None = None
     """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
     is densified. None: planned."""
@@ -51,7 +54,7 @@ class AutoSettings:
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
-            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("gradient", 0, math.inf),
+            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("widest", 0, math.inf), ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)
             fine = value is None or low <= value <= high

@@ -230,6 +230,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         key=run_key(scene, settings, run, job.key),
         views_per_step=settings.views_per_step,
         random_background=settings.random_background,
+        widest=settings.widest,
         order=_balanced(job),
         held=partial(held_rows, follow=job.follow),
     )

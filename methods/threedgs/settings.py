@@ -57,6 +57,10 @@ class Settings:
     opacity_weight: float = 0.0
     """Weight of the mean opacity in the loss, so that what no photo needs fades away (3DGS-MCMC:
     0.01). 0: none."""
+    widest: float = 0.0
+    """Largest scale of a Gaussian as a share of its distance to the nearest training camera, looked at every 50
+    steps: a wider one is drawn wrongly from beside it and can veil a photo that nobody trained on. 0: no
+    bound (the release)."""
     exposure: Exposure = "off"
     """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
     gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
@@ -87,6 +91,7 @@ class Settings:
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
+        require(0 <= self.widest < math.inf, "widest", self.widest, "0 (no bound) or more")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,5 +43,7 @@ class Plan:
     recount: Callable[[int, float], int | None] | None = None
     """recount(step, seconds of training so far), asked after each step: the number of steps of the whole
     training from now on, with photos in full size; None: as before. None: it stays."""
+    widest: float = 0.0
+    """Largest scale as a share of the distance to the nearest of the views' cameras; 0: no bound."""
     native: bool = True
     """Whether the kernels' own step may be used; False: always autograd."""

@@ -91,6 +91,19 @@ def test_what_is_fixed_is_neither_planned_nor_tried():
     assert candidates(asked, FACTS) == []
 
 
+def test_the_largest_scale_stands_in_the_plan():
+    for asked, share, why in (
+        (AutoSettings(), 0.5, "veil a photo"),
+        (AutoSettings(widest=0.0), 0.0, "given"),
+        (AutoSettings(widest=2.0), 2.0, "given"),
+    ):
+        found = planned(asked)
+        assert found.settings.widest == share
+        (told,) = (one for one in found.choices if one.component == "largest scale")
+        assert why in told.because
+        assert (told.value == "no bound") == (share == 0)
+
+
 def test_exposures_compete_where_photos_differ():
     assert [one.setting for one in candidates(AutoSettings(), FACTS)] == ["exposure"]
     for spread in (0.001, math.nan):
