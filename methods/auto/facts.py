@@ -13,6 +13,8 @@ from torch import Tensor
 
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.resize import resample
+from splatproof.methods.dynamic.sweep_motion import in_motion
+from splatproof.methods.dynamic.sweep_points import timed_points
 from splatproof.methods.training.initialise import require_points
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.camera import project_points
@@ -63,6 +65,10 @@ class SceneFacts:
     too few shared points."""
     moments: int
     """Number of distinct times; 0: times are not known."""
+    swept: bool
+    """Whether LiDAR sweeps and times of all views are there."""
+    moving: float
+    """Share, 0 to 1, of the sweeps' returns that lie on things found to be in motion; 0 without sweeps."""
     image_bytes: int
     """Bytes of all training photos as float32."""
 
@@ -88,6 +94,9 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
     chosen = [(row, views[row]) for row in range(0, len(views), step)][:SAMPLES]
     photos = [images.load(view) for _, view in chosen]
     sizes = torch.tensor([view.size for view in views]).double()
+    swept = all(view.time is not None for view in scene.views) and any(
+        view.load_sweep is not None for view in views
+    )
     return SceneFacts(
         views=len(views),
         width=int(sizes[:, 1].median()),
@@ -105,8 +114,20 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
             for (row, view), photo in zip(chosen, photos, strict=True)
         ]),
         moments=len({view.time for view in views if view.time is not None}),
+        swept=swept,
+        moving=moving_share(scene) if swept else 0.0,
         image_bytes=int(sizes.prod(dim=1).sum()) * 12,
     )  # fmt: skip
+
+
+def moving_share(scene: Scene) -> float:
+    """Share of the returns that lie on things in motion; 0 where there is no return.
+
+    Args:
+        scene: With times and LiDAR sweeps.
+    """
+    moved = in_motion(timed_points(scene)).moved
+    return float(moved.double().mean()) if len(moved) else 0.0
 
 
 def noise(photo: Float[Tensor, "h w 3"]) -> float:

@@ -15,8 +15,10 @@ from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
 from splatproof.methods.auto.facts import SceneFacts, facts_of
-from splatproof.methods.auto.goal import Goal, KeptBack, keep_back
+from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
+from splatproof.methods.auto.motion import planned_motion
+from splatproof.methods.auto.moving import finished, prepare, without_what_is_lacking
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
     AutoPlan,
@@ -32,9 +34,9 @@ from splatproof.methods.auto.probe import PIXELS, better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed, measure
 from splatproof.methods.contracts.model import Model
+from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.models.exposure import explicit, exposed
+from splatproof.methods.models.exposure import exposed
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.plan import Plan
@@ -66,7 +68,7 @@ class Planned:
     facts: SceneFacts
 
 
-def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
+def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     """Measure, plan and train within the seconds that were asked for.
 
     Args:
@@ -74,7 +76,7 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         settings: The budget, and what of the plan is fixed.
         run: Where checkpoints and the plan go; a run that is there already is continued by its plan.
 
-    Raises: As method 3dgs.
+    Raises: As methods 3dgs and pvg.
 
     Source: ours.
     """
@@ -86,17 +88,18 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
     kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
     if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
         chosen, spent = build(Settings, told["settings"], str(kept)), float(told["spent"])
+        moves = bool(told["moves"])
         choices = tuple(Choice(**one) for one in told["choices"])
         start = _started(scene, chosen, run)
     else:
         made = planned(scene, settings, run)
-        chosen, choices = made.plan.settings, made.plan.choices
+        chosen, choices, moves = made.plan.settings, made.plan.choices, made.plan.moves
         start = _started(scene, chosen, run)
         spent = time.perf_counter() - began
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            stored = {"key": key, "settings": asdict(chosen), "spent": spent,
-                      "choices": [asdict(one) for one in choices]}  # fmt: skip
+            stored = {"key": key, "settings": asdict(chosen), "moves": moves,
+                      "spent": spent, "choices": [asdict(one) for one in choices]}  # fmt: skip
             write_text(kept, json.dumps(stored))
     run.on_stage("plan", spent)  # of the first attempt, where this one goes on
     for one in choices:
@@ -104,8 +107,10 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
         run.on_fact(f"plan: {one.component}", f"{one.value} ({one.because})")
     run.on_fact("planned settings", json.dumps(asdict(chosen)))
 
+    finish = partial(finished, scene=scene, backend=run.backend, moves=moves)
+
     def prepared() -> tuple[Model, Plan]:
-        model, plan = threedgs.prepare(start, chosen, run)
+        model, plan = prepare(start, chosen, run, moves=moves)
         plan = replace(plan, key=key)
         if settings.steps is None:
             left = settings.seconds * (1 - RESERVE) - spent
@@ -113,20 +118,16 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> ExplicitModel:
             plan = replace(plan, recount=Recount(chosen, left, most, told_steps))
         trained = exposed(model, chosen.exposure, plan.views)
         if goal is not None:
-            plan = replace(plan, recount=_ending(goal, trained, plan, settings.db, run))
+            plan = replace(plan, recount=Goal(
+                goal, trained, least=settings.db, steps=plan.steps, finish=finish, background=run.background,
+                tell=partial(run.on_fact, "quality asked for"), otherwise=plan.recount,
+            ))  # fmt: skip
         return trained, plan
 
     def told_steps(steps: int) -> None:
         run.on_fact("steps for the seconds that were left", str(steps))
 
-    return explicit(train(run, prepared), scene, run.backend)
-
-
-def _ending(goal: KeptBack, model: Model, plan: Plan, least: float, run: Run) -> Goal:
-    return Goal(
-        goal, model, least=least, steps=plan.steps, backend=run.backend, background=run.background,
-        tell=partial(run.on_fact, "quality asked for"), otherwise=plan.recount,
-    )  # fmt: skip
+    return finish(train(run, prepared))
 
 
 def read_ahead(scene: Scene, seconds: float) -> None:
@@ -217,11 +218,14 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             chosen, dense_cell=matching.cell,
             dense=replace(chosen.dense, partners=matching.partners),
         )  # fmt: skip
-        speed = measure(scene, chosen, run)
+        moves, motion = planned_motion(scene, settings, facts)
+        if moves:
+            chosen = without_what_is_lacking(chosen)
+        speed = measure(scene, chosen, run, moves=moves)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
     left = settings.seconds * (1 - RESERVE) - (clock() - started) - matching.seconds
-    choices = (matching.choice, *choices)
-    made = plan(settings, facts, chosen, choices, speed, left, available_mb())
+    choices = (matching.choice, *motion, *choices)
+    made = plan(settings, facts, chosen, choices, speed, left, available_mb(), moves=moves)
     return Planned(plan=made, facts=facts)
 
 

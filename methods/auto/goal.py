@@ -8,7 +8,7 @@ import torch
 from splatproof.base.errors import DataError
 from splatproof.methods.auto.probe import HELD, psnr, spread
 from splatproof.methods.contracts.model import Model
-from splatproof.methods.models.exposure import explicit
+from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.reference.types.scene import Scene, View
 
 MOST_HELD = 12
@@ -57,7 +57,7 @@ class Goal:
         *,
         least: float,
         steps: int,
-        backend: str,
+        finish: Callable[[Model], Reconstruction],
         background: tuple[float, float, float],
         tell: Callable[[str], None],
         otherwise: Callable[[int, float], int | None] | None,
@@ -69,19 +69,19 @@ class Goal:
             model: What is trained; it changes with each step.
             least: Mean PSNR in dB at which training ends.
             steps: Number of steps that are planned.
-            backend: Name of the rasterizer.
+            finish: What of a model in training is rendered.
             background: sRGB colour behind everything.
             tell: Told after each look, in words.
             otherwise: Says the number of steps where the goal does not end them; None: it stays.
         """
         self.kept, self.model, self.least = kept, model, least
         self.every = max(10, steps // CHECKS)
-        self.backend, self.background = backend, torch.tensor(background)
+        self.finish, self.background = finish, torch.tensor(background)
         self.tell, self.otherwise = tell, otherwise
 
     def score(self) -> float:
         """Mean PSNR in dB of the photos that were kept back."""
-        fitted = explicit(self.model, self.kept.scene, self.backend)
+        fitted = self.finish(self.model)
         found = [
             psnr(fitted.render(view.without_truth(), self.background).colour, view.load())
             for view in self.kept.views

@@ -33,6 +33,6 @@ AUTO = Method(
     settings=AutoSettings,
     fit=fit,
     cost=cost,
-    description="3dgs with every setting planned for the scene, this machine and a number of seconds: "
-    "facts are measured, doubtful settings compete on held-out training views",
+    description="3dgs, or pvg where LiDAR sweeps show motion, with every setting planned for the scene, this "
+    "machine and a number of seconds: facts are measured, doubtful settings compete on held-out training views",
 )

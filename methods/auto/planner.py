@@ -67,9 +67,11 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class AutoPlan:
-    """Settings of method 3dgs for one scene, machine and budget, and the reasons."""
+    """Settings for one scene, machine and budget, and the reasons."""
 
     settings: Settings
+    moves: bool
+    """Whether Gaussians move, as method pvg's: `motion.moving` says what follows of the settings."""
     choices: tuple[Choice, ...]
     seconds: float
     """Wall seconds that training is expected to take."""
@@ -246,6 +248,8 @@ def plan(
     speed: Speed,
     seconds: float,
     free: float = math.inf,
+    *,
+    moves: bool = False,
 ) -> AutoPlan:
     """Number of Gaussians and of steps for the seconds that are left.
 
@@ -257,6 +261,7 @@ def plan(
         speed: How fast this machine trains such photos.
         seconds: Wall seconds that training may take.
         free: Megabytes of this machine's memory that are free; inf: not known, memory bounds nothing.
+        moves: Whether Gaussians move.
     """
     most, why = most_gaussians(asked, facts, settings.sh_degree, free)
     settings = replace(settings, density=replace(settings.density, most=most))
@@ -304,7 +309,7 @@ def plan(
         expects=f"each photo {count * settings.views_per_step / facts.views:.0f} times",
     ))  # fmt: skip
     return AutoPlan(
-        settings=settings, choices=tuple(told),
+        settings=settings, moves=moves, choices=tuple(told),
         seconds=training_seconds(settings, facts, speed, count),
     )  # fmt: skip
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.schedules import require, require_cell
 
+LACKING = ("coarsest", "opacity_weight", "dropout")
+"""Settings that mean nothing to Gaussians that move."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
@@ -43,6 +46,8 @@ class AutoSettings:
     gradient: float | None = None
     """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
     is densified. None: planned."""
+    motion: bool | None = None
+    """Whether Gaussians move, as method pvg's do, by the scene's times and LiDAR sweeps. None: planned."""
     exposure: Exposure | None = None
     """What is learnt of each photo beside the scene. None: planned."""
 
@@ -59,5 +64,14 @@ class AutoSettings:
             value = getattr(self, name)
             fine = value is None or low <= value <= high
             require(fine, name, value, f"{low} to {high}, or None: planned")
+        if self.motion:
+            for name in LACKING:
+                fine = getattr(self, name) is None
+                require(
+                    fine,
+                    name,
+                    getattr(self, name),
+                    "None where motion is True: what moves does not have it",
+                )
         if self.dense_cell is not None:
             require_cell(self.dense_cell)

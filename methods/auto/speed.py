@@ -4,8 +4,8 @@ import statistics
 import time
 from dataclasses import dataclass, replace
 
+from splatproof.methods.auto.moving import prepare
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.fit import started as pointed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
@@ -37,33 +37,43 @@ class Speed:
         return self.pixels / factor**2 + self.gaussian * gaussians
 
 
-def measure(scene: Scene, settings: Settings, run: Run) -> Speed:
+def measure(scene: Scene, settings: Settings, run: Run, *, moves: bool = False) -> Speed:
     """Train a few steps at full and at half size from the start points; they are thrown away.
 
     Args:
         scene: With the points to start from.
         settings: What is trained.
         run: Threads and backend; its folder is not written to.
+        moves: Whether Gaussians move. Then photos cannot be shrunk, and the whole step is taken to go by the
+            Gaussians: steps that turn out faster are added later, slower ones would have come too late.
     """
     scene = pointed(scene, replace(settings, dense_cell=0.0), run)
+    if moves:
+        swept = tuple(index for index in scene.train if scene.views[index].load_sweep is not None)
+        few = replace(scene, train=swept[:: max(1, len(swept) // VIEWS)][:VIEWS])
+        seconds, gaussians = _step(few, settings, run, 1.0, moves=True)
+        return Speed(pixels=0.0, gaussian=seconds / gaussians)
     views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     few = replace(scene, train=views)
-    full, half = (_step(few, settings, run, factor) for factor in (1.0, 2.0))
+    full, half = (_step(few, settings, run, factor)[0] for factor in (1.0, 2.0))
     pixels = min(full, max(0.0, (full - half) * 4 / 3))
     return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points))
 
 
-def _step(scene: Scene, settings: Settings, run: Run, factor: float) -> float:
-    """Median wall seconds of a step whose photos are shrunk by a factor."""
+def _step(
+    scene: Scene, settings: Settings, run: Run, factor: float, *, moves: bool = False
+) -> tuple[float, int]:
+    """Median wall seconds of a step whose photos are shrunk by a factor, and the number of Gaussians."""
     settings = replace(
         settings, iterations=30_000, dense_cell=0.0,
         resolution=Resolution(coarsest=factor, full_from=1.0),
     )  # fmt: skip
-    trainer = Trainer(*prepare(scene, settings, run), replace(run, folder=None))
+    model, plan = prepare(scene, settings, run, moves=moves)
+    trainer = Trainer(model, plan, replace(run, folder=None))
     times = []
     for index in range(WARM + len(scene.train) + TIMED):
         started = time.perf_counter()
         trainer.advance()
         if index >= WARM + len(scene.train):
             times.append((time.perf_counter() - started) / settings.views_per_step)
-    return statistics.median(times)
+    return statistics.median(times), model.primitives

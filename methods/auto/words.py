@@ -31,6 +31,7 @@ def told(facts: SceneFacts) -> list[tuple[str, str, str]]:
         ("exposure", known(facts.exposure, f"{100 * math.expm1(facts.exposure):.1f} %"),
          "spread of the photos' brightness on shared points"),
         ("moments", str(facts.moments) if facts.moments else "not known",
-         "several times: things may move (methods pvg and hdgs)" if facts.moments > 1
+         f"{100 * facts.moving:.2f} % of the LiDAR's returns lie on things in motion" if facts.swept
+         else "several times, no LiDAR: what moves is not known (methods pvg and hdgs)" if facts.moments > 1
          else "nothing says that anything moves"),
     ]  # fmt: skip

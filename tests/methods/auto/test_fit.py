@@ -88,7 +88,9 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     monkeypatch.setattr(auto, "facts_of", lambda *_: replace(facts_of(*_), exposure=0.1))
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
-    assert names == ["matched points", "exposure", "blocks", "points", "Gaussians", "steps"]
+    assert names == [
+        "matched points", "exposure", "blocks", "points", "Gaussians", "largest scale", "steps",
+    ]  # fmt: skip
     assert found.plan.choices[1].because.startswith("probe: ")
 
 

@@ -25,7 +25,8 @@ from splatproof.methods.auto.speed import Speed
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
-    angle=30.0, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, image_bytes=1,
+    angle=30.0, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, swept=False, moving=0.0,
+    image_bytes=1,
 )  # fmt: skip
 SPEED = Speed(pixels=0.02, gaussian=3e-7)
 SPEEDS = st.builds(Speed, pixels=st.floats(1e-4, 0.1), gaussian=st.floats(1e-9, 1e-6))
