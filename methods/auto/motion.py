@@ -8,7 +8,8 @@ from splatproof.methods.dynamic.times import clock_of
 from splatproof.reference.types.scene import Scene
 
 LEAST_MOVING = 0.001
-"""Share of the LiDAR's returns that must lie on things in motion before Gaussians may move."""
+"""Share of the LiDAR's returns that must lie on things in motion before Gaussians may move. A choice: street, the one
+drive at hand, has 0.015, and no drive was tried in which nearly nothing moves."""
 
 
 def planned_motion(

@@ -31,7 +31,8 @@ grow) 25.3 dB with 129,000; caliterra loses 0.7 dB where it starts from 12,000 p
 GROWTH = Density(start=1500, gradient=4e-4, reset_interval=0, least_interval=100)
 """Density control of a run without opacity resets, which cost a short run more than they mend."""
 WIDEST = 0.5
-"""Largest scale as a share of the distance to the nearest training camera: see `ScaleBound`."""
+"""Largest scale as a share of the distance to the nearest training camera, see `ScaleBound`. Held-out training photos
+of courtyard, three folds: a half gains 0.1 to 0.4 dB, a quarter and one lose as often as they gain."""
 LEAST_EXPOSURE = 0.02
 """Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
 GROWTH_A_PASS = 1.25
