@@ -32,7 +32,8 @@ GROWTH = Density(start=1500, gradient=4e-4, reset_interval=0, least_interval=100
 """Density control of a run without opacity resets, which cost a short run more than they mend."""
 WIDEST = 0.5
 """Largest scale as a share of the distance to the nearest training camera, see `ScaleBound`. Held-out training photos
-of courtyard, three folds: a half gains 0.1 to 0.4 dB, a quarter and one lose as often as they gain."""
+of courtyard, three folds: a half gains 0.1 to 0.4 dB, a quarter and one between -0.4 and +0.2; one or two folds of six
+other scenes: a half between -0.3 and +0.3."""
 LEAST_EXPOSURE = 0.02
 """Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
 GROWTH_A_PASS = 1.25
