@@ -73,7 +73,7 @@ class AutoPlan:
 
     settings: Settings
     moves: bool
-    """Whether Gaussians move, as method pvg's: `motion.moving` says what follows of the settings."""
+    """Whether Gaussians move, as method pvg's: `moving.moving` says what follows of the settings."""
     choices: tuple[Choice, ...]
     seconds: float
     """Wall seconds that training is expected to take."""

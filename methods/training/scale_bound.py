@@ -23,7 +23,7 @@ class ScaleBound:
     A wide one well outside of an image gets a footprint that covers all of it, so that a single Gaussian of
     the far ground costs a photo that nobody trains on 10 dB, while training photos never showed it.
 
-    Source: ours; that the linear projection fails there: Zwicker et al. 2001, "EWA Volume Splatting", Sec. 4.
+    Source: ours; the linear projection: Zwicker et al. 2001, "EWA Volume Splatting".
     """
 
     def __init__(self, share: float, views: Sequence[View]) -> None:
