@@ -14,7 +14,7 @@ from torch import Tensor
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.resize import resample
 from splatproof.methods.dynamic.sweep_motion import in_motion
-from splatproof.methods.dynamic.sweep_points import timed_points
+from splatproof.methods.dynamic.sweep_points import swept_moments, timed_points
 from splatproof.methods.training.initialise import require_points
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.camera import project_points
@@ -30,6 +30,8 @@ MOST_COMPARED = 400
 """About as many views are compared with all others."""
 SOUND = 8
 """Fewest observations by which a photo's exposure is compared with the others'."""
+PAIRS = 8
+"""Pairs of neighbouring moments, spread evenly, in which it is looked for what moves: a choice."""
 TURNS = 20
 """Times that the effects of points and of photos are fitted to what the others leave."""
 
@@ -123,10 +125,17 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
 def moving_share(scene: Scene) -> float:
     """Share of the returns that lie on things in motion; 0 where there is no return.
 
+    Of a long drive, pairs of moments are looked at, spread evenly.
+
     Args:
         scene: With times and LiDAR sweeps.
     """
-    moved = in_motion(timed_points(scene)).moved
+    times = swept_moments(scene)
+    parts = [times]
+    if len(times) > 2 * PAIRS:
+        firsts = np.linspace(0, len(times) - 2, PAIRS).astype(int)
+        parts = [times[first : first + 2] for first in firsts]
+    moved = torch.cat([in_motion(timed_points(scene, part), scene.up).moved for part in parts])
     return float(moved.double().mean()) if len(moved) else 0.0
 
 

@@ -110,10 +110,12 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     finish = partial(finished, scene=scene, backend=run.backend, moves=moves)
 
     def prepared() -> tuple[Model, Plan]:
+        began = time.perf_counter()
         model, plan = prepare(start, chosen, run, moves=moves)
         plan = replace(plan, key=key)
         if settings.steps is None:
-            left = settings.seconds * (1 - RESERVE) - spent
+            preparing = time.perf_counter() - began
+            left = settings.seconds * (1 - RESERVE) - spent - preparing
             most = most_steps(chosen, len(plan.views))
             plan = replace(plan, recount=Recount(chosen, left, most, told_steps))
         trained = exposed(model, chosen.exposure, plan.views)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.schedules import require, require_cell
 
-LACKING = ("coarsest", "opacity_weight", "dropout")
-"""Settings that mean nothing to Gaussians that move."""
+LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0}
+"""Settings that Gaussians that move do not have, and the values that stand for going without."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,13 +65,17 @@ class AutoSettings:
             fine = value is None or low <= value <= high
             require(fine, name, value, f"{low} to {high}, or None: planned")
         if self.motion:
-            for name in LACKING:
-                fine = getattr(self, name) is None
+            for name, value in self.against_motion().items():
                 require(
-                    fine,
+                    False,
                     name,
-                    getattr(self, name),
-                    "None where motion is True: what moves does not have it",
+                    value,
+                    f"{LACKING[name]:g}, or None, where motion is True: what moves does not have it",
                 )
         if self.dense_cell is not None:
             require_cell(self.dense_cell)
+
+    def against_motion(self) -> dict[str, float]:
+        """What is fixed here and Gaussians that move cannot follow, by the setting's name."""
+        given = {name: getattr(self, name) for name in LACKING}
+        return {name: value for name, value in given.items() if value not in (None, LACKING[name])}

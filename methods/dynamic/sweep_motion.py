@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int32
+from jaxtyping import Bool, Float, Float64, Int32
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -19,26 +19,34 @@ REACH = 1.5
 """Diameters of a thing that it moves at most between two sweeps."""
 SAMPLES = 48
 """Returns of a thing that are looked for again."""
-SHIFTS = 64
-"""Shifts that are tried at once, for the sake of memory."""
+MOST = 256
+"""Returns of a thing, and of what is near it, among which its shift is searched for: what a search costs grows with
+their product, and a car nearby has thousands."""
+SHIFTS = 256
+"""Shifts, those that bring a thing best onto what is near it, of which it is asked what they leave uncovered."""
 BACK = 0.7
 """A thing is taken to move where that leaves less than this share of the distance between returns that
 standing still leaves."""
 
+SURE = 0.5
+"""Spacings of its returns that a thing must have gone: other returns of a thing that stands still (a lamp, twigs)
+look as if it had gone less. At 10 sweeps a second a walker at 20 m is just told."""
 
-def in_motion(points: TimedPoints) -> TimedPoints:
+
+def in_motion(points: TimedPoints, up: Float[Tensor, "3"]) -> TimedPoints:
     """The points with velocities; what was looked through but is not found to move stands still.
 
     Twigs, and the ground where beams skip it, are looked through without moving.
 
     Args:
         points: Returns of all moments.
+        up: Unit vector away from the ground.
     """
-    found = velocities(points)
+    found = velocities(points, up)
     return replace(points, velocities=found, moved=found.any(dim=1))
 
 
-def velocities(points: TimedPoints) -> Float[Tensor, "n 3"]:
+def velocities(points: TimedPoints, up: Float[Tensor, "3"]) -> Float[Tensor, "n 3"]:
     """Velocity of each return, scene units a second; 0 for what does not move or is not found again.
 
     Returns of one moment that lie close together are one thing, which moves as a whole; the shift
@@ -46,12 +54,13 @@ def velocities(points: TimedPoints) -> Float[Tensor, "n 3"]:
 
     Args:
         points: Returns of all moments; those that moved are looked at.
+        up: Unit vector away from the ground, along which nothing moves more than it moves along the ground.
 
     Returns: Float32.
 
     Source: ours; the release of PVG starts from 0, which takes thousands of steps to leave.
     """
-    found = torch.zeros(len(points), 3)
+    found, away = torch.zeros(len(points), 3), up.double().numpy()
     moments = points.seconds[points.moved].unique().tolist()
     index = [torch.where(points.moved & (points.seconds == time))[0] for time in moments]
     places = [points.positions[own].numpy() for own in index]
@@ -63,9 +72,10 @@ def velocities(points: TimedPoints) -> Float[Tensor, "n 3"]:
             if len(members) < LEAST_RETURNS:
                 continue
             best = (BACK, np.zeros(3))
+            sure = SURE * _spacing(places[now][members])
             for other in near:
-                left, shift = motion(places[now][members], places[other])
-                if left < best[0]:
+                left, shift = motion(places[now][members], places[other], away)
+                if left < best[0] and np.linalg.norm(shift) > sure:
                     best = (left, shift / (moments[other] - moments[now]))
             found[own[members]] = torch.from_numpy(best[1]).float()
     return found
@@ -92,13 +102,18 @@ def _spacing(positions: Float64[np.ndarray, "n 3"]) -> float:
 
 
 def motion(
-    thing: Float64[np.ndarray, "n 3"], others: Float64[np.ndarray, "m 3"]
+    thing: Float64[np.ndarray, "n 3"],
+    others: Float64[np.ndarray, "m 3"],
+    up: Float64[np.ndarray, "3"],
 ) -> tuple[float, Float64[np.ndarray, "3"]]:
-    """Shift that brings a thing onto the returns of another moment.
+    """Shift that brings a thing onto the returns of another moment, along the ground more than up or down.
+
+    It is searched for among `MOST` returns and brought to rest among all.
 
     Args:
         thing: Returns of one thing, at least LEAST_RETURNS.
         others: Returns of the other moment.
+        up: Unit vector away from the ground. A post may be shifted along itself and still lie on itself.
 
     Returns: Distance that is left, as a share of what standing still leaves (inf where nothing is in
         reach); the shift in scene units.
@@ -106,35 +121,63 @@ def motion(
     centre = thing.mean(axis=0)
     size = 2 * np.linalg.norm(thing - centre, axis=1).max()
     close = others[np.linalg.norm(others - centre, axis=1) < (REACH + 0.5) * size]
-    spacing = _spacing(thing)
     if not len(close):
         return np.inf, np.zeros(3)
-    sample = thing[np.linspace(0, len(thing) - 1, min(SAMPLES, len(thing))).astype(int)]
-    shifts = (close[None] - sample[:, None]).reshape(-1, 3)
-    shifts = shifts[np.linalg.norm(shifts, axis=1) < REACH * size]
-    shifts = np.unique(np.round(shifts / spacing), axis=0) * spacing
-    there, here = KDTree(close), KDTree(thing)
+    few = _spread(thing, MOST)
+    spacing = _spacing(few)
     far = 2 * spacing
+    sample = _spread(thing, SAMPLES)
 
-    def left(shifts: Float64[np.ndarray, "s 3"]) -> Float64[np.ndarray, " s"]:
-        onto = there.query(sample + shifts[:, None], distance_upper_bound=far)[0]
+    def onto(
+        shifts: Float64[np.ndarray, "s 3"], close: Float64[np.ndarray, "b 3"]
+    ) -> Float64[np.ndarray, " s"]:
+        apart = KDTree(close).query(sample + shifts[:, None], distance_upper_bound=far)[0]
+        return np.minimum(apart, far).mean(axis=1)
+
+    def back(
+        shifts: Float64[np.ndarray, "s 3"],
+        thing: Float64[np.ndarray, "a 3"],
+        close: Float64[np.ndarray, "b 3"],
+    ) -> Float64[np.ndarray, " s"]:
         moved = close - shifts[:, None]
         of, part = np.nonzero(np.linalg.norm(moved - centre, axis=2) < size)
-        back = here.query(moved[of, part], distance_upper_bound=far)[0]
+        apart = KDTree(thing).query(moved[of, part], distance_upper_bound=far)[0]
         count = np.bincount(of, minlength=len(shifts))
-        total = np.bincount(of, np.minimum(back, far), minlength=len(shifts))
-        back_mean = np.where(count > 0, total / np.maximum(count, 1), far)
-        return np.minimum(onto, far).mean(axis=1) + back_mean
+        total = np.bincount(of, np.minimum(apart, far), minlength=len(shifts))
+        return np.where(count > 0, total / np.maximum(count, 1), far)
 
+    def left(shifts: Float64[np.ndarray, "s 3"]) -> Float64[np.ndarray, " s"]:
+        return onto(shifts, close) + back(shifts, thing, close)
+
+    near = _spread(close, MOST)
+    shifts = (near[None] - sample[:, None]).reshape(-1, 3)
+    shifts = shifts[_level(shifts, up) & (np.linalg.norm(shifts, axis=1) < REACH * size)]
     if not len(shifts):
         return np.inf, np.zeros(3)
-    batches = np.array_split(shifts, -(-len(shifts) // SHIFTS))
-    shift = shifts[int(np.argmin(np.concatenate([left(batch) for batch in batches])))]
+    shifts = np.unique(np.round(shifts / spacing), axis=0) * spacing
+    there = onto(shifts, near)
+    kept = np.argsort(there, kind="stable")[:SHIFTS]
+    shift = shifts[kept][int(np.argmin(there[kept] + back(shifts[kept], few, near)))]
+    tree = KDTree(close)
     for _ in range(3):  # from the grid of shifts to the best one nearby
-        apart, which = there.query(sample + shift, distance_upper_bound=far)
-        onto = np.isfinite(apart)
-        if onto.any():
-            moved = shift + np.median(close[np.asarray(which)[onto]] - sample[onto] - shift, axis=0)
-            shift = min((shift, moved), key=lambda one: float(left(one[None])[0]))
+        apart, which = tree.query(sample + shift, distance_upper_bound=far)
+        met = np.isfinite(apart)
+        if met.any():
+            moved = shift + np.median(close[np.asarray(which)[met]] - sample[met] - shift, axis=0)
+            if _level(moved[None], up)[0]:
+                shift = min((shift, moved), key=lambda one: float(left(one[None])[0]))
     moving, still = left(np.stack([shift, np.zeros(3)]))
     return float(moving / max(still, 1e-12)), shift
+
+
+def _level(
+    shifts: Float64[np.ndarray, "s 3"], up: Float64[np.ndarray, "3"]
+) -> Bool[np.ndarray, " s"]:
+    """Whether shifts go along the ground more than up or down."""
+    rise = shifts @ up
+    return np.abs(rise) <= np.linalg.norm(shifts - rise[:, None] * up, axis=1)
+
+
+def _spread(places: Float64[np.ndarray, "n 3"], most: int) -> Float64[np.ndarray, "m 3"]:
+    """At most so many of the places, evenly by their order: that of the beams."""
+    return places[np.linspace(0, len(places) - 1, min(most, len(places))).astype(int)]

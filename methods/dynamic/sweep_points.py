@@ -1,13 +1,14 @@
 """Points from LiDAR sweeps: when they were hit, in what colour, and whether something moved there."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64, Int64, UInt8
-from scipy.ndimage import minimum_filter, uniform_filter
+from scipy.ndimage import maximum_filter1d, minimum_filter, uniform_filter
 from torch import Tensor
 
 from splatproof.methods.dynamic.terms import lidar_image
@@ -24,6 +25,9 @@ BEYOND = 0.03
 """Share of a point's distance by which all those rays must be longer to have passed it."""
 VOTES = 2
 """Sweeps that must have looked through a place for what was hit there to be called moving."""
+NEAREST = 24
+"""Sweeps, the nearest in time, that are asked whether they looked through a place: a choice. All of them would
+make a drive's time and memory grow with its square, and those from far away see little of it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,25 +58,36 @@ class TimedPoints:
         return TimedPoints(**{name: value[index] for name, value in vars(self).items()})
 
 
-def timed_points(scene: Scene) -> TimedPoints:
-    """All returns of the training views' sweeps that a training photo of their moment shows.
+def timed_points(scene: Scene, moments: Collection[float] | None = None) -> TimedPoints:
+    """Returns of the training views' sweeps that a training photo of their moment shows, by time.
 
     Args:
-        scene: Its training views with a sweep and a time count; one image is held at a time.
+        scene: Its training views with a sweep and a time count; a few sweeps and one image are held at a time.
+        moments: Times whose returns are wanted; None: all.
 
     Source: Chen et al. 2023, "Periodic Vibration Gaussian", Sec. 4.1 (its release leaves the colours
         black); which of them moved: ours, by looking through, as in LiDAR map cleaning.
     """
-    groups: dict[float, list[View]] = defaultdict(list)
-    for view in scene.train_views:
-        if view.load_sweep is not None and view.time is not None:
-            groups[view.time].append(view)
-    sweeps = {time: _sweep(views) for time, views in groups.items()}
+    groups = _swept(scene)
+    times = list(groups)
+
+    @lru_cache(maxsize=NEAREST + 1)
+    def seen_at(time: float) -> tuple[Sweep, Depths]:
+        load = groups[time][0].load_sweep
+        assert load is not None
+        sweep = load()
+        return sweep, depths(sweep)
+
     found = []
-    for time, views in groups.items():
-        colours, seen = _colours(sweeps[time].positions, views)
-        positions = sweeps[time].positions[seen].double()
-        others = [sweep for moment, sweep in sweeps.items() if moment != time]
+    for index, time in enumerate(times):
+        if moments is not None and time not in moments:
+            continue
+        first = max(0, min(index - NEAREST // 2, len(times) - NEAREST - 1))
+        near = times[first : first + NEAREST + 1]
+        sweep, _ = seen_at(time)
+        colours, seen = _colours(sweep.positions, groups[time])
+        positions = sweep.positions[seen].double()
+        others = [seen_at(moment)[1] for moment in near if moment != time]
         found.append(
             TimedPoints(
                 positions=positions,
@@ -85,6 +100,24 @@ def timed_points(scene: Scene) -> TimedPoints:
     return joined(found)
 
 
+def swept_moments(scene: Scene) -> list[float]:
+    """Times of the training views that have a sweep, in order.
+
+    Args:
+        scene: Its training views count.
+    """
+    return list(_swept(scene))
+
+
+def _swept(scene: Scene) -> dict[float, list[View]]:
+    """Training views with a sweep, by their time, in order."""
+    groups: dict[float, list[View]] = defaultdict(list)
+    for view in scene.train_views:
+        if view.load_sweep is not None and view.time is not None:
+            groups[view.time].append(view)
+    return dict(sorted(groups.items()))
+
+
 def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
     """The points of all parts, one part after the other; no part: no points."""
     none = TimedPoints(
@@ -93,13 +126,6 @@ def joined(parts: Sequence[TimedPoints]) -> TimedPoints:
     )  # fmt: skip
     names = vars(none)
     return TimedPoints(**{n: torch.cat([getattr(p, n) for p in (none, *parts)]) for n in names})
-
-
-def _sweep(views: list[View]) -> Sweep:
-    """The sweep of views of one moment."""
-    load = views[0].load_sweep
-    assert load is not None
-    return load()
 
 
 def _colours(
@@ -126,7 +152,40 @@ def _colours(
     return colours, seen
 
 
-def looked_through(positions: Float[Tensor, "n 3"], sweeps: list[Sweep]) -> Tensor:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Depths:
+    """How far a sweep's rays went, by direction."""
+
+    origin: Float[Tensor, "3"]
+    """Float64: where the sensor was."""
+    nearest: Float64[np.ndarray, "rows columns"]
+    """Shortest ray of the 3 x 3 cells around each; inf where none went."""
+    known: Bool[np.ndarray, "rows columns"]
+    """Whether rays went through enough of those cells, and above the direction as well as below it: what the lowest
+    beam hits goes with the sensor, and the next sweep does not look through it but misses it."""
+
+
+def depths(sweep: Sweep) -> Depths:
+    """Sort a sweep's rays into cells of `CELL` radians.
+
+    Args:
+        sweep: Its rays begin at its origin.
+    """
+    row, column, ranges = _polar(sweep.positions.double(), sweep.origin)
+    image = np.full((round(np.pi / CELL) + 1, round(2 * np.pi / CELL)), np.inf)
+    np.minimum.at(image, (row, column), ranges)
+    around = {"size": 3, "mode": ("nearest", "wrap")}
+    cells = uniform_filter(np.isfinite(image).astype(float), **around) * 9
+    wide = np.pad(maximum_filter1d(np.isfinite(image), 3, axis=1, mode="wrap"), ((2, 2), (0, 0)))
+    below, above = wide[:-4] | wide[1:-3], wide[3:-1] | wide[4:]
+    return Depths(
+        origin=sweep.origin,
+        nearest=minimum_filter(image, **around),
+        known=(cells > LEAST_CELLS - 0.5) & below & above,
+    )
+
+
+def looked_through(positions: Float[Tensor, "n 3"], sweeps: Sequence[Depths]) -> Tensor:
     """Number of sweeps whose rays passed each point and went on.
 
     A sweep counts where all its rays in the cells around a point's direction are longer than the
@@ -141,25 +200,18 @@ def looked_through(positions: Float[Tensor, "n 3"], sweeps: list[Sweep]) -> Tens
     Source: ours; the idea is that of Kim and Kim 2020, "Remove, then Revert", Sec. III.
     """
     votes = np.zeros(len(positions), np.int64)
-    size = (round(np.pi / CELL) + 1, round(2 * np.pi / CELL))
     for sweep in sweeps:
-        row, column, ranges = _polar(sweep.positions.double(), sweep)
-        image = np.full(size, np.inf)
-        np.minimum.at(image, (row, column), ranges)
-        around = {"size": 3, "mode": ("nearest", "wrap")}
-        nearest = minimum_filter(image, **around)
-        cells = uniform_filter(np.isfinite(image).astype(float), **around) * 9
-        row, column, far = _polar(positions, sweep)
-        passed = (1 + BEYOND) * far < nearest[row, column]
-        votes += passed & (cells[row, column] > LEAST_CELLS - 0.5)
+        row, column, far = _polar(positions, sweep.origin)
+        passed = (1 + BEYOND) * far < sweep.nearest[row, column]
+        votes += passed & sweep.known[row, column]
     return torch.from_numpy(votes)
 
 
 def _polar(
-    positions: Float[Tensor, "n 3"], sweep: Sweep
+    positions: Float[Tensor, "n 3"], origin: Float[Tensor, "3"]
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Row and column of each position's cell, and its distance from where the sensor was."""
-    away = (positions - sweep.origin).numpy()
+    away = (positions - origin).numpy()
     far = np.linalg.norm(away, axis=1)
     height = np.arcsin(np.clip(away[:, 2] / np.maximum(far, 1e-9), -1, 1))
     turn = np.arctan2(away[:, 1], away[:, 0])

@@ -121,7 +121,7 @@ def measured(scene: Scene, seed: int) -> TimedPoints:
         seconds=torch.zeros(count).double(), moved=torch.zeros(count).bool(),
         velocities=torch.zeros(count, 3),
     )  # fmt: skip
-    points = joined([sparse, in_motion(timed_points(scene))])
+    points = joined([sparse, in_motion(timed_points(scene), scene.up)])
     generator = torch.Generator().manual_seed(seed)
     return points.take(torch.randperm(len(points), generator=generator))
 

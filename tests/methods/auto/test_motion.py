@@ -1,5 +1,6 @@
 """Motion in the plan: when Gaussians move, what of a plan they follow, and that such a run is like any other."""
 
+import time
 from dataclasses import fields, replace
 
 import pytest
@@ -8,16 +9,24 @@ import torch
 from helpers.tiny_drive import tiny_drive
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
-from splatproof.methods.auto.facts import SceneFacts, facts_of, moving_share
-from splatproof.methods.auto.fit import fit
-from splatproof.methods.auto.motion import planned_motion
-from splatproof.methods.auto.moving import moving, without_what_is_lacking
+from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.procedural import street
+from splatproof.datasets.procedural.exporting import make_scene
+from splatproof.methods.auto import facts as facts_module
+from splatproof.methods.auto import fit as fitting
+from splatproof.methods.auto.facts import PAIRS, SceneFacts, facts_of, moving_share
+from splatproof.methods.auto.fit import RESERVE, Recount, fit
+from splatproof.methods.auto.motion import LEAST_MOVING, planned_motion
+from splatproof.methods.auto.moving import moving, prepare, without_what_is_lacking
 from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dynamic.sweep_points import TimedPoints
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
+from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene
 
 DRIVE = tiny_drive()
@@ -58,8 +67,17 @@ def test_what_is_fixed_is_kept():
     found, (choice,) = planned_motion(DRIVE, AutoSettings(dropout=0.1), facts())
     assert not found
     assert choice.because.startswith("dropout is given")
-    with pytest.raises(UsageError, match="dropout is 0.1, expected None where motion is True"):
+    with pytest.raises(
+        UsageError, match="dropout is 0.1, expected 0, or None, where motion is True"
+    ):
         AutoSettings(motion=True, dropout=0.1)
+
+
+def test_to_go_without_what_motion_lacks_leaves_motion():
+    without = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0}
+    for name, value in without.items():
+        assert planned_motion(DRIVE, AutoSettings(**{name: value}), facts())[0]
+    assert AutoSettings(motion=True, **without).against_motion() == {}
 
 
 def test_motion_is_refused_where_nothing_says_what_moves():
@@ -75,6 +93,60 @@ def test_facts_know_sweeps_and_scenes_without_them():
     assert facts_of(DRIVE, 2**20).moving == moving_share(DRIVE)
     still = facts_of(tiny_scene(), 2**20)
     assert (still.swept, still.moving) == (False, 0.0)
+
+
+def test_of_a_long_drive_pairs_of_moments_are_looked_at(monkeypatch):
+    long, looked = tiny_drive(moments=40), []
+    told = facts_module.timed_points
+
+    def noted(scene: Scene, moments: list[float]) -> TimedPoints:
+        looked.append(moments)
+        return told(scene, moments)
+
+    monkeypatch.setattr(facts_module, "timed_points", noted)
+    moving_share(DRIVE)
+    assert looked == [[view.time for view in DRIVE.train_views]]
+    looked.clear()
+    moving_share(long)
+    times = [view.time for view in long.train_views]
+    assert looked == [
+        times[first : first + 2] for first in map(times.index, [a for a, _ in looked])
+    ]
+    assert len(looked) == PAIRS
+    assert (looked[0][0], looked[-1][1]) == (times[0], times[-1])
+
+
+def test_what_is_prepared_is_counted_in_the_seconds(monkeypatch):
+    spent, left = {}, []
+
+    class Noted(Recount):
+        def __init__(self, settings: Settings, seconds: float, *more) -> None:
+            super().__init__(settings, seconds, *more)
+            left.append(seconds)
+
+    def slowly(*given, **more):
+        time.sleep(1.0)
+        return prepare(*given, **more)
+
+    monkeypatch.setattr(fitting, "Recount", Noted)
+    monkeypatch.setattr(fitting, "prepare", slowly)
+    asked = AutoSettings(seconds=4.0, probe_share=0.0, motion=True)
+    fit(DRIVE, asked, Run(threads=1, on_stage=spent.__setitem__))
+    assert left[0] <= 4.0 * (1 - RESERVE) - spent["plan"] - 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cars", "moves"), [(0, False), (1, True)])
+def test_a_drive_in_which_nothing_moves_is_told_from_one_with_a_car(
+    tmp_path, monkeypatch, cars, moves
+):
+    every = street.movers
+    monkeypatch.setattr(street, "movers", lambda seed: every(seed)[:cars])
+    small = replace(street.PRESETS["small"], width=120, height=80, samples=1)
+    folder = make_scene(street.plan(1, small), tmp_path / "drive", lambda done, total: None)
+    share = moving_share(open_scene(str(folder), load_protocol("default")).for_training())
+    assert (share >= LEAST_MOVING) == moves
+    assert share < LEAST_MOVING / 2 or share > 2 * LEAST_MOVING
 
 
 def test_what_moves_follows_the_plan():

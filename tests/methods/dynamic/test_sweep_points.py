@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
-from splatproof.methods.dynamic.sweep_points import looked_through, timed_points
+from splatproof.methods.dynamic import sweep_points
+from splatproof.methods.dynamic.sweep_points import (
+    depths,
+    looked_through,
+    swept_moments,
+    timed_points,
+)
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, Sweep, View
 
@@ -26,7 +32,9 @@ def sweep(positions: torch.Tensor, origin: torch.Tensor = ORIGIN) -> Sweep:
 
 def test_a_place_is_looked_through_where_rays_go_on():
     points = torch.tensor([[5.0, 0, 0], [9.9, 0.3, 0.2], [10.4, 0, 0], [30.0, 0, 0], [-5.0, 0, 0]])
-    votes = looked_through(points.double(), [sweep(wall(10.0, 0.3)), sweep(wall(20.0, 0.3))])
+    votes = looked_through(
+        points.double(), [depths(sweep(wall(10.0, 0.3))), depths(sweep(wall(20.0, 0.3)))]
+    )
     # before both walls; within 3 % of one and before the other; behind one; behind both; unseen
     assert votes.tolist() == [2, 1, 1, 0, 0]
 
@@ -36,18 +44,32 @@ def test_rays_that_go_by_beside_say_nothing():
     hole = hole[hole[:, 1:].norm(dim=1) > 0.8]  # nothing came back from the middle
     beside = hole[(hole[:, 1].abs() < 0.02) & (hole[:, 2] > 0)]
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
-    assert looked_through(
-        point, [sweep(hole), sweep(beside), sweep(ORIGIN[None][:0])]
-    ).tolist() == [0]
+    blind = [depths(sweep(rays)) for rays in (hole, beside, ORIGIN[None][:0])]
+    assert looked_through(point, blind).tolist() == [0]
+
+
+def test_directions_below_the_lowest_beam_say_nothing():
+    point = torch.tensor([[5.0, 0.0, 0.0]]).double()
+    rays = wall(10.0, 0.3)
+    assert looked_through(point, [depths(sweep(rays))]).tolist() == [1]
+    for side in (1, -1):  # the ring of ground that a sweep hits first goes with the sensor
+        one_side = rays[side * rays[:, 2] > 0.05]
+        assert looked_through(point, [depths(sweep(one_side))]).tolist() == [0]
+
+
+def test_two_rays_are_too_few():
+    point = torch.tensor([[5.0, 0.0, 0.0]]).double()
+    rays = torch.tensor([[10.0, 0.0, 0.2], [10.0, 0.0, -0.2]])
+    assert looked_through(point, [depths(sweep(rays))]).tolist() == [0]
 
 
 def test_directions_are_those_from_where_the_sensor_was():
     away = torch.tensor([0.0, 100.0, 0.0], dtype=torch.float64)
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
-    there = sweep(wall(10.0, 0.3) + away.float(), away)
+    there = depths(sweep(wall(10.0, 0.3) + away.float(), away))
     assert looked_through(point, [there]).tolist() == [0]
     assert looked_through(point + away, [there]).tolist() == [1]
-    behind = sweep(-wall(10.0, 0.3))  # across the seam of the angle
+    behind = depths(sweep(-wall(10.0, 0.3)))  # across the seam of the angle
     assert looked_through(-point, [behind]).tolist() == [1]
 
 
@@ -98,6 +120,39 @@ def test_what_others_look_through_moved():
     assert first.moved.tolist() == [True, False]
     once = timed_points(drive(at1=torch.cat([thing, behind]), at2=grid))
     assert not once.moved.any()
+
+
+def test_sweeps_nearest_in_time_are_asked_and_each_is_read_once(monkeypatch):
+    monkeypatch.setattr(sweep_points, "NEAREST", 2)
+    near, read = [], []
+    told = sweep_points.depths
+
+    def noted(one: Sweep) -> sweep_points.Depths:
+        read.append(float(one.positions[0, 0]))
+        return replace(told(one), origin=one.positions[0].double())
+
+    def asked(positions: torch.Tensor, sweeps: list[sweep_points.Depths]) -> torch.Tensor:
+        near.append([round(float(one.origin[0]), 3) for one in sweeps])
+        return torch.zeros(len(positions), dtype=torch.int64)
+
+    monkeypatch.setattr(sweep_points, "depths", noted)
+    monkeypatch.setattr(sweep_points, "looked_through", asked)
+    at = {f"at{i}": torch.tensor([[0.001 * i, 0.0, 0.0]]) for i in range(1, 6)}
+    timed_points(drive(**at))
+    assert near == [[0.002, 0.003], [0.001, 0.003], [0.002, 0.004], [0.003, 0.005], [0.003, 0.004]]
+    assert sorted(read) == pytest.approx([0.001 * i for i in range(1, 6)])
+
+
+def test_some_moments_alone_have_the_returns_that_they_have_among_all():
+    at = {f"at{i}": torch.tensor([[0.0, 0.0, 0.0], [0.3, -0.2, 0.1 * i]]) for i in range(1, 6)}
+    scene = drive(**at)
+    times = swept_moments(scene)
+    assert times == [scene.views[i].time for i in scene.train]
+    every, some = timed_points(scene), timed_points(scene, times[1:3])
+    wanted = every.take((every.seconds == times[1]) | (every.seconds == times[2]))
+    for name, value in vars(wanted).items():
+        assert torch.equal(value, getattr(some, name)), name
+    assert not swept_moments(tiny_scene())
 
 
 def test_without_sweeps_there_are_none():

@@ -73,7 +73,7 @@ def test_a_drive_starts_with_what_moves_at_its_velocity_and_moment(monkeypatch):
         [[9.0, 0, 0], [0, 9.0, 0]], [0.1, 0.6], [True, False], [[SPEED, 0, 0]] + [[0] * 3]
     )
     monkeypatch.setattr(starting, "timed_points", lambda scene: swept)
-    monkeypatch.setattr(starting, "in_motion", lambda points: points)
+    monkeypatch.setattr(starting, "in_motion", lambda points, up: points)
     settings = Settings(iterations=9, anchors=60)
     model, _ = prepare(tiny_drive(), settings, Run(threads=1))
     rows = model.parameters.rows

@@ -73,7 +73,7 @@ def error(model: DecodedModel) -> float:
 
 
 def test_what_moves_is_learnt_better_in_motion_than_standing_still(scene, monkeypatch):
-    monkeypatch.setattr(start, "in_motion", lambda found: moving_returns(scene.train_views))
+    monkeypatch.setattr(start, "in_motion", lambda found, up: moving_returns(scene.train_views))
     rates = MovingRates(sh_dc=0.02, quaternions=0.005, log_scales=0.02)
     ours = replace(
         SHORT, iterations=200, rates=rates,

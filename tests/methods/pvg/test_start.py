@@ -49,7 +49,7 @@ def test_groups_are_moments_of_what_moved_and_the_rest():
 def test_sparse_points_stay_and_returns_that_moved_have_their_moment(monkeypatch):
     scene, settings = tiny_drive(), Settings(start=Start(sweep_points=40))
     found = points(60, 9)
-    monkeypatch.setattr(start, "in_motion", lambda points: found)
+    monkeypatch.setattr(start, "in_motion", lambda points, up: found)
     clock = clock_of(scene)
     rows = started(scene, settings, clock, seed=0).rows
     sparse = len(scene.points)
