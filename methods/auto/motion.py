@@ -9,8 +9,8 @@ from splatproof.reference.types.scene import Scene
 
 LEAST_MOVING = 0.002
 """Share of the LiDAR's returns that must lie on things in motion before Gaussians may move. Of the world street's
-drives, seeds 0 to 3, those in which nothing moves have up to 0.0008 of 12 frames (lamps and twigs that beams miss)
-and up to 0.001 of 40, with one walker 0.0003 to 0.004, with one car 0.005 and more. Real sweeps were not at hand."""
+drives, seeds 0 to 3, those in which nothing moves have up to 0.0005 of 12 frames (lamps and twigs that beams miss)
+and up to 0.001 of 40, with one walker 0.0002 to 0.004, with one car 0.005 and more. Real sweeps were not at hand."""
 
 
 def planned_motion(
