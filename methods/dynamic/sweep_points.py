@@ -177,7 +177,8 @@ def depths(sweep: Sweep) -> Depths:
     around = {"size": 3, "mode": ("nearest", "wrap")}
     cells = uniform_filter(np.isfinite(image).astype(float), **around) * 9
     wide = np.pad(maximum_filter1d(np.isfinite(image), 3, axis=1, mode="wrap"), ((2, 2), (0, 0)))
-    below, above = wide[:-4] | wide[1:-3], wide[3:-1] | wide[4:]
+    below = np.logical_or(wide[:-4], wide[1:-3])
+    above = np.logical_or(wide[3:-1], wide[4:])
     return Depths(
         origin=sweep.origin,
         nearest=minimum_filter(image, **around),

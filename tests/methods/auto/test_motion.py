@@ -19,7 +19,7 @@ from splatproof.methods.auto.fit import RESERVE, Recount, fit
 from splatproof.methods.auto.motion import LEAST_MOVING, planned_motion
 from splatproof.methods.auto.moving import moving, prepare, without_what_is_lacking
 from splatproof.methods.auto.planner import usual
-from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.settings import LACKING, AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.sweep_points import TimedPoints
@@ -73,11 +73,15 @@ def test_what_is_fixed_is_kept():
         AutoSettings(motion=True, dropout=0.1)
 
 
-def test_to_go_without_what_motion_lacks_leaves_motion():
-    without = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0}
-    for name, value in without.items():
-        assert planned_motion(DRIVE, AutoSettings(**{name: value}), facts())[0]
-    assert AutoSettings(motion=True, **without).against_motion() == {}
+WITHOUT = AutoSettings(coarsest=1.0, opacity_weight=0.0, dropout=0.0)
+
+
+@pytest.mark.parametrize("name", sorted(LACKING))
+def test_to_go_without_what_motion_lacks_leaves_motion(name):
+    asked = replace(AutoSettings(), **{name: getattr(WITHOUT, name)})
+    assert getattr(asked, name) is not None
+    assert planned_motion(DRIVE, asked, facts())[0]
+    assert replace(WITHOUT, motion=True).against_motion() == {}
 
 
 def test_motion_is_refused_where_nothing_says_what_moves():
