@@ -64,14 +64,10 @@ class AutoSettings:
             value = getattr(self, name)
             fine = value is None or low <= value <= high
             require(fine, name, value, f"{low} to {high}, or None: planned")
-        if self.motion:
-            for name, value in self.against_motion().items():
-                require(
-                    False,
-                    name,
-                    value,
-                    f"{LACKING[name]:g}, or None, where motion is True: what moves does not have it",
-                )
+        for name, without in LACKING.items() if self.motion else ():
+            value = getattr(self, name)
+            expected = f"{without:g}, or None, where motion is True: what moves does not have it"
+            require(value in (None, without), name, value, expected)
         if self.dense_cell is not None:
             require_cell(self.dense_cell)
 

@@ -26,8 +26,8 @@ BEYOND = 0.03
 VOTES = 2
 """Sweeps that must have looked through a place for what was hit there to be called moving."""
 NEAREST = 24
-"""Sweeps, the nearest in time, that are asked whether they looked through a place: a choice. All of them would
-make a drive's time and memory grow with its square, and those from far away see little of it."""
+"""Sweeps, the nearest in time, that are asked whether they looked through a place: a choice. With all
+of them time would grow with the square of a drive's length, and those from far away see little of a place."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,6 +177,7 @@ def depths(sweep: Sweep) -> Depths:
     around = {"size": 3, "mode": ("nearest", "wrap")}
     cells = uniform_filter(np.isfinite(image).astype(float), **around) * 9
     wide = np.pad(maximum_filter1d(np.isfinite(image), 3, axis=1, mode="wrap"), ((2, 2), (0, 0)))
+    # two rows on either side: beams are up to 0.02 apart, so one row of CELL may be empty between them
     below = np.logical_or(wide[:-4], wide[1:-3])
     above = np.logical_or(wide[3:-1], wide[4:])
     return Depths(
