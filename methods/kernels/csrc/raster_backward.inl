@@ -12,20 +12,29 @@ struct PixelGradients {
   float median[L];
 };
 
+// Of a block within the picture whose colours alone have gradients.
+template <int CHANNELS>
+INLINE void read_colours(const Tiles& tiles, const PictureGradients& in, int x0, int y0, PixelGradients& out) {
+  for (int j = 0; j < BLOCK; ++j) {
+    const float* row = in.colour + ((size_t)(y0 + j) * tiles.width + x0) * CHANNELS;
+    for (int i = 0; i < BLOCK; ++i)
+      for (int c = 0; c < CHANNELS; ++c) out.feature[c][BLOCK * j + i] = row[CHANNELS * i + c];
+  }
+  vf by_left = all(0);
+  for (int c = 0; c < CHANNELS && in.background; ++c) by_left = by_left + load(out.feature[c]) * all(in.background[c]);
+  store(out.left, by_left);
+}
+
 STAGE void read_block(const Tiles& tiles, const PictureGradients& in, int features, int left, int top, int b,
                        PixelGradients& out) {
   const int x0 = left + (b % 4) * BLOCK, y0 = top + (b / 4) * BLOCK;
-  const bool only_colour = in.colour && in.channels == 3 && !in.alpha && !in.depth && !in.distance && !in.median;
+  const bool only_colour = in.colour && !in.alpha && !in.depth && !in.distance && !in.median;
   if (only_colour && x0 + BLOCK <= tiles.width && y0 + BLOCK <= tiles.height) {  // the usual case, without branches
-    for (int j = 0; j < BLOCK; ++j) {
-      const float* row = in.colour + ((size_t)(y0 + j) * tiles.width + x0) * 3;
-      for (int i = 0; i < BLOCK; ++i)
-        for (int c = 0; c < 3; ++c) out.feature[c][BLOCK * j + i] = row[3 * i + c];
+    switch (in.channels) {
+      case 1: return read_colours<1>(tiles, in, x0, y0, out);
+      case 3: return read_colours<3>(tiles, in, x0, y0, out);
+      case 6: return read_colours<6>(tiles, in, x0, y0, out);
     }
-    vf by_left = all(0);
-    for (int c = 0; c < 3 && in.background; ++c) by_left = by_left + load(out.feature[c]) * all(in.background[c]);
-    store(out.left, by_left);
-    return;
   }
   for (int l = 0; l < L; ++l) {
     const int x = x0 + l % BLOCK, y = y0 + l / BLOCK;
@@ -217,14 +226,17 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
 
 // Of a block, while Gaussians are taken away again from the last to the first. `behind` is the gradient-weighted
 // colour of what lies behind, so the gradient by an alpha needs no division by it.
-enum Undrawn { UN_LEFT, UN_BEHIND, UN_BY, UN_LAST = UN_BY + 3, UN_X, UN_Y, UNDRAWN };
+// After UN_BY there is a row a channel.
+enum Undrawn { UN_LEFT, UN_BEHIND, UN_LAST, UN_X, UN_Y, UN_BY };
 
-constexpr int SUMS = S_FEATURES + 3;
-constexpr unsigned ALL_SUMS = (1u << SUMS) - 1, NO_MODULI = ALL_SUMS & ~(1u << S_ABS_X | 1u << S_ABS_Y);
+// Which sums a Gaussian's row has, a bit each.
+constexpr unsigned sums_of(int channels, bool moduli) {
+  return ((1u << (S_FEATURES + channels)) - 1) & (moduli ? ~0u : ~(1u << S_ABS_X | 1u << S_ABS_Y));
+}
 
 // One Gaussian over K registers of pixels: `sums` grows, lane by lane, and the pixels' state goes back by one.
-template <int K, bool MODULI>
-INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (&sums)[SUMS]) {
+template <int K, int CHANNELS, bool MODULI>
+INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (&sums)[S_FEATURES + CHANNELS]) {
   typedef V<float, WIDTH> Value;
   const auto one = [=](float x) { return broadcast<float, WIDTH>(x); };
   const auto part = [&](int k, int j) { return read<float, WIDTH>(state[k] + j * L); };
@@ -247,8 +259,10 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     const Value before = part(k, UN_LEFT) * inverse[k], behind = part(k, UN_BEHIND);
     store(state[k] + UN_LEFT * L, before);
     weight[k] = before * alpha[k];
-    const Value difference = part(k, UN_BY) * at<WIDTH>(rec, R_FEATURES) + part(k, UN_BY + 1) * at<WIDTH>(rec, R_FEATURES + 1) +
-                             part(k, UN_BY + 2) * at<WIDTH>(rec, R_FEATURES + 2) - behind;
+    Value here = part(k, UN_BY) * at<WIDTH>(rec, R_FEATURES);
+#pragma GCC unroll 6
+    for (int c = 1; c < CHANNELS; ++c) here = here + part(k, UN_BY + c) * at<WIDTH>(rec, R_FEATURES + c);
+    const Value difference = here - behind;
     store(state[k] + UN_BEHIND * L, behind + alpha[k] * difference);
     g[k] = weight[k] * difference;
   }
@@ -263,7 +277,8 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     sums[S_GUU] = sums[S_GUU] + gu * e[k].u;
     sums[S_GUV] = sums[S_GUV] + gu * e[k].v;
     sums[S_GVV] = sums[S_GVV] + gv * e[k].v;
-    for (int c = 0; c < 3; ++c) sums[S_FEATURES + c] = sums[S_FEATURES + c] + weight[k] * part(k, UN_BY + c);
+#pragma GCC unroll 6
+    for (int c = 0; c < CHANNELS; ++c) sums[S_FEATURES + c] = sums[S_FEATURES + c] + weight[k] * part(k, UN_BY + c);
     if (MODULI) {
       sums[S_ABS_X] = sums[S_ABS_X] + absolute(gu);
       sums[S_ABS_Y] = sums[S_ABS_Y] + absolute(at<WIDTH>(rec, R_L12) * gu + at<WIDTH>(rec, R_L22) * gv);
@@ -296,7 +311,7 @@ INLINE void totals(NF* rows, unsigned there) {
 }
 
 // The row of a Gaussian's sums over all lanes.
-template <unsigned THERE>
+template <unsigned THERE, int SUMS>
 INLINE void store_sums(const V<float, WIDTH> (&sums)[SUMS], float* row) {
   float kept[L];
   for (int j = 0; j < L; ++j) kept[j] = THERE >> j & 1 ? 1 : 0;
@@ -315,11 +330,12 @@ INLINE void store_sums(const V<float, WIDTH> (&sums)[SUMS], float* row) {
 
 constexpr uint32_t ROWS_AHEAD = 8;  // rows of sums that are fetched before they are written
 
-// Three channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
+// Few channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
 // transmittances from those that the forward pass left. Each row is written once.
-template <bool MODULI>
+template <int CHANNELS, bool MODULI>
 STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
-  constexpr int FEATURES = 3;
+  constexpr int FEATURES = CHANNELS, UNDRAWN = UN_BY + CHANNELS, SUMS = S_FEATURES + CHANNELS;
+  static_assert(SUMS <= L, "a row of sums");
   const int left = tile % tiles.across * TILE, top = tile / tiles.across * TILE;
   const int stride = rec_stride(FEATURES);
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first, count = tiles.processed[tile];
@@ -334,7 +350,7 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
     const float* trace = tiles.trace + ((size_t)tile * BLOCKS + b) * TRACE * L;
     store(state + UN_LEFT * L, load(trace + TR_LEFT * L));
     store(state + UN_BEHIND * L, load(pixel.left));
-    for (int c = 0; c < 3; ++c) store(state + (UN_BY + c) * L, load(pixel.feature[c]));
+    for (int c = 0; c < CHANNELS; ++c) store(state + (UN_BY + c) * L, load(pixel.feature[c]));
     store(state + UN_LAST * L, load(trace + TR_LAST * L));
     const Pixels<L> pixels = pixels_of<L>(centres, b, 0);
     store(state + UN_X * L, pixels.x);
@@ -357,24 +373,33 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
           const int c = in_blocks ? __builtin_ctz(in_blocks) : b;
           if (c != b) {
             in_blocks &= in_blocks - 1;
-            undraw<2, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
-          } else undraw<1, MODULI>(rec, {state}, total_of);
+            undraw<2, CHANNELS, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
+          } else undraw<1, CHANNELS, MODULI>(rec, {state}, total_of);
         } else {
           for (int part = 0; part < L; part += 2 * WIDTH)
-            undraw<2, MODULI>(rec, {state + part, state + part + WIDTH}, total_of);
+            undraw<2, CHANNELS, MODULI>(rec, {state + part, state + part + WIDTH}, total_of);
         }
       }
-      store_sums<MODULI ? ALL_SUMS : NO_MODULI>(total_of, row);
+      store_sums<sums_of(CHANNELS, MODULI)>(total_of, row);
     }
     if (begin == 0) break;
   }
 }
 
+template <int CHANNELS>
+INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
+  if (in.moduli) backward_colour<CHANNELS, true>(tiles, in, scratch, tile, sums);
+  else backward_colour<CHANNELS, false>(tiles, in, scratch, tile, sums);
+}
+
 void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
                    float* sums, int sums_stride) {
-  if (features != 3 || in.channels != 3) backward_any(tiles, in, scratch, features, tile, sums, sums_stride);
-  else if (in.moduli) backward_colour<true>(tiles, in, scratch, tile, sums);
-  else backward_colour<false>(tiles, in, scratch, tile, sums);
+  switch (features == in.channels ? features : 0) {
+    case 1: return backward_colours<1>(tiles, in, scratch, tile, sums);  // a distance
+    case 3: return backward_colours<3>(tiles, in, scratch, tile, sums);
+    case 6: return backward_colours<6>(tiles, in, scratch, tile, sums);  // two pictures
+    default: backward_any(tiles, in, scratch, features, tile, sums, sums_stride);
+  }
 }
 
 }  // namespace

@@ -127,9 +127,10 @@ def test_few_pixels_are_at_discontinuities():
     assert SEEN["discontinuities"] < 1e-3 * SEEN["pixels"], SEEN
 
 
-@pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 8, 9, 15, 16, 17, 31, 32])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4, 6, 7, 8, 9, 15, 16, 17, 31, 32])
 @pytest.mark.parametrize("names", [("colour",), ("colour", "depth", "distance", "alpha")])
-def test_any_number_of_channels(simd_level, channels, names):
+@pytest.mark.parametrize("watched", [False, True])
+def test_any_number_of_channels(simd_level, channels, names, watched):
     scene = random_scene(60, channels)
     g = torch.Generator().manual_seed(channels)
     values = torch.rand(60, channels, generator=g)
@@ -142,15 +143,17 @@ def test_any_number_of_channels(simd_level, channels, names):
     ):
         leaves = scene.arguments(dtype)
         colours = values.to(dtype).requires_grad_()
+        probe = ScreenProbe.zeros(60, leaves[0]) if watched else None
         out = rasterize(
             scene.camera, *leaves[:4], colours=colours, background=behind.to(dtype),
-            distance="distance" in names,
+            distance="distance" in names, probe=probe,
         )  # fmt: skip
         total = (out.colour * weight.to(dtype)).sum()
         for name in names[1:]:
             total = total + (getattr(out, name) * weight[..., 0].to(dtype)).sum()
         total.backward()
-        results.append((out.colour, [leaf.grad for leaf in (*leaves[:4], colours)]))
+        probes = [] if probe is None else [probe.signed, probe.absolute]
+        results.append((out.colour, [leaf.grad for leaf in (*leaves[:4], colours, *probes)]))
     assert largest_error(results[1][0], results[0][0]) <= PIXEL_TOLERANCE
     for value, truth in zip(results[1][1], results[0][1], strict=True):
         assert compare_gradients(value, truth).good(GRADIENT_TOLERANCE)
