@@ -1,15 +1,46 @@
-"""Local self-attention over lists of neighbours: twin of the masked dense one of the reference."""
+"""Local self-attention over lists of neighbours, by the kernels or in torch: twins of the masked dense one."""
 
 import math
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
 from splatproof.methods.dlg_gs.neighbours import Neighbours
+from splatproof.methods.kernels import attention as native
 from splatproof.reference.anchors.attention import AttentionWeights
+
+
+def attention_among(
+    gated: Float[Tensor, "v d"],
+    seen: Int[Tensor, " v"],
+    every: Neighbours,
+    weights: AttentionWeights,
+    centres: Float[Tensor, "n 3"],
+    radius: float,
+) -> Float[Tensor, "v dv"]:
+    """Softmax(Q K^T / sqrt(d_k)) V of some anchors over those of them that are near.
+
+    Args:
+        gated: Inputs of the anchors that take part, from `pooled_gates`.
+        seen: Which anchors these are, ascending.
+        every: Lists of all anchors; they may reach farther than the radius.
+        weights: The three projections are read.
+        centres: Where all anchors stand.
+        radius: How far an anchor sees others, in the unit of the centres; inf: as far as its list reaches.
+
+    Source: DLG-GS, Eqs. 9 to 11.
+    """
+    if native.applies(gated, centres):
+        query, key, value = (gated @ w for w in (weights.query, weights.key, weights.value))
+        looked = None if radius == math.inf else centres
+        return native.attend(every.native, seen, query, key, value, centres=looked, radius=radius)
+    near = every.among(seen)
+    if radius < math.inf:
+        near = near.within(centres[seen], radius)
+    return local_attention(gated, near, weights)
 
 
 def local_attention(

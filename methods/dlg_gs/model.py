@@ -1,5 +1,6 @@
 """Anchors whose Gaussians' colours adapt to the light of a view."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -14,7 +15,7 @@ from splatproof.methods.anchors.networks import network
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.model import Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
-from splatproof.methods.dlg_gs.attention import local_attention
+from splatproof.methods.dlg_gs.attention import attention_among
 from splatproof.methods.dlg_gs.light import factors
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
 from splatproof.methods.kernels import colour_head as native
@@ -151,10 +152,10 @@ class DlgModel(AnchorModel):
         gated = attention.pooled_gates(self.attention_inputs(camera, centres), weights)
         if not self.mixes:
             return gated @ weights.value
-        near = self._neighbours(every).among(seen)
-        if self.moves:
-            near = near.within(centres, self.lighting.radius)
-        return local_attention(gated, near, weights)
+        radius = (
+            self.lighting.radius if self.moves else math.inf
+        )  # lists of what stands still are exact
+        return attention_among(gated, seen, self._neighbours(every), weights, every, radius)
 
     def attention_inputs(
         self, camera: Camera, centres: Float[Tensor, "v 3"]

@@ -1,11 +1,15 @@
 """Which anchors are near which: lists in place of a mask of all pairs."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
+
+from splatproof import _ext
+from splatproof.methods.kernels import attention as native
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,6 +25,11 @@ class Neighbours:
     """Where the pair (target, source) stands."""
     starts: Int[Tensor, " n"]
     """Where the pairs of each source begin."""
+
+    @cached_property
+    def native(self) -> _ext.NearLists:
+        """The lists as the kernels read them."""
+        return native.lists(self.starts, self.targets)
 
     def among(self, chosen: Int[Tensor, " v"]) -> "Neighbours":
         """The pairs both of whose anchors are chosen, renumbered.

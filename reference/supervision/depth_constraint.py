@@ -7,9 +7,10 @@ which what nothing covers is infinitely far instead of at the camera (ours).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -134,19 +135,23 @@ def normalise_disparity(
     if not valid.any():
         return clean
     known = disparity[valid].detach()
-    low, high = (_quantile(known, share) for share in QUANTILES)
+    low, high = _quantiles(known, QUANTILES)
     spread = high - low
     if not spread > 0:
         return torch.where(valid, clean * 0, 0)
     return torch.where(valid, (clean - low) / spread, 0)
 
 
-def _quantile(values: Float[Tensor, " n"], share: float) -> Float[Tensor, ""]:
-    """Linear between neighbours in order, as torch.quantile, which sorts all of them."""
-    rank = share * (len(values) - 1)
-    below = math.floor(rank)
-    low = values.kthvalue(below + 1).values
-    return low.lerp(values.kthvalue(min(below + 2, len(values))).values, rank - below)
+def _quantiles(values: Float[Tensor, " n"], shares: Sequence[float]) -> list[Float[Tensor, ""]]:
+    """Linear between neighbours in order, as torch.quantile, which sorts all values to find them."""
+    ranks = [share * (len(values) - 1) for share in shares]
+    below = [math.floor(rank) for rank in ranks]
+    above = [min(rank + 1, len(values) - 1) for rank in below]
+    placed = torch.from_numpy(np.partition(values.cpu().numpy(), [*below, *above])).to(values)
+    return [
+        placed[low].lerp(placed[high], rank - low)
+        for rank, low, high in zip(ranks, below, above, strict=True)
+    ]
 
 
 def appearance_weight(

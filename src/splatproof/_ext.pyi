@@ -291,6 +291,33 @@ def decode_backward(
 ) -> None:
     """Gradients by anchors and networks from gradients by what was decoded."""
 
+class NearLists:
+    """Of each anchor those near it."""
+
+    def __init__(self, starts: Tensor, targets: Tensor) -> None: ...
+
+class Attended:
+    """Query, key and value of some anchors, and what each mixed of those near it."""
+
+    def __init__(
+        self,
+        lists: NearLists,
+        query: Tensor,
+        key: Tensor,
+        value: Tensor,
+        rows: Tensor,
+        centres: Tensor | None,
+        radius: float,
+    ) -> None: ...
+
+def attend(state: Attended, mixed: Tensor) -> None:
+    """What each anchor mixes into the given array."""
+
+def attend_backward(
+    state: Attended, of: Tensor, by_query: Tensor, by_key: Tensor, by_value: Tensor
+) -> None:
+    """Gradients by query, key and value from the gradient by what was mixed."""
+
 class ColourHead:
     """Colours of Gaussians and the network that adapts them."""
 

@@ -31,6 +31,7 @@ NB_MODULE(_ext, m) {
 
   register_roofline(m);
   bind_anchors(m);
+  bind_attention(m);
   bind_codec(m);
   bind_colour_head(m);
   bind_field(m);

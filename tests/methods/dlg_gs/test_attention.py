@@ -1,5 +1,7 @@
 """Attention by lists against the masked dense one; the lists against a matrix of distances."""
 
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.testing import assert_close
 
-from splatproof.methods.dlg_gs.attention import local_attention
+from splatproof.methods.dlg_gs.attention import attention_among, local_attention
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
 from splatproof.reference.anchors import attention as reference
 
@@ -75,6 +77,19 @@ def test_attention_and_its_gradients_are_the_dense_ones(n, seed, radius):
         strict=True,
     ):
         assert_close(found, want)
+
+
+@pytest.mark.parametrize("dtype", [D, torch.float32])
+@pytest.mark.parametrize(("slack", "radius"), [(0.0, math.inf), (0.3, 0.9)])
+def test_anchors_in_view_see_those_of_them_within_the_radius(dtype, slack, radius):
+    features, centres, weights = anchors(30, 5)
+    weights = reference.AttentionWeights(**{n: w.to(dtype) for n, w in vars(weights).items()})
+    features, centres = features.to(dtype), centres.to(dtype)
+    seen, reach = torch.arange(30)[::3], min(radius, 0.9)
+    ours = attention_among(
+        features[seen], seen, neighbours(centres, reach + slack), weights, centres, radius
+    )
+    assert_close(ours, reference.local_attention(features[seen], centres[seen], reach, weights))
 
 
 def test_scores_that_exp_cannot_hold_do_no_harm():
