@@ -85,6 +85,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
       }
       for (int l = lit; out.colours && l < count; ++l)
         for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = g[S_FEATURES + c][l];
+      if (!needs_shapes(out)) continue;
       for (int l = 0; l < L; l += HALF) {
         Ewa e;
         ewa(cam, model, in, l, e);

@@ -229,13 +229,16 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
 // After UN_BY there is a row a channel.
 enum Undrawn { UN_LEFT, UN_BEHIND, UN_LAST, UN_X, UN_Y, UN_BY };
 
+enum Wanted { COLOURS, SHAPES, MODULI };  // each with those before it
+
 // Which sums a Gaussian's row has, a bit each.
-constexpr unsigned sums_of(int channels, bool moduli) {
-  return ((1u << (S_FEATURES + channels)) - 1) & (moduli ? ~0u : ~(1u << S_ABS_X | 1u << S_ABS_Y));
+constexpr unsigned sums_of(int channels, Wanted wanted) {
+  const unsigned every = (1u << (S_FEATURES + channels)) - 1, colours = every & ~((1u << S_FEATURES) - 1);
+  return wanted == MODULI ? every : wanted == SHAPES ? every & ~(1u << S_ABS_X | 1u << S_ABS_Y) : colours;
 }
 
 // One Gaussian over K registers of pixels: `sums` grows, lane by lane, and the pixels' state goes back by one.
-template <int K, int CHANNELS, bool MODULI>
+template <int K, int CHANNELS, Wanted WANTED>
 INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (&sums)[S_FEATURES + CHANNELS]) {
   typedef V<float, WIDTH> Value;
   const auto one = [=](float x) { return broadcast<float, WIDTH>(x); };
@@ -259,6 +262,9 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     const Value before = part(k, UN_LEFT) * inverse[k], behind = part(k, UN_BEHIND);
     store(state[k] + UN_LEFT * L, before);
     weight[k] = before * alpha[k];
+#pragma GCC unroll 6
+    for (int c = 0; c < CHANNELS; ++c) sums[S_FEATURES + c] = sums[S_FEATURES + c] + weight[k] * part(k, UN_BY + c);
+    if (WANTED == COLOURS) continue;
     Value here = part(k, UN_BY) * at<WIDTH>(rec, R_FEATURES);
 #pragma GCC unroll 6
     for (int c = 1; c < CHANNELS; ++c) here = here + part(k, UN_BY + c) * at<WIDTH>(rec, R_FEATURES + c);
@@ -266,6 +272,7 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     store(state[k] + UN_BEHIND * L, behind + alpha[k] * difference);
     g[k] = weight[k] * difference;
   }
+  if (WANTED == COLOURS) return;
   if (rec[R_OPACITY] > ALPHA_MAX)  // no gradient through the clamp
     for (int k = 0; k < K; ++k) g[k] = keep(alpha[k] < one(ALPHA_MAX), g[k]);
 #pragma GCC unroll 2
@@ -277,9 +284,7 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     sums[S_GUU] = sums[S_GUU] + gu * e[k].u;
     sums[S_GUV] = sums[S_GUV] + gu * e[k].v;
     sums[S_GVV] = sums[S_GVV] + gv * e[k].v;
-#pragma GCC unroll 6
-    for (int c = 0; c < CHANNELS; ++c) sums[S_FEATURES + c] = sums[S_FEATURES + c] + weight[k] * part(k, UN_BY + c);
-    if (MODULI) {
+    if (WANTED == MODULI) {
       sums[S_ABS_X] = sums[S_ABS_X] + absolute(gu);
       sums[S_ABS_Y] = sums[S_ABS_Y] + absolute(at<WIDTH>(rec, R_L12) * gu + at<WIDTH>(rec, R_L22) * gv);
     }
@@ -332,7 +337,7 @@ constexpr uint32_t ROWS_AHEAD = 8;  // rows of sums that are fetched before they
 
 // Few channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
 // transmittances from those that the forward pass left. Each row is written once.
-template <int CHANNELS, bool MODULI>
+template <int CHANNELS, Wanted WANTED>
 STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
   constexpr int FEATURES = CHANNELS, UNDRAWN = UN_BY + CHANNELS, SUMS = S_FEATURES + CHANNELS;
   static_assert(SUMS <= L, "a row of sums");
@@ -373,14 +378,14 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
           const int c = in_blocks ? __builtin_ctz(in_blocks) : b;
           if (c != b) {
             in_blocks &= in_blocks - 1;
-            undraw<2, CHANNELS, MODULI>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
-          } else undraw<1, CHANNELS, MODULI>(rec, {state}, total_of);
+            undraw<2, CHANNELS, WANTED>(rec, {state, scratch.state + c * UNDRAWN * L}, total_of);
+          } else undraw<1, CHANNELS, WANTED>(rec, {state}, total_of);
         } else {
           for (int part = 0; part < L; part += 2 * WIDTH)
-            undraw<2, CHANNELS, MODULI>(rec, {state + part, state + part + WIDTH}, total_of);
+            undraw<2, CHANNELS, WANTED>(rec, {state + part, state + part + WIDTH}, total_of);
         }
       }
-      store_sums<sums_of(CHANNELS, MODULI)>(total_of, row);
+      store_sums<sums_of(CHANNELS, WANTED)>(total_of, row);
     }
     if (begin == 0) break;
   }
@@ -388,8 +393,9 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
 
 template <int CHANNELS>
 INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
-  if (in.moduli) backward_colour<CHANNELS, true>(tiles, in, scratch, tile, sums);
-  else backward_colour<CHANNELS, false>(tiles, in, scratch, tile, sums);
+  if (in.moduli) backward_colour<CHANNELS, MODULI>(tiles, in, scratch, tile, sums);
+  else if (in.shapes) backward_colour<CHANNELS, SHAPES>(tiles, in, scratch, tile, sums);
+  else backward_colour<CHANNELS, COLOURS>(tiles, in, scratch, tile, sums);
 }
 
 void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,

@@ -91,6 +91,7 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   StageClock clock;
   const Kernels& k = kernels();
   pictures.moduli = out.screen_absolute != nullptr;
+  pictures.shapes = needs_shapes(out);
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
   if (model.count > 0 && !state.features.size() && !in_geo(model.channels, features))
     throw std::invalid_argument("gradients by the distance, of a picture without it");

@@ -129,13 +129,19 @@ struct PictureGradients {  // d loss / d output; null is zero
   const float* background;
   const float *alpha_value, *depth_value, *distance_value;
   const float *colour, *alpha, *depth, *distance, *median;
-  bool moduli;  // whether sums of absolute gradients by the 2D means are wanted
+  bool shapes;  // whether any gradient but those by the colours is wanted
+  bool moduli;  // whether sums of absolute gradients by the 2D means are wanted; shapes are then, too
 };
 
 struct ModelGradients {  // all written in full; null where not asked for
   float *means, *quaternions, *scales, *opacities, *colours, *sh, *sh_rest;
   float *screen, *screen_absolute;  // [n, 2]
 };
+
+// Whether anything but colours has a gradient; harmonics reach the means, but not through the sums over pixels.
+inline bool needs_shapes(const ModelGradients& g) {
+  return g.means || g.quaternions || g.scales || g.opacities || g.screen || g.screen_absolute;
+}
 
 struct Scratch {  // one a thread; grown by the caller before each use
   float* recs;        // [rows, rec stride]

@@ -159,6 +159,21 @@ def test_any_number_of_channels(simd_level, channels, names, watched):
         assert compare_gradients(value, truth).good(GRADIENT_TOLERANCE)
 
 
+@pytest.mark.parametrize("channels", [1, 2, 3, 6])
+def test_colours_alone_get_the_gradient_that_they_get_with_all(simd_level, channels):
+    scene = random_scene(300, channels, width=50, height=40)
+    g = torch.Generator().manual_seed(channels)
+    values, weight = torch.rand(300, channels, generator=g), torch.randn(40, 50, channels, generator=g)
+    found = []
+    for every in (True, False):
+        leaves = [leaf.detach().requires_grad_(every) for leaf in scene.arguments(torch.float32)[:4]]
+        colours = values.clone().requires_grad_()
+        out = native.rasterize(scene.camera, *leaves, colours=colours)
+        (out.colour * weight).sum().backward()
+        found.append(colours.grad)
+    assert torch.equal(*found)
+
+
 @pytest.mark.parametrize("k", [1, 3, 8])
 def test_strongest_contributors_are_the_references(simd_level, k):
     scene = random_scene(80, 7)
