@@ -10,6 +10,7 @@ from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dlg_gs.depth_error import disparity_error
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.fit import mean_volume
 from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
@@ -125,11 +126,11 @@ class Depth:
             (name, "target"),
             lambda: depth_constraint.normalise_disparity(load().disparity.to(device), valid),
         )
-        return depth_constraint.disparity_error(disparity, target, valid, self._weight(frame))
+        return disparity_error(disparity, target, valid, self._weight(frame))
 
     def _weight(self, frame: Frame) -> Tensor:
         """How much each pixel's depth counts."""
-        colours = frame.output.colour
+        colours = frame.output.colour.detach()
         if not self.weighted or colours.shape[2] == 3:
             return torch.ones_like(frame.output.alpha)
         return depth_constraint.appearance_weight(colours[..., :3], colours[..., 3:])

@@ -81,11 +81,9 @@ def fourier_code(centres: Float[Tensor, "n 3"]) -> Float[Tensor, "n 24"]:
     """
     if not ((centres >= 0) & (centres < 1)).all():
         raise ValueError("the code has period 1: scale positions to [0, 1), see in_box")
-    parts = []
-    for octave in range(OCTAVES):
-        argument = 2 * math.pi * 2**octave * centres + (octave % 2) * math.pi / 2
-        parts += [torch.sin(argument), torch.cos(argument)]
-    return torch.cat(parts, dim=1)
+    octaves = torch.arange(OCTAVES).to(centres)[:, None]
+    argument = 2 * math.pi * 2**octaves * centres[:, None] + octaves % 2 * math.pi / 2
+    return torch.stack([torch.sin(argument), torch.cos(argument)], dim=2).flatten(1)
 
 
 def pooled_gates(inputs: Float[Tensor, "n d"], weights: AttentionWeights) -> Float[Tensor, "n d"]:

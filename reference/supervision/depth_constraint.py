@@ -135,14 +135,14 @@ def normalise_disparity(
     if not valid.any():
         return clean
     known = disparity[valid].detach()
-    low, high = _quantiles(known, QUANTILES)
+    low, high = quantiles(known, QUANTILES)
     spread = high - low
     if not spread > 0:
         return torch.where(valid, clean * 0, 0)
     return torch.where(valid, (clean - low) / spread, 0)
 
 
-def _quantiles(values: Float[Tensor, " n"], shares: Sequence[float]) -> list[Float[Tensor, ""]]:
+def quantiles(values: Float[Tensor, " n"], shares: Sequence[float]) -> list[Float[Tensor, ""]]:
     """Linear between neighbours in order, as torch.quantile, which sorts all values to find them."""
     ranks = [share * (len(values) - 1) for share in shares]
     below = [math.floor(rank) for rank in ranks]
