@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
+from typing import Any
 
 from comparison_page import Page, Picture, is_half, render_page
 from matplotlib.axes import Axes
@@ -82,6 +83,9 @@ def planned(cases: Sequence[Case]) -> Mapping[tuple[str, str, str], int]:
 def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     """Write the committed files of a page from the records and pictures of a suite's runs.
 
+    Rows and pictures of cases that the runs lack are kept as they were committed, as long as the suite plans
+    them: a suite of many hours is run in parts.
+
     Args:
         comparison: Which page.
         runs: Folder that `bench run SUITE --out` was given.
@@ -95,7 +99,8 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     ]
     found = [(case, folder, read_record(folder)) for case, folder in cases]
     judged = {claim.metric for claim in load_claims(name, numbers())}
-    rows = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
+    new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
+    rows, kept = joined(new, _committed(docs / f"{name}.json"), load_suite(name).cases)
     text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
@@ -104,9 +109,54 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         and not result.error
         and case.seed == 0 and not is_half(case.row)
     ]  # fmt: skip
-    pictures = [*_curves(shown, name, docs), *_strips(shown, comparison, docs)]
-    listing = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
-    (docs / f"{name}_pictures.json").write_text(listing, encoding="utf-8")
+    curves = _curves(shown, name, docs, "curves_later" if kept else "curves")
+    listing = docs / f"{name}_pictures.json"
+    before = [Picture(**entry) for entry in _committed(listing)] if kept else []
+    pictures = pictures_of([*curves, *_strips(shown, comparison, docs)], before)
+    text = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
+    listing.write_text(text, encoding="utf-8")
+
+
+def _committed(path: Path) -> list[dict[str, Any]]:
+    """Entries of a committed file; none where it is not there yet."""
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+
+
+def joined(
+    new: Sequence[Mapping[str, Any]], old: Sequence[Mapping[str, Any]], cases: Sequence[Case]
+) -> tuple[list[Mapping[str, Any]], int]:
+    """Rows of runs, and those committed before of planned cases that were not run again; in the suite's order.
+
+    Args:
+        new: Rows of the runs at hand.
+        old: Rows that are committed.
+        cases: What the suite plans.
+
+    Returns: The rows, and how many of them are old.
+    """
+    by_case = {_place(row): row for row in new}
+    kept = {_place(row): row for row in old if _place(row) not in by_case}
+    order = [(case.scene_name, case.protocol.name, case.row, case.seed) for case in cases]
+    every = kept | by_case
+    return [every[place] for place in order if place in every], sum(
+        place in kept for place in order
+    )
+
+
+def _place(row: Mapping[str, Any]) -> tuple[str, str, str, int]:
+    return row["scene"], row["protocol"], row["row"], row["seed"]
+
+
+def pictures_of(new: Sequence[Picture], old: Sequence[Picture]) -> list[Picture]:
+    """Pictures of before with those at hand in their places, and what is new at the end.
+
+    Args:
+        new: Pictures that were just made.
+        old: Those that the page showed.
+    """
+    made = {picture.path: picture for picture in new}
+    shown = [made.pop(picture.path, picture) for picture in old]
+    return [*shown, *made.values()]
 
 
 def _with_images_of(row: Measured, judged: set[str]) -> Measured:
@@ -137,8 +187,8 @@ def _strips(shown: Shown, comparison: Comparison, docs: Path) -> list[Picture]:
     return made
 
 
-def _curves(shown: Shown, name: str, docs: Path) -> list[Picture]:
-    """Loss and number of Gaussians over the steps, a line a row."""
+def _curves(shown: Shown, name: str, docs: Path, stem: str) -> list[Picture]:
+    """Loss and number of Gaussians over the steps, a line a row that was run now."""
     drawn = [(case.row, result.curve) for case, _, result in shown if result.curve]
     if not drawn:
         return []
@@ -153,10 +203,11 @@ def _curves(shown: Shown, name: str, docs: Path) -> list[Picture]:
     _titled(losses, "training loss, mean of 10 points")
     _titled(counts, "Gaussians")
     counts.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    path = docs / "images" / name / "curves.png"
+    path = docs / "images" / name / f"{stem}.png"
     save(figure, path)
+    which = "" if stem == "curves" else ", of rows that were run later"
     return [Picture(path=path.relative_to(docs).as_posix(),
-                    caption="Training loss and number of Gaussians over the steps, seed 0.")]  # fmt: skip
+                    caption=f"Training loss and number of Gaussians over the steps{which}, seed 0.")]  # fmt: skip
 
 
 def _titled(axes: Axes, title: str) -> None:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from comparison_files import page, planned
+from comparison_files import joined, page, pictures_of, planned
 from comparison_page import Page, Picture, render_page
 from make_anchors_page import ANCHORS
 from make_sparse_page import SPARSE
@@ -72,6 +72,29 @@ def test_other_forms_have_the_rows_of_the_suite(made):
     assert {case.method for case in quick} == {case.method for case in whole}
     named = f"`bench run {made.suite}-medium` is the larger scene" in page(made, DOCS)
     assert named == (f"{made.suite}-medium" in suite_names())
+
+
+@BOTH
+def test_rows_that_were_run_in_parts_are_joined_in_the_order_of_the_suite(made):
+    cases = load_suite(made.suite).cases
+    every = [
+        {"scene": c.scene_name, "protocol": c.protocol.name, "row": c.row, "seed": c.seed, "n": 0}
+        for c in cases
+    ]  # fmt: skip
+    assert joined(every, [], cases) == (every, 0)
+    new = [{**one, "n": 1} for one in every[1::2]]
+    gone = {**every[0], "row": "no-longer-planned"}
+    rows, kept = joined(new[::-1], [*every[::-1], gone], cases)
+    assert kept == len(every) - len(new)
+    assert [one["n"] for one in rows] == [index % 2 for index in range(len(every))]
+    assert [{**one, "n": 0} for one in rows] == every
+
+
+def test_pictures_at_hand_take_the_places_of_those_before():
+    a, b, c = (Picture(path=f"{name}.jpg", caption=name) for name in "abc")
+    later = Picture(path="a.jpg", caption="later")
+    assert pictures_of([c, later], [a, b]) == [later, b, c]
+    assert pictures_of([a, b], []) == [a, b]
 
 
 def row(name: str, seed: int = 0, **changed) -> Measured:

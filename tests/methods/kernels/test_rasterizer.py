@@ -163,10 +163,15 @@ def test_any_number_of_channels(simd_level, channels, names, watched):
 def test_colours_alone_get_the_gradient_that_they_get_with_all(simd_level, channels):
     scene = random_scene(300, channels, width=50, height=40)
     g = torch.Generator().manual_seed(channels)
-    values, weight = torch.rand(300, channels, generator=g), torch.randn(40, 50, channels, generator=g)
+    values, weight = (
+        torch.rand(300, channels, generator=g),
+        torch.randn(40, 50, channels, generator=g),
+    )
     found = []
     for every in (True, False):
-        leaves = [leaf.detach().requires_grad_(every) for leaf in scene.arguments(torch.float32)[:4]]
+        leaves = [
+            leaf.detach().requires_grad_(every) for leaf in scene.arguments(torch.float32)[:4]
+        ]
         colours = values.clone().requires_grad_()
         out = native.rasterize(scene.camera, *leaves, colours=colours)
         (out.colour * weight).sum().backward()
