@@ -133,7 +133,10 @@ class DlgModel(AnchorModel):
             output: With its colours as the first three channels.
         """
         del view
-        return output.colour[..., :3]
+        colour = output.colour
+        return (
+            colour[..., :3] if colour.shape[2] > 3 else colour
+        )  # a part costs a picture of zeros to derive
 
     def attended(self, camera: Camera, seen: Int[Tensor, " v"]) -> Float[Tensor, "v 28"]:
         """f_out of the anchors in view: gated inputs, mixed with those of neighbours in view.

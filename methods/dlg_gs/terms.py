@@ -126,7 +126,8 @@ class Depth:
             (name, "target"),
             lambda: depth_constraint.normalise_disparity(load().disparity.to(device), valid),
         )
-        return disparity_error(disparity, target, valid, self._weight(frame))
+        weight = frame.once("appearance weight", lambda: self._weight(frame))
+        return disparity_error(disparity, target, valid, weight)
 
     def _weight(self, frame: Frame) -> Tensor:
         """How much each pixel's depth counts."""

@@ -1,7 +1,7 @@
 """What training minimises: named, weighted terms of an image, and of the parameters themselves."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Bool, Float
@@ -32,6 +32,19 @@ class Frame:
     mask: Bool[Tensor, "h w"] | None
     """Pixels that count; None: all."""
     model: Model
+    made: dict[str, Tensor] = field(default_factory=dict)
+    """What terms share, by name."""
+
+    def once(self, name: str, make: Callable[[], Tensor]) -> Tensor:
+        """What several terms of this frame look at, made by the first that asks.
+
+        Args:
+            name: What it is.
+            make: Makes it.
+        """
+        if name not in self.made:
+            self.made[name] = make()
+        return self.made[name]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
