@@ -31,6 +31,10 @@ class Neighbours:
         """The lists as the kernels read them."""
         return native.lists(self.starts, self.targets)
 
+    def __getstate__(self) -> dict[str, Tensor]:
+        """The tensors alone: snapshots of a training are pickled, and the kernels' form is made again."""
+        return {name: value for name, value in vars(self).items() if name != "native"}
+
     def among(self, chosen: Int[Tensor, " v"]) -> "Neighbours":
         """The pairs both of whose anchors are chosen, renumbered.
 

@@ -11,6 +11,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.threads import use_threads
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-15
@@ -59,7 +60,7 @@ def step(
                     f"{name}[{i}] is {tensor.dtype} {tuple(tensor.shape)} on {tensor.device}, "
                     f"expected contiguous torch.float32 {tuple(value.shape)} on the CPU"
                 )
-    _ext.set_threads(torch.get_num_threads())
+    use_threads()
     _ext.adam(
         [t.detach() for t in values], [t.detach() for t in gradients],
         [t.detach() for t in first], [t.detach() for t in second],

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from splatproof import _ext
 from splatproof.methods.kernels.rasterizer import plain
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.anchors.scaffold import Anchors, Decoder
 from splatproof.reference.types.mlp import Mlp
 from splatproof.reference.types.splats import Splats
@@ -107,7 +108,7 @@ class _Decode(torch.autograd.Function):
             centres, offsets, features, log_scales, plain(index), camera.contiguous(),
             flags[0], flags[1], networks,
         )  # fmt: skip
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         state = _ext.open_anchors(anchors)
         new = centres.new_empty
         means, scales, colours = (new(state.count, 3) for _ in range(3))
@@ -135,7 +136,7 @@ class _Decode(torch.autograd.Function):
             for t, need in zip(tensors[:4], needed[:4], strict=True)
         )
         shared = [torch.empty(t.shape) for t in tensors[4:]] if any(needed[4:]) else []
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.decode_backward(
             ctx.state, ctx.anchors, quaternions, scales, colours, by_means, by_quaternions,
             by_scales, by_opacities, by_colours, centres, offsets, features, log_scales, shared,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from splatproof import _ext
 from splatproof.methods.kernels.rasterizer import plain
+from splatproof.methods.kernels.threads import use_threads
 
 
 def applies(*tensors: Tensor) -> bool:
@@ -76,7 +77,7 @@ class _Attend(torch.autograd.Function):
         query, key, value = (t.detach().contiguous() for t in tensors)
         state = _ext.Attended(near, query, key, value, rows.contiguous(), centres, radius)
         mixed = torch.empty_like(value)
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.attend(state, mixed)
         ctx.state, ctx.shapes = state, [t.shape for t in tensors]
         return mixed
@@ -86,6 +87,6 @@ class _Attend(torch.autograd.Function):
         of = plain(grad_outputs[0])
         assert of is not None
         gradients = [of.new_empty(shape) for shape in ctx.shapes]
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.attend_backward(ctx.state, of, *gradients)
         return None, None, None, None, *gradients

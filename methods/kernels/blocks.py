@@ -15,6 +15,7 @@ from splatproof.methods.kernels.rasterizer import (
     plain,
     rasterize,
 )
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
@@ -70,7 +71,7 @@ def render_blocks(
     )
     size = (count, camera.height, camera.width)
     colours, alphas, depths = torch.empty(*size, 3), torch.empty(size), torch.empty(size)
-    _ext.set_threads(torch.get_num_threads())
+    use_threads()
     _ext.render_blocks(
         model, *native_camera(camera), plain(background), blocks.long().contiguous(), colours, alphas,
         depths,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from splatproof import _ext
 from splatproof.methods.kernels.rasterizer import plain
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.types.mlp import Mlp
 
 LAYERS = 3
@@ -69,7 +70,7 @@ class _Adapt(torch.autograd.Function):
             colours, of_each, owner.contiguous(), of_colour, second, second_bias, third, third_bias
         )
         adapted = torch.empty_like(colours)
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.adapt_colours(head, adapted)
         ctx.head = head
         ctx.save_for_backward(*tensors)
@@ -82,7 +83,7 @@ class _Adapt(torch.autograd.Function):
         by_colours, by_each, by_of_colour, by_second, by_second_bias, by_third, by_third_bias = (
             torch.empty(t.shape) for t in ctx.saved_tensors
         )
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.adapt_colours_backward(
             ctx.head, of, by_colours, by_each, by_of_colour, by_second, by_second_bias, by_third,
             by_third_bias,

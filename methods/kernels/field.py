@@ -13,6 +13,7 @@ from torch import Tensor
 
 from splatproof import _ext
 from splatproof.methods.kernels.rasterizer import plain
+from splatproof.methods.kernels.threads import use_threads
 
 GRIDS, CHANNELS = 4, 4
 """Grids of a field that the kernels evaluate, and features of each at a sample."""
@@ -57,7 +58,7 @@ class _Evaluate(torch.autograd.Function):
         field = _ext.Field(places.detach().contiguous(), grids, *network)
         features = torch.empty(len(places), GRIDS * CHANNELS)
         values = torch.empty(len(places), network[2].shape[1])
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.evaluate_field(field, features, values)
         ctx.field = field
         ctx.shapes = [t.shape for t in tensors]
@@ -70,6 +71,6 @@ class _Evaluate(torch.autograd.Function):
         assert of is not None
         (features,) = ctx.saved_tensors
         new = [torch.empty(shape) for shape in ctx.shapes]
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.evaluate_field_backward(ctx.field, features, of, new[:GRIDS], *new[GRIDS:])
         return None, *new

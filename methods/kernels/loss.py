@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.threads import use_threads
 
 
 def photometric(
@@ -64,7 +65,7 @@ class _Photometric(torch.autograd.Function):
             if ctx.needs_input_grad[0]
             else None
         )
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         value = _ext.photometric(
             image.detach().contiguous(), truth.contiguous(),
             None if mask is None else mask.contiguous(), dssim, gradient,

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
 from splatproof.reference.types.camera import Camera
@@ -273,7 +274,7 @@ class _Rasterize(torch.autograd.Function):
         far, middle = image() if distance else None, image() if median else None
         ids = torch.empty(height, width, contributors, dtype=torch.int64) if contributors else None
         weights = image(contributors) if contributors else None
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         state = _ext.render(
             model, *native_camera(camera), background, colour, alpha, depth, radii, left, far,
             middle, ids, weights,
@@ -297,7 +298,7 @@ class _Rasterize(torch.autograd.Function):
         behind = None
         if needed[6] and colour is not None:
             behind = (colour * left[..., None]).sum(dim=(0, 1))
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         _ext.render_backward(
             ctx.state, ctx.model, background, alpha, depth, far, colour, by_alpha, by_depth, by_far,
             by_median, *new[:6], *new[7:],

@@ -8,6 +8,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.rasterizer import projection, rotation
 from splatproof.reference.types.camera import Camera
 
@@ -38,7 +39,7 @@ def measure_peak(seconds: float, size: int = 2**28) -> Peak:
 
     Source: ours.
     """
-    _ext.set_threads(torch.get_num_threads())
+    use_threads()
     return Peak(**_ext.roofline(seconds, size))
 
 

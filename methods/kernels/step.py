@@ -14,6 +14,7 @@ from torch import Tensor
 
 from splatproof import _ext
 from splatproof.methods.kernels.rasterizer import DEGREES, check_background, native_camera, plain
+from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.camera import Camera
 
@@ -102,7 +103,7 @@ class ViewGradients:
         )  # fmt: skip
         if degree == 0:
             del new["sh_rest"]
-        _ext.set_threads(torch.get_num_threads())
+        use_threads()
         loss = _ext.step(
             model, *native_camera(camera), plain(background), truth.contiguous(),
             None if mask is None else mask.contiguous(), dssim, new["means"], new["quaternions"],
@@ -172,7 +173,7 @@ def observe(
 
     Source: Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 5.2.
     """
-    _ext.set_threads(torch.get_num_threads())
+    use_threads()
     _ext.observe(
         screen.contiguous(),
         radii.contiguous(),

@@ -18,6 +18,7 @@ from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.step import ViewGradients
+from splatproof.methods.kernels.threads import lent
 from splatproof.methods.training.ahead import Ahead
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.image_room import image_room
@@ -135,6 +136,10 @@ class Trainer:
 
         Returns: The loss of the image terms, mean over the views, and each term by its name.
         """
+        with lent():
+            return self._advance()
+
+    def _advance(self) -> dict[str, float]:
         self.step += 1
         before = self.backend.pairs()
         mean, told = GradientMean(), []
