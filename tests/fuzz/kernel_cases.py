@@ -275,8 +275,33 @@ def codes(draw: random.Random) -> None:
     _ext.restore_harmonics(back, classes, draw.choice((0.1, float("nan"))), opponent, sh)
 
 
+def attention(draw: random.Random) -> None:
+    """Lists that may be wrong, of anchors of which some take part."""
+    n, width, out = draw.choice(COUNTS), draw.choice((1, 7, 16, 28, 33)), draw.choice((1, 16, 40))
+    g = torch.Generator().manual_seed(draw.getrandbits(31))
+    lengths = torch.randint(draw.choice((1, 5, 40)), (n,), generator=g)
+    targets = torch.randint(max(n, 1), (int(lengths.sum()),), generator=g)
+    starts = lengths.cumsum(0) - lengths
+    if draw.random() < 0.1 and len(targets):
+        targets[draw.randrange(len(targets))] = draw.choice((-1, n, 2**40))
+    if draw.random() < 0.1 and n:
+        starts[draw.randrange(n)] = draw.choice((-1, 3, 2**40))
+    near = _ext.NearLists(spoiled(draw, starts), spoiled(draw, targets))
+    rows = torch.randperm(n, generator=g)[: draw.choice((0, 1, n))].sort().values
+    if draw.random() < 0.1 and len(rows):
+        rows[draw.randrange(len(rows))] = draw.choice((-1, 0, n, 2**40))
+    parts = [spoiled(draw, numbers(draw, len(rows), c)) for c in (width, width, out)]
+    centres = draw.choice((None, spoiled(draw, numbers(draw, n, 3))))
+    radius = draw.choice((0.0, 1.0, float("inf"), float("nan"), -1.0))
+    state = _ext.Attended(near, *parts, spoiled(draw, rows), centres, radius)
+    del near
+    _ext.attend(state, spoiled(draw, torch.empty(len(rows), out)))
+    made = [spoiled(draw, torch.empty(len(rows), c)) for c in (width, width, out)]
+    _ext.attend_backward(state, spoiled(draw, numbers(draw, len(rows), out)), *made)
+
+
 CASES: dict[str, Callable[[random.Random], None]] = {
     "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
     "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
-    "codes": codes,
+    "codes": codes, "attention": attention,
 }  # fmt: skip

@@ -115,6 +115,7 @@ class Attended {
     fits(by_query, columns_, "gradient by query");
     fits(by_key, columns_, "gradient by key");
     fits(by_value, value_columns_, "gradient by value");
+    check(mixed_.size() == (size_t)(arrays_.count * arrays_.value_width), "what was mixed");
     nb::gil_scoped_release release;
     const int64_t n = arrays_.count;
     const int width = arrays_.width, value_width = arrays_.value_width;

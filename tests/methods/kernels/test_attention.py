@@ -129,6 +129,8 @@ def test_what_it_cannot_do_is_refused():
         with pytest.raises(ValueError, match=f"{name} has the wrong shape"):
             _ext.Attended(near, q, k, v, r, c, 0.1)
     state = _ext.Attended(near, query, key, value, rows, None, math.inf)
+    with pytest.raises(ValueError, match="what was mixed has the wrong shape"):
+        _ext.attend_backward(state, value, query, key, value)
     with pytest.raises(ValueError, match="mixed has the wrong shape"):
         _ext.attend(state, value[:3])
     with pytest.raises(ValueError, match="gradient by key has the wrong shape"):
