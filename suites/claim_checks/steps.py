@@ -31,7 +31,7 @@ WARM, TURN, TURNS = 60, 10, 11
 """Steps before the first that counts; steps of a turn; turns of each."""
 QUICK_WARM, QUICK_TURN, QUICK_TURNS = 2, 1, 3
 """The same of the reduced form."""
-ANCHORS, WIDTH, HEIGHT = 16_000, 400, 300
+ANCHORS, WIDTH, HEIGHT = 19_800, 400, 300
 """Anchors, each in its own voxel, of which somewhat more than half of the Gaussians are decoded, and the image."""
 QUICK_ANCHORS = 300
 
