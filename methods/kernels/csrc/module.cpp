@@ -34,6 +34,7 @@ NB_MODULE(_ext, m) {
   bind_codec(m);
   bind_colour_head(m);
   bind_field(m);
+  bind_moving_anchors(m);
   bind_raster(m);
   bind_training(m);
 }

@@ -1,0 +1,25 @@
+// Decoding of a hierarchy of anchors over all threads.
+#pragma once
+#include <vector>
+
+#include "hierarchy.hpp"
+
+namespace splat {
+
+// Networks are given in the order of HierarchyModel, each as it is stored. Gradients by one have its shapes.
+struct HierarchyNetworkGradients {
+  float *weight0, *bias0, *weight1, *bias1;
+};
+
+// [count * last anchors, REACH]: positions, largest distances of Gaussians and largest scales of the last anchors.
+void hierarchy_reach(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks, float* out,
+                     int threads);
+void hierarchy_decode(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks,
+                      const HierarchyOutputs& out, int threads);
+// Writes the gradients in full, zero for anchors that were not decoded; `by_networks` is empty where they are not
+// asked for.
+void hierarchy_backward(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks,
+                        HierarchyGradients gradients, const std::vector<HierarchyNetworkGradients>& by_networks,
+                        int threads);
+
+}  // namespace splat
