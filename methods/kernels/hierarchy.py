@@ -166,10 +166,9 @@ class _Facts:
     def arrays(self, stored: Sequence[Tensor], networks: Sequence[Tensor]) -> _ext.MovingAnchors:
         """The tensors as the kernels take them."""
         first, offsets = stored[:FLAT], stored[FLAT:]
-        rows = len(first[2])
         return _ext.MovingAnchors(
             *[t.detach().contiguous() for t in first],
-            [t.detach().contiguous().reshape(rows, -1, 3) for t in offsets],
+            [t.detach().contiguous() for t in offsets],
             plain(self.index), self.camera, self.own, self.settings.children,
             self.settings.gaussians, self.settings.period, self.time,
             [t.detach().contiguous() for t in networks],
