@@ -70,6 +70,7 @@ void check_rows(const Maybe<A>& a, int64_t n, size_t columns, const char* what) 
 void bind_anchors(nb::module_& m);
 void bind_codec(nb::module_& m);
 void bind_colour_head(nb::module_& m);
+void bind_consistency(nb::module_& m);
 void bind_field(nb::module_& m);
 void bind_moving_anchors(nb::module_& m);
 void bind_raster(nb::module_& m);

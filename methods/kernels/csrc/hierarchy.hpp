@@ -1,16 +1,15 @@
 // Moving anchors in layers, decoded into Gaussians, and the gradients of that. Plain data only: this header is
 // compiled for several SIMD levels.
 //
-// Within a block everything is a plane: one row a number, one lane an anchor. A layer of m anchors to each stored one
-// has planes of m * GROUP lanes, node by node, so a network's outputs for child j are that child's lanes as they are.
+// A layer of m anchors to each stored one has planes (see small_networks.hpp) of m * GROUP lanes, node by node, so a
+// network's outputs for child j are that child's lanes as they are.
 #pragma once
 #include <cstdint>
 
-#include "types.hpp"
+#include "small_networks.hpp"
 
 namespace splat {
 
-constexpr int GROUP = 32;        // stored anchors that are worked on together, a multiple of LANES
 constexpr int MOST_LEVELS = 7;   // layers of anchors, N - 1
 constexpr int RESIDUALS = 3;     // networks of a layer of anchors
 enum Residual { POSITION, SCALE, FEATURE };
@@ -22,8 +21,6 @@ constexpr int CODE = 3 * (1 + 2 * OCTAVES);     // numbers of the code of a posi
 constexpr int TIME_CODE = 1 + 2 * OCTAVES;      // likewise of a time
 constexpr int VIEW = 4;                         // distance and direction
 constexpr int GAUSSIAN = 14;                    // numbers that are decoded of one
-
-static inline int64_t padded(int64_t columns) { return (columns + LANES - 1) / LANES * LANES; }
 
 // What is stored of anchors; what a block reads of one is a record.
 struct HierarchyArrays {
@@ -42,13 +39,6 @@ struct HierarchyArrays {
 static inline int64_t row_of(const HierarchyArrays& a, int64_t i) { return a.index ? a.index[i] : i; }
 static inline int64_t feature_row(const HierarchyArrays& a, int64_t i) { return a.own_features ? i : row_of(a, i); }
 
-// A network as it is stored, [inputs, hidden] and [hidden, outputs]. Residual networks read the time too: what it adds
-// is in their bias.
-struct HierarchyNetwork {
-  const float *weight0, *bias0, *weight1, *bias1;
-  int inputs, hidden, outputs;
-};
-
 // Where things lie in the memory of a block, in floats from its beginning.
 struct HierarchyPlaces {
   // rows of a record
@@ -65,7 +55,8 @@ struct HierarchyPlaces {
 
 struct HierarchyModel {
   HierarchyPlaces places;
-  HierarchyNetwork networks[MOST_NETWORKS];  // of layers 1 to N - 2; of the last positions; heads
+  SmallNetwork networks[MOST_NETWORKS];  // of layers 1 to N - 2; of the last positions; heads. Residual
+                                         // networks read the time too: what it adds is in their bias.
   int leaf_position, heads;                  // numbers of the first network of these
 };
 
@@ -82,11 +73,6 @@ struct HierarchyGradients {
   float* offsets[MOST_LEVELS];
 };
 
-// Sums over anchors of the gradients by a network; rows are padded to a multiple of LANES.
-struct HierarchySums {
-  float *weight0, *bias0, *weight1, *bias1;
-};
-
 struct HierarchyKernels {
   // Of anchors [first, last), at most GROUP, one row of REACH numbers a last anchor: its position, the largest distance
   // of its Gaussians from it and its largest scale.
@@ -94,7 +80,7 @@ struct HierarchyKernels {
   void (*decode)(const HierarchyArrays&, const HierarchyModel&, const HierarchyOutputs&, float* memory, int64_t first,
                  int64_t last);
   // Gradients by these anchors; those by the networks are added to the sums.
-  void (*backward)(const HierarchyArrays&, const HierarchyModel&, const HierarchyGradients&, const HierarchySums*,
+  void (*backward)(const HierarchyArrays&, const HierarchyModel&, const HierarchyGradients&, const NetworkSums*,
                    float* memory, int64_t first, int64_t last);
 };
 

@@ -1,66 +1,20 @@
 // Decoding of a hierarchy of anchors at one SIMD level; no standard library here (see level.cpp).
 //
-// Planes have their lanes side by side in memory, so every step of a network is a product whose left side is the
-// weights as they are stored, and everything else is worked on sixteen anchors at a time.
+// Lanes lie side by side in memory, so every step of a network is a product whose left side is the weights as they are
+// stored, and everything else is worked on sixteen anchors at a time.
 #include "hierarchy.hpp"
 #include "simd.hpp"
 
 #include "activations.inl"
 #include "products.inl"
+#include "planes.inl"
 #include "waves.inl"
 
 namespace {
 
 constexpr float WHOLE_TURN = 6.28318531f;
-static const float zeros[LANES] = {};
-
-// out[i] = f(i) for i in steps of LANES below `count`.
-template <class Function>
-INLINE void each(int64_t count, float* out, Function f) {
-  for (int64_t i = 0; i < count; i += LANES) store(out + i, f(i));
-}
-INLINE void copy(const float* from, int64_t count, float* to) {
-  each(count, to, [=](int64_t i) { return load(from + i); });
-}
-INLINE void add(const float* from, int64_t count, float* to) {
-  each(count, to, [=](int64_t i) { return load(to + i) + load(from + i); });
-}
-INLINE void clear(int64_t count, float* to) {
-  each(count, to, [](int64_t) { return all(0); });
-}
-
-// One row of an array to or from a part of a longer row; null is left out.
-INLINE void piece(const float* from, int64_t row, int64_t width, float*& to) {
-  if (from) {
-    if (width < 4)
-      for (int64_t c = 0; c < width; ++c) to[c] = from[row * width + c];
-    else __builtin_memcpy(to, from + row * width, (size_t)width * sizeof(float));
-  }
-  to += width;
-}
-INLINE void leave(const float*& from, int64_t row, int64_t width, float* to) {
-  if (to) {
-    if (width < 4)
-      for (int64_t c = 0; c < width; ++c) to[row * width + c] = from[c];
-    else __builtin_memcpy(to + row * width, from, (size_t)width * sizeof(float));
-  }
-  from += width;
-}
-
 INLINE int64_t offsets_of(const HierarchyArrays& a, const HierarchyPlaces& p, int layer) {
   return 3 * (int64_t)(layer < a.levels ? p.nodes[layer] : a.gaussians);
-}
-
-// The rows [GROUP, stride] as planes [width, GROUP], and back; widths are rounded up to whole lanes.
-INLINE void to_planes(const float* rows, int64_t stride, int width, float* planes) {
-  for (int first = 0; first < GROUP; first += LANES)
-    for (int c = 0; c < width; c += LANES)
-      transpose(rows + first * stride + c, stride, planes + (int64_t)c * GROUP + first, GROUP);
-}
-INLINE void to_rows(const float* planes, int width, float* rows, int64_t stride) {
-  for (int first = 0; first < GROUP; first += LANES)
-    for (int c = 0; c < width; c += LANES)
-      transpose(planes + (int64_t)c * GROUP + first, GROUP, rows + first * stride + c, stride);
 }
 
 // Lanes beyond the last anchor are those of an anchor whose every number is 0.
@@ -98,47 +52,6 @@ STAGE void leave_records(const HierarchyArrays& a, const HierarchyPlaces& p, con
     leave(from, row, 1, g.log_spans);
     for (int layer = 1; layer <= a.levels; ++layer) leave(from, row, offsets_of(a, p, layer), g.offsets[layer - 1]);
   }
-}
-
-// outputs[outputs, lanes] of a network; its hidden units are kept.
-STAGE void evaluate(const HierarchyNetwork& n, const float* inputs, int lanes, float* hidden, float* outputs) {
-  product({n.weight0, 1, n.hidden}, {inputs, lanes}, n.hidden, lanes, n.inputs, {n.bias0, 1, true}, hidden, lanes);
-  each((int64_t)n.hidden * lanes, hidden, [=](int64_t i) { return maximum(all(0), load(hidden + i)); });
-  product({n.weight1, 1, n.outputs}, {hidden, lanes}, n.outputs, lanes, n.hidden, {n.bias1, 1, true}, outputs, lanes);
-}
-
-// out[lane, row] of planes of `width` rows; rows of `out` are whole lanes, zero beyond the width.
-STAGE void turn(const float* planes, int width, int lanes, float* out) {
-  const int64_t stride = padded(width);
-  for (int first = 0; first < lanes; first += LANES)
-    for (int c = 0; c < width; c += LANES)
-      transpose_rows([=](int r) { return c + r < width ? planes + (int64_t)(c + r) * lanes + first : zeros; },
-                     out + first * stride + c, stride);
-}
-
-// Adds the products of the lanes of `left` [rows, lanes] and those of `right` [columns, lanes], and the sums of the
-// latter, to weights and biases.
-STAGE void add_products(const float* left, int rows, const float* right, int columns, int lanes, float* turned,
-                        float* weights, float* biases) {
-  const int wide = (int)padded(columns);
-  turn(right, columns, lanes, turned);
-  product({left, lanes, 1}, {turned, wide}, rows, wide, lanes, {weights, wide}, weights, wide);
-  add_rows(turned, wide, lanes, wide, biases);
-}
-
-// From gradients by the outputs of a network: those by its weights are added to the sums (null: not asked for), those
-// by its inputs to `by_inputs`.
-STAGE void pull(const HierarchyNetwork& n, const HierarchyPlaces& p, const HierarchySums* sums, const float* inputs,
-                const float* hidden, const float* by, int lanes, float* m, float* by_inputs) {
-  float *by_hidden = m + p.by_hidden, *turned = m + p.turned;
-  product({n.weight1, n.outputs, 1}, {by, lanes}, n.hidden, lanes, n.outputs, {nullptr, 0}, by_hidden, lanes);
-  each((int64_t)n.hidden * lanes, by_hidden,
-       [=](int64_t i) { return keep(load(hidden + i) > all(0), load(by_hidden + i)); });
-  if (sums) {
-    add_products(hidden, n.hidden, by, n.outputs, lanes, turned, sums->weight1, sums->bias1);
-    add_products(inputs, n.inputs, by_hidden, n.hidden, lanes, turned, sums->weight0, sums->bias0);
-  }
-  product({n.weight0, n.hidden, 1}, {by_hidden, lanes}, n.inputs, lanes, n.hidden, {by_inputs, lanes}, by_inputs, lanes);
 }
 
 // Sines and cosines of a position's first octave; each further one by doubling the angle, which is exact to 1e-6.
@@ -420,7 +333,7 @@ STAGE void pull_gaussians(const HierarchyArrays& a, const HierarchyModel& net, f
 }
 
 // Through the heads, to the features and, by way of distance and direction, to the positions.
-STAGE void pull_heads(const HierarchyArrays& a, const HierarchyModel& net, const HierarchySums* sums, float* m) {
+STAGE void pull_heads(const HierarchyArrays& a, const HierarchyModel& net, const NetworkSums* sums, float* m) {
   const HierarchyPlaces& p = net.places;
   const Last l = Last::of(a, p, m);
   const int last = a.levels - 1;
@@ -429,8 +342,8 @@ STAGE void pull_heads(const HierarchyArrays& a, const HierarchyModel& net, const
   clear((int64_t)(a.f + VIEW) * l.lanes, by_seen);
   for (int head = 0; head < HEADS; ++head) {
     const int number = net.heads + head;
-    pull(net.networks[number], p, sums ? sums + number : nullptr, seen, m + p.hidden[number], m + p.heads[head],
-         l.lanes, m, by_seen);
+    pull(net.networks[number], sums ? sums + number : nullptr, seen, m + p.hidden[number], m + p.heads[head],
+         l.lanes, m + p.by_hidden, m + p.turned, by_seen);
   }
   for (int i = 0; i < l.lanes; i += LANES) {
     const vf distance = load(view + i), divisor = select(distance <= all(0), all(1), distance);
@@ -456,7 +369,7 @@ STAGE void pull_inputs(const HierarchyArrays& a, const HierarchyPlaces& p, float
 }
 
 // From a layer's children to itself.
-STAGE void ascend(const HierarchyArrays& a, const HierarchyModel& net, const HierarchySums* sums, float* m, int level) {
+STAGE void ascend(const HierarchyArrays& a, const HierarchyModel& net, const NetworkSums* sums, float* m, int level) {
   const HierarchyPlaces& p = net.places;
   const int nodes = p.nodes[level], lanes = nodes * GROUP, below = lanes * a.k;
   const float *inputs = m + p.inputs[level], *sizes = m + p.sizes[level];
@@ -487,8 +400,8 @@ STAGE void ascend(const HierarchyArrays& a, const HierarchyModel& net, const Hie
       }
     });
     const int network = level * RESIDUALS + number;
-    pull(net.networks[network], p, sums ? sums + network : nullptr, inputs, m + p.hidden[network], change, lanes, m,
-         m + p.by_inputs);
+    pull(net.networks[network], sums ? sums + network : nullptr, inputs, m + p.hidden[network], change, lanes,
+         m + p.by_hidden, m + p.turned, m + p.by_inputs);
   }
   pull_inputs(a, p, m, level);
 }
@@ -516,7 +429,7 @@ STAGE void pull_stored(const HierarchyArrays& a, const HierarchyPlaces& p, float
 }
 
 void backward(const HierarchyArrays& a, const HierarchyModel& net, const HierarchyGradients& g,
-              const HierarchySums* sums, float* m, int64_t first, int64_t last) {
+              const NetworkSums* sums, float* m, int64_t first, int64_t last) {
   const HierarchyPlaces& p = net.places;
   const int leaf = a.levels - 1, lanes = p.nodes[leaf] * GROUP;
   read_records(a, p, m, first, last);
@@ -526,8 +439,9 @@ void backward(const HierarchyArrays& a, const HierarchyModel& net, const Hierarc
   clear((int64_t)a.h * GROUP, m + p.by_record + p.instances * GROUP);
   pull_gaussians(a, net, m);
   clear((int64_t)(a.h + CODE) * lanes, m + p.by_inputs);
-  pull(net.networks[net.leaf_position], p, sums ? sums + net.leaf_position : nullptr, m + p.inputs[leaf],
-       m + p.hidden[net.leaf_position], m + p.by_outputs, lanes, m, m + p.by_inputs);
+  pull(net.networks[net.leaf_position], sums ? sums + net.leaf_position : nullptr, m + p.inputs[leaf],
+       m + p.hidden[net.leaf_position], m + p.by_outputs, lanes, m + p.by_hidden,
+       m + p.turned, m + p.by_inputs);
   pull_inputs(a, p, m, leaf);
   pull_heads(a, net, sums, m);
   for (int level = leaf - 1; level >= 0; --level) ascend(a, net, sums, m, level);

@@ -7,6 +7,7 @@
 #include "buffer.hpp"
 #include "levels.hpp"
 #include "pool.hpp"
+#include "sums.hpp"
 
 SPLAT_TABLES(splat::HierarchyKernels, hierarchy)
 
@@ -60,7 +61,7 @@ HierarchyPlaces places_of(const HierarchyArrays& a, const HierarchyModel& model)
     p.by_held[level] = take(held * wide);
   }
   for (int i = 0; i < model.heads + HEADS; ++i) {
-    const HierarchyNetwork& network = model.networks[i];
+    const SmallNetwork& network = model.networks[i];
     const int64_t wide = (int64_t)p.nodes[std::min(i / RESIDUALS, last)] * GROUP;
     p.hidden[i] = take(network.hidden * wide);
     hidden = std::max(hidden, (int64_t)network.hidden);
@@ -88,7 +89,7 @@ struct Prepared {
   float code[TIME_CODE];
   std::vector<float> biases;
 
-  Prepared(const HierarchyArrays& a, const std::vector<HierarchyNetwork>& stored) : model{} {
+  Prepared(const HierarchyArrays& a, const std::vector<SmallNetwork>& stored) : model{} {
     model.leaf_position = (a.levels - 1) * RESIDUALS;
     model.heads = model.leaf_position + 1;
     code[0] = a.time;
@@ -101,7 +102,7 @@ struct Prepared {
     biases.resize(units);
     float* bias = biases.data();
     for (size_t i = 0; i < stored.size(); ++i) {
-      HierarchyNetwork& network = model.networks[i];
+      SmallNetwork& network = model.networks[i];
       network = stored[i];
       if ((int)i >= model.heads) continue;
       network.inputs -= TIME_CODE;
@@ -151,40 +152,19 @@ void clear_between(const HierarchyArrays& a, const HierarchyPlaces& p, const Hie
 
 int64_t sums_size(const HierarchyModel& model) {
   int64_t size = 0;
-  for (int i = 0; i < model.heads + HEADS; ++i) {
-    const HierarchyNetwork& n = model.networks[i];
-    size += (n.inputs + 1) * padded(n.hidden) + (n.hidden + 1) * padded(n.outputs);
-  }
+  for (int i = 0; i < model.heads + HEADS; ++i) size += splat::sums_size(model.networks[i]);
   return size;
 }
 
 // The sums of all networks in one piece of memory of that size.
-void lay_out(const HierarchyModel& model, float* memory, HierarchySums* sums) {
-  const auto take = [&](int64_t rows, int64_t columns) {
-    float* here = memory;
-    memory += rows * padded(columns);
-    return here;
-  };
-  for (int i = 0; i < model.heads + HEADS; ++i) {
-    const HierarchyNetwork& n = model.networks[i];
-    sums[i].weight0 = take(n.inputs, n.hidden);
-    sums[i].bias0 = take(1, n.hidden);
-    sums[i].weight1 = take(n.hidden, n.outputs);
-    sums[i].bias1 = take(1, n.outputs);
-  }
+void lay_out(const HierarchyModel& model, float* memory, NetworkSums* sums) {
+  for (int i = 0; i < model.heads + HEADS; ++i) sums[i] = lay_out_sums(model.networks[i], memory);
 }
 
-void leave(const float* from, int rows, int columns, float* to) {
-  for (int r = 0; r < rows; ++r) std::copy(from + r * padded(columns), from + r * padded(columns) + columns, to + r * columns);
-}
-
-void leave_sums(const Prepared& prepared, const HierarchySums* sums, const std::vector<HierarchyNetworkGradients>& to) {
+void leave_all(const Prepared& prepared, const NetworkSums* sums, const std::vector<SmallNetworkGradients>& to) {
   for (size_t i = 0; i < to.size(); ++i) {
-    const HierarchyNetwork& n = prepared.model.networks[i];
-    leave(sums[i].weight0, n.inputs, n.hidden, to[i].weight0);
-    leave(sums[i].bias0, 1, n.hidden, to[i].bias0);
-    leave(sums[i].weight1, n.hidden, n.outputs, to[i].weight1);
-    leave(sums[i].bias1, 1, n.outputs, to[i].bias1);
+    const SmallNetwork& n = prepared.model.networks[i];
+    leave_sums(n, sums[i], to[i]);
     if ((int)i >= prepared.model.heads) continue;
     for (int c = 0; c < TIME_CODE; ++c)
       for (int unit = 0; unit < n.hidden; ++unit)
@@ -194,14 +174,14 @@ void leave_sums(const Prepared& prepared, const HierarchySums* sums, const std::
 
 }  // namespace
 
-void hierarchy_reach(const HierarchyArrays& a, const std::vector<HierarchyNetwork>& networks, float* out, int threads) {
+void hierarchy_reach(const HierarchyArrays& a, const std::vector<SmallNetwork>& networks, float* out, int threads) {
   const Prepared prepared(a, networks);
   over_blocks(a, prepared.model, threads, [&](int64_t first, int64_t last, float* memory) {
     hierarchy_in_use().reach(a, prepared.model, out, memory, first, last);
   });
 }
 
-void hierarchy_decode(const HierarchyArrays& a, const std::vector<HierarchyNetwork>& networks,
+void hierarchy_decode(const HierarchyArrays& a, const std::vector<SmallNetwork>& networks,
                       const HierarchyOutputs& out, int threads) {
   const Prepared prepared(a, networks);
   over_blocks(a, prepared.model, threads, [&](int64_t first, int64_t last, float* memory) {
@@ -209,15 +189,15 @@ void hierarchy_decode(const HierarchyArrays& a, const std::vector<HierarchyNetwo
   });
 }
 
-void hierarchy_backward(const HierarchyArrays& a, const std::vector<HierarchyNetwork>& networks, HierarchyGradients g,
-                        const std::vector<HierarchyNetworkGradients>& by_networks, int threads) {
+void hierarchy_backward(const HierarchyArrays& a, const std::vector<SmallNetwork>& networks, HierarchyGradients g,
+                        const std::vector<SmallNetworkGradients>& by_networks, int threads) {
   const Prepared prepared(a, networks);
   const HierarchyModel& model = prepared.model;
   const int64_t blocks = blocks_of(a), parts = std::clamp<int64_t>(blocks / 4, 1, MOST_PARTS);
   const int64_t each = model.places.size, size = by_networks.empty() ? 0 : sums_size(model);
   Buffer<float> memory((size_t)(each * threads)), sums((size_t)(size * parts));
   parallel(threads, (int)parts, [&](int part, int worker) {
-    HierarchySums here[MOST_NETWORKS];
+    NetworkSums here[MOST_NETWORKS];
     if (size) {
       std::fill(sums.data() + size * part, sums.data() + size * (part + 1), 0.0f);
       lay_out(model, sums.data() + size * part, here);
@@ -232,9 +212,9 @@ void hierarchy_backward(const HierarchyArrays& a, const std::vector<HierarchyNet
   if (!size) return;
   for (int64_t part = 1; part < parts; ++part)
     for (int64_t i = 0; i < size; ++i) sums[i] += sums[size * part + i];
-  HierarchySums total[MOST_NETWORKS];
+  NetworkSums total[MOST_NETWORKS];
   lay_out(model, sums.data(), total);
-  leave_sums(prepared, total, by_networks);
+  leave_all(prepared, total, by_networks);
 }
 
 }  // namespace splat

@@ -3,23 +3,21 @@
 #include <vector>
 
 #include "hierarchy.hpp"
+#include "sums.hpp"
 
 namespace splat {
 
-// Networks are given in the order of HierarchyModel, each as it is stored. Gradients by one have its shapes.
-struct HierarchyNetworkGradients {
-  float *weight0, *bias0, *weight1, *bias1;
-};
+// Networks are given in the order of HierarchyModel, each as it is stored.
 
 // [count * last anchors, REACH]: positions, largest distances of Gaussians and largest scales of the last anchors.
-void hierarchy_reach(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks, float* out,
+void hierarchy_reach(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks, float* out,
                      int threads);
-void hierarchy_decode(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks,
+void hierarchy_decode(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks,
                       const HierarchyOutputs& out, int threads);
 // Writes the gradients in full, zero for anchors that were not decoded; `by_networks` is empty where they are not
 // asked for.
-void hierarchy_backward(const HierarchyArrays& anchors, const std::vector<HierarchyNetwork>& networks,
-                        HierarchyGradients gradients, const std::vector<HierarchyNetworkGradients>& by_networks,
+void hierarchy_backward(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks,
+                        HierarchyGradients gradients, const std::vector<SmallNetworkGradients>& by_networks,
                         int threads);
 
 }  // namespace splat

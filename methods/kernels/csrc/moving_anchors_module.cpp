@@ -37,8 +37,8 @@ struct MovingArrays {
     return a;
   }
 
-  std::vector<HierarchyNetwork> stored() const {
-    std::vector<HierarchyNetwork> found;
+  std::vector<SmallNetwork> stored() const {
+    std::vector<SmallNetwork> found;
     for (size_t i = 0; i < networks.size(); i += TENSORS) {
       const Flat* t = &networks[i];
       found.push_back({t[0].data(), t[1].data(), t[2].data(), t[3].data(), (int)t[0].shape(0), (int)t[0].shape(1),
@@ -109,7 +109,7 @@ struct MovingArrays {
 void reach(const MovingArrays& arrays, Out<float, 3> out) {
   const HierarchyArrays a = arrays.anchors();
   check(out.shape(0) == (size_t)a.count && out.shape(1) == arrays.leaves() && out.shape(2) == REACH, "out");
-  const std::vector<HierarchyNetwork> networks = arrays.stored();
+  const std::vector<SmallNetwork> networks = arrays.stored();
   nb::gil_scoped_release release;
   hierarchy_reach(a, networks, out.data(), threads());
 }
@@ -126,7 +126,7 @@ void decode(const MovingArrays& arrays, Out<float, 2> means, Out<float, 2> quate
   check(rows.shape(0) == n && slots.shape(0) == n, "rows");
   const HierarchyOutputs out = {means.data(),   quaternions.data(), scales.data(), opacities.data(),
                                 colours.data(), rows.data(),        slots.data()};
-  const std::vector<HierarchyNetwork> networks = arrays.stored();
+  const std::vector<SmallNetwork> networks = arrays.stored();
   nb::gil_scoped_release release;
   hierarchy_decode(a, networks, out, threads());
 }
@@ -151,12 +151,12 @@ void backward(const MovingArrays& arrays, Maybe<In<float, 2>> of_means, Maybe<In
                           data(by_anchors[0]), data(by_anchors[1]), data(by_anchors[2]), data(by_anchors[3]),
                           data(by_anchors[4]), data(by_anchors[5]), data(by_anchors[6]), {}};
   for (size_t i = 0; i < arrays.offsets.size(); ++i) g.offsets[i] = data(by_anchors[FLAT + i]);
-  std::vector<HierarchyNetworkGradients> gradients;
+  std::vector<SmallNetworkGradients> gradients;
   check(by_networks.empty() || by_networks.size() == arrays.networks.size(), "the list of gradients by the networks");
   for (size_t i = 0; i < by_networks.size(); ++i) check(by_networks[i].size() == arrays.networks[i].size(), "gradient by a network");
   for (size_t i = 0; i < by_networks.size(); i += TENSORS)
     gradients.push_back({by_networks[i].data(), by_networks[i + 1].data(), by_networks[i + 2].data(), by_networks[i + 3].data()});
-  const std::vector<HierarchyNetwork> networks = arrays.stored();
+  const std::vector<SmallNetwork> networks = arrays.stored();
   nb::gil_scoped_release release;
   hierarchy_backward(a, networks, g, gradients, threads());
 }
