@@ -76,6 +76,8 @@ def decode_some(
     index: Int[Tensor, " v"],
     *,
     features: Float[Tensor, "v f"] | None = None,
+    unit: float = 1.0,
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Splats:
     """What some of the stored anchors decode to; rows and slots count among all.
 
@@ -87,18 +89,23 @@ def decode_some(
         camera_centre: In the anchors' frame.
         index: Rows of the anchors that are decoded, ascending.
         features: Features that layer 0 starts from, one row a decoded anchor; None: the stored ones.
+        unit: What positions and scales are multiplied by once they are decoded.
+        middle: What is then added to the positions.
     """
     if native.applies(anchors, networks, camera_centre):
         return native.decode(
-            anchors, networks, sizes, time, camera_centre, index=index, features=features
-        )
+            anchors, networks, sizes, time, camera_centre, index=index, features=features,
+            unit=unit, middle=middle,
+        )  # fmt: skip
     chosen = some(anchors, index)
     if features is not None:
         chosen = replace(chosen, features=features)
     k = sizes.gaussians
     places = torch.arange(k, device=index.device)
+    splats = decoded(chosen, networks, sizes, time, camera_centre)
     return replace(
-        decoded(chosen, networks, sizes, time, camera_centre), decoded=index,
+        splats, decoded=index, scales=splats.scales * unit,
+        means=splats.means * unit + splats.means.new_tensor(middle),
         rows=index.repeat_interleave(k), slots=(index[:, None] * k + places).reshape(-1),
     )  # fmt: skip
 

@@ -190,17 +190,14 @@ class HdgsModel(Model):
         centre = self.frame.inwards(view.camera.centre)
         networks = hierarchy(shared, layers)
         splats = decode_some(
-            anchors, networks, self.sizes, time, centre, seen, features=features
-        )
+            anchors, networks, self.sizes, time, centre, seen, features=features,
+            unit=self.frame.unit, middle=self.frame.middle,
+        )  # fmt: skip
         if later:
             drift = self.drift(some(anchors, seen), later)
             drift = drift.repeat_interleave(self.sizes.gaussians, dim=0)
-            splats = replace(splats, means=splats.means + drift)
-        return replace(
-            splats,
-            means=self.frame.outwards(splats.means),
-            scales=splats.scales * self.frame.unit,
-        )
+            splats = replace(splats, means=splats.means + drift * self.frame.unit)
+        return splats
 
     def finish_image(self, view: View, output: RenderOutput) -> Float[Tensor, "h w c"]:
         """The sky behind what was rasterized.

@@ -59,6 +59,8 @@ def decode(
     *,
     index: Int[Tensor, " v"] | None = None,
     features: Float[Tensor, "v f"] | None = None,
+    unit: float = 1.0,
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Splats:
     """Gaussians at time t, as `motion_hierarchy.decode` says; quaternions are left of any norm.
 
@@ -70,6 +72,8 @@ def decode(
         camera_centre: Camera centre in the anchors' frame; it gets no gradient.
         index: Rows of the anchors to decode, ascending; None: all.
         features: Features that layer 0 starts from, one row a decoded anchor; None: the stored ones.
+        unit: What positions and scales are multiplied by once they are decoded.
+        middle: What is then added to the positions.
 
     Returns: K Gaussians a decoded anchor, in its order; `rows` and `slots` count among all stored anchors.
 
@@ -86,7 +90,8 @@ def decode(
     if features is not None:
         stored[0] = features
     means, quaternions, scales, opacities, colours, rows, slots = _Decode.apply(
-        _Facts(settings, time, camera_centre, index, features is not None), len(stored),
+        _Facts(settings, time, camera_centre, index, features is not None, unit, middle),
+        len(stored),
         *stored, *_tensors(networks),
     )  # type: ignore[misc]  # fmt: skip
     return Splats(
@@ -159,8 +164,11 @@ class _Facts:
         camera: Tensor,
         index: Tensor | None,
         own: bool,
+        unit: float = 1.0,
+        middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
         self.settings, self.time, self.index, self.own = settings, time, index, own
+        self.unit, self.middle = unit, torch.tensor(middle, dtype=torch.float32)
         self.camera = camera.detach().to(dtype=torch.float32, device="cpu").contiguous()
 
     def arrays(self, stored: Sequence[Tensor], networks: Sequence[Tensor]) -> _ext.MovingAnchors:
@@ -170,7 +178,7 @@ class _Facts:
             *[t.detach().contiguous() for t in first],
             [t.detach().contiguous() for t in offsets],
             plain(self.index), self.camera, self.own, self.settings.children,
-            self.settings.gaussians, self.settings.period, self.time,
+            self.settings.gaussians, self.settings.period, self.time, self.unit, self.middle,
             [t.detach().contiguous() for t in networks],
         )  # fmt: skip
 

@@ -34,6 +34,7 @@ struct HierarchyArrays {
   int f, h;           // numbers of a feature and of an instance
   float period, time;
   float camera[3];
+  float unit, middle[3];  // what is decoded is scaled and moved out of the anchors' frame
 };
 
 static inline int64_t row_of(const HierarchyArrays& a, int64_t i) { return a.index ? a.index[i] : i; }

@@ -251,8 +251,10 @@ void decode(const HierarchyArrays& a, const HierarchyModel& net, const Hierarchy
       };
       const auto head = [&](const float* of, int row, int64_t i) { return load(of + row * l.lanes + node * GROUP + i); };
       for (int c = 0; c < 3; ++c) {
-        put(at.means + j * 3 + c, [&](int i) { return load(l.at + c * l.lanes + node * GROUP + i) + l.away(node, g, c, i); });
-        put(at.scales + j * 3 + c, [&](int i) { return head(l.sizes, c, i) * head(shapes, g * 7 + c, i); });
+        put(at.means + j * 3 + c, [&](int i) {
+          return all(a.unit) * (load(l.at + c * l.lanes + node * GROUP + i) + l.away(node, g, c, i)) + all(a.middle[c]);
+        });
+        put(at.scales + j * 3 + c, [&](int i) { return all(a.unit) * head(l.sizes, c, i) * head(shapes, g * 7 + c, i); });
         put(at.colours + j * 3 + c, [&](int i) { return head(colours, g * 3 + c, i); });
       }
       for (int c = 0; c < 4; ++c) put(at.quaternions + j * 4 + c, [&](int i) { return head(shapes, g * 7 + 3 + c, i); });
@@ -314,7 +316,8 @@ STAGE void pull_gaussians(const HierarchyArrays& a, const HierarchyModel& net, f
           float *colour = colours + (g * 3 + c) * l.lanes + lane, *share = shapes + (g * 7 + c) * l.lanes + lane;
           const vf value = load(colour), grown = load(share), size = load(l.sizes + c * l.lanes + lane);
           store(colour, of(at.colours + j * 3 + c) * value * (all(1) - value));
-          const vf by_scale = of(at.scales + j * 3 + c) * size * grown, by_mean = of(at.means + j * 3 + c);
+          const vf by_scale = all(a.unit) * of(at.scales + j * 3 + c) * size * grown;
+          const vf by_mean = all(a.unit) * of(at.means + j * 3 + c);
           store(share, by_scale * (all(1) - grown));
           const int64_t offset = (int64_t)(j * 3 + c) * GROUP + i;
           const vf reached = by_mean * size;

@@ -23,7 +23,8 @@ struct MovingArrays {
   In<float, 1> camera;
   bool own_features;
   int k, gaussians;
-  float period, time;
+  float period, time, unit;
+  In<float, 1> middle;
   std::vector<Flat> networks;  // each: weight, bias, weight, bias
 
   HierarchyArrays anchors() const {
@@ -32,7 +33,8 @@ struct MovingArrays {
                          peaks.data(), log_spans.data(), {}, data(index), stored,
                          index ? (int64_t)index->shape(0) : stored, own_features, (int)offsets.size(), k, gaussians,
                          (int)features.shape(1), (int)instances.shape(1), period, time,
-                         {camera.data()[0], camera.data()[1], camera.data()[2]}};
+                         {camera.data()[0], camera.data()[1], camera.data()[2]}, unit,
+                         {middle.data()[0], middle.data()[1], middle.data()[2]}};
     for (size_t i = 0; i < offsets.size(); ++i) a.offsets[i] = offsets[i].data();
     return a;
   }
@@ -94,6 +96,7 @@ struct MovingArrays {
       check(offsets[i].shape(0) == n && offsets[i].shape(1) == wanted && offsets[i].shape(2) == 3, "offsets");
     }
     check(camera.shape(0) == 3, "camera_centre");
+    check(middle.shape(0) == 3, "middle");
     if (!(period > 0)) throw std::invalid_argument("period must be positive: " + std::to_string(period));
   }
 
@@ -169,14 +172,17 @@ void bind_moving_anchors(nb::module_& m) {
            [](MovingArrays* self, In<float, 2> features, In<float, 2> instances, In<float, 2> centres,
               In<float, 2> velocities, In<float, 2> log_scales, In<float, 1> peaks, In<float, 1> log_spans,
               const std::vector<In<float, 3>>& offsets, Maybe<In<int64_t, 1>> index, In<float, 1> camera_centre,
-              bool own_features, int children, int gaussians, float period, float time, const std::vector<Flat>& networks) {
+              bool own_features, int children, int gaussians, float period, float time, float unit, In<float, 1> middle,
+              const std::vector<Flat>& networks) {
              new (self) MovingArrays{features, instances, centres, velocities, log_scales, peaks, log_spans, offsets,
-                                     index, camera_centre, own_features, children, gaussians, period, time, networks};
+                                     index, camera_centre, own_features, children, gaussians, period, time, unit, middle,
+                                     networks};
              self->check_all();
            },
            array("features"), array("instances"), array("centres"), array("velocities"), array("log_scales"),
            array("peaks"), array("log_spans"), array("offsets"), array("index").none(), array("camera_centre"),
            nb::arg("own_features"), nb::arg("children"), nb::arg("gaussians"), nb::arg("period"), nb::arg("time"),
+           nb::arg("unit"), array("middle"),
            array("networks"));
   m.def("reach_of_anchors", &reach, nb::arg("anchors"), array("out"),
         "Position, largest distance of a Gaussian and largest scale of each last anchor.");
