@@ -16,7 +16,7 @@ from splatproof.methods.dynamic.sky import Sky
 from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
-from splatproof.methods.hdgs.decode import decode_some, reach, some
+from splatproof.methods.hdgs.decode import decode_some, reach
 from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
 from splatproof.methods.hdgs.settings import Smoothing
 from splatproof.reference.anchors.motion_hierarchy import (
@@ -143,7 +143,7 @@ class HdgsModel(Model):
         last = reach(anchors, networks, self.sizes, time, index)
         at = last.at
         if later:
-            drift = self.drift(some(anchors, index), later)
+            drift = self.drift(index, later)
             at = at + drift.repeat_interleave(self.sizes.leaves, dim=0)
         # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
         radius = last.away + REACH * last.largest
@@ -157,15 +157,18 @@ class HdgsModel(Model):
             seen &= local @ inwards > -radius
         return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
 
-    def drift(self, anchors: MotionAnchors, later: float) -> Float[Tensor, "n 3"]:
+    def drift(self, index: Int[Tensor, " v"], later: float) -> Float[Tensor, "v 3"]:
         """How far anchors get at their average velocity, in the model's unit.
 
         Args:
-            anchors: Their velocities and spans count.
+            index: Rows of the anchors.
             later: Time in the unit of the peaks.
         """
-        spans, period = anchors.log_spans.exp(), self.sizes.period
-        return later * average_velocities(anchors.velocities, spans, period, self.smoothing.decay)
+        rows, period = self.parameters.rows, self.sizes.period
+        velocities, spans = (
+            rows[name].index_select(0, index) for name in ("velocities", "log_spans")
+        )
+        return later * average_velocities(velocities, spans.exp(), period, self.smoothing.decay)
 
     def splats(self, view: View, moment: Moment) -> Splats:
         """What the anchors alive and in view decode to.
@@ -194,8 +197,7 @@ class HdgsModel(Model):
             unit=self.frame.unit, middle=self.frame.middle,
         )  # fmt: skip
         if later:
-            drift = self.drift(some(anchors, seen), later)
-            drift = drift.repeat_interleave(self.sizes.gaussians, dim=0)
+            drift = self.drift(seen, later).repeat_interleave(self.sizes.gaussians, dim=0)
             splats = replace(splats, means=splats.means + drift * self.frame.unit)
         return splats
 
