@@ -110,9 +110,7 @@ def supported(
             (near.sites, near.neighbours, near.ends), seen,
             modulated=ice in ("full", "no-gate"), gated=ice in ("full", "no-mod"),
         )  # fmt: skip
-    return supported_by_products(
-        network, features, centres, quaternions, scales, near, seen, ice
-    )
+    return supported_by_products(network, features, centres, quaternions, scales, near, seen, ice)
 
 
 def supported_by_products(

@@ -154,9 +154,7 @@ def compare(case: Case, seed: int = 0, only: str | None = None) -> dict[str, flo
     want = outputs(
         motion_hierarchy.decode(truth.anchors, truth.networks, case.sizes, TIME, CAMERA.double())
     )
-    splats = native.decode(
-        case.anchors, case.networks, case.sizes, TIME, CAMERA, index=case.index
-    )
+    splats = native.decode(case.anchors, case.networks, case.sizes, TIME, CAMERA, index=case.index)
     assert splats.rows is not None
     assert splats.slots is not None
     assert torch.equal(splats.rows, rows.repeat_interleave(k))
@@ -340,11 +338,29 @@ def test_what_is_frozen_gets_no_gradient_and_changes_none(name):
     assert torch.equal(alone, among)
 
 
+def test_a_frame_scales_and_moves_what_is_decoded(simd_level):
+    case = drawn(40, 3, 2, 3, 18)
+    leaves = [leaf.requires_grad_() for leaf in case.tensors().values()]
+    facts = (case.anchors, case.networks, case.sizes, TIME, CAMERA)
+    plain, moved = (
+        native.decode(*facts),
+        native.decode(*facts, unit=4.0, middle=(1.0, -2.0, 30.0)),
+    )
+    torch.testing.assert_close(moved.means, plain.means * 4 + torch.tensor([1.0, -2.0, 30.0]))
+    torch.testing.assert_close(moved.scales, plain.scales * 4)
+    want, found = (
+        torch.autograd.grad(loss, leaves, allow_unused=True)
+        for loss in (4 * plain.means.sum() + (4 * plain.scales).square().sum(),
+                     moved.means.sum() + moved.scales.square().sum())
+    )  # fmt: skip
+    for one, other in zip(want, found, strict=True):
+        assert one is not None
+        torch.testing.assert_close(other, one, rtol=1e-4, atol=1e-4 * float(one.abs().max()))
+
+
 def test_a_value_that_is_no_number_stays_one_and_stays_with_its_anchor():
     case = drawn(40, 3, 2, 3, 14)
-    decode = lambda: outputs(
-        native.decode(case.anchors, case.networks, case.sizes, TIME, CAMERA)
-    )
+    decode = lambda: outputs(native.decode(case.anchors, case.networks, case.sizes, TIME, CAMERA))
     want = decode()
     case.anchors.features[5] = torch.nan
     case.anchors.log_scales[9] = torch.nan
