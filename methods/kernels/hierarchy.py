@@ -25,8 +25,6 @@ DEPTH = 2
 """Layers of each network that the kernels evaluate: one hidden layer."""
 MOST_LAYERS = 8
 """Largest N that the kernels have room for."""
-FLAT = 7
-"""Tensors of the anchors before the offsets, in the kernels' order."""
 REACH = 5
 """Numbers that `reach` says of a last anchor."""
 
@@ -173,10 +171,11 @@ class _Facts:
 
     def arrays(self, stored: Sequence[Tensor], networks: Sequence[Tensor]) -> _ext.MovingAnchors:
         """The tensors as the kernels take them."""
-        first, offsets = stored[:FLAT], stored[FLAT:]
+        features, instances, centres, velocities, log_scales, peaks, log_spans, *offsets = [
+            t.detach().contiguous() for t in stored
+        ]
         return _ext.MovingAnchors(
-            *[t.detach().contiguous() for t in first],
-            [t.detach().contiguous() for t in offsets],
+            features, instances, centres, velocities, log_scales, peaks, log_spans, offsets,
             plain(self.index), self.camera, self.own, self.settings.children,
             self.settings.gaussians, self.settings.period, self.time, self.unit, self.middle,
             [t.detach().contiguous() for t in networks],
@@ -215,7 +214,8 @@ class _Decode(torch.autograd.Function):
         trained = any(needed[ctx.count :])
         shared = [torch.empty(t.shape) for t in tensors[ctx.count :]] if trained else []
         _ext.set_threads(torch.get_num_threads())
+        means, quaternions, scales, opacities, colours, _, _ = map(plain, grad_outputs)
         _ext.moving_anchors_backward(
-            ctx.arrays, *[plain(grad) for grad in grad_outputs[:5]], stored, shared
+            ctx.arrays, means, quaternions, scales, opacities, colours, stored, shared
         )
         return None, None, *stored, *(shared or [None] * len(tensors[ctx.count :]))

@@ -88,12 +88,14 @@ class _Support(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, facts: tuple, *tensors: Tensor):
         receive, give, ends, seen, modulated, gated = facts
-        values = [t.detach().contiguous() for t in tensors]
+        features, centres, quaternions, scales, *parameters = [
+            t.detach().contiguous() for t in tensors
+        ]
         native = _ext.Sites(
-            *values[:SITES], receive.contiguous(), give.contiguous(), list(ends), seen.contiguous(),
-            values[SITES:], modulated, gated,
+            features, centres, quaternions, scales, receive.contiguous(), give.contiguous(),
+            list(ends), seen.contiguous(), parameters, modulated, gated,
         )  # fmt: skip
-        out, mixed = (values[0].new_empty(len(seen), values[0].shape[1]) for _ in range(2))
+        out, mixed = (features.new_empty(len(seen), features.shape[1]) for _ in range(2))
         _ext.set_threads(torch.get_num_threads())
         _ext.support(native, out, mixed)
         if any(ctx.needs_input_grad):

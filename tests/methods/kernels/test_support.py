@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from splatproof import _ext
-from splatproof.methods.hdgs.consistency import Pairs, pairs, supported_by_products
+from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported_by_products
 from splatproof.methods.kernels import support as native
 from splatproof.reference.anchors import support_network
 from splatproof.reference.anchors.support_network import SupportNetwork
 from splatproof.reference.types import mlp
 
-PARTS = {"full": (True, True), "no-mod": (False, True), "no-gate": (True, False),
+PARTS: dict[Ice, tuple[bool, bool]] = {"full": (True, True), "no-mod": (False, True), "no-gate": (True, False),
          "conv": (False, False)}  # fmt: skip
 """Whether the step is modulated and gated."""
 BOUND = 5e-5
@@ -78,22 +78,31 @@ def leaves(case: Case) -> dict[str, Tensor]:
     return found
 
 
-def run(case: Case, parts: str) -> Tensor:
+def run(case: Case, parts: Ice) -> Tensor:
     """By the kernels."""
     network, sites, near, seen = case
     modulated, gated = PARTS[parts]
     return native.support(
-        network, *sites.values(), (near.sites, near.neighbours, near.ends), seen,
-        modulated=modulated, gated=gated,
+        network, sites["features"], sites["centres"], sites["quaternions"], sites["scales"],
+        (near.sites, near.neighbours, near.ends), seen, modulated=modulated, gated=gated,
     )  # fmt: skip
 
 
-def errors(case: Case, parts: str) -> dict[str, float]:
+def run_twin(case: Case, parts: Ice) -> Tensor:
+    """By torch."""
+    network, sites, near, seen = case
+    return supported_by_products(
+        network, sites["features"], sites["centres"], sites["quaternions"], sites["scales"], near,
+        seen, parts,
+    )  # fmt: skip
+
+
+def errors(case: Case, parts: Ice) -> dict[str, float]:
     """Of the features and of each gradient, as a share of the largest."""
     truth = exact(case)
     outcomes = []
     for this, call in (
-        (truth, lambda c: supported_by_products(c[0], *c[1].values(), c[2], c[3], parts)),
+        (truth, lambda c: run_twin(c, parts)),
         (case, lambda c: run(c, parts)),
     ):
         held = leaves(this)
