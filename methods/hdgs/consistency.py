@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from splatproof.methods.kernels import support as native
 from splatproof.reference.anchors.sparse_convolution import OFFSETS, voxelise
 from splatproof.reference.anchors.support_network import SupportNetwork
 from splatproof.reference.rasterizer import rotation
@@ -82,10 +83,9 @@ def supported(
     seen: Int[Tensor, " v"],
     ice: Ice = "full",
 ) -> Float[Tensor, "v c"]:
-    """Features of some anchors after the step: f + g(f_mod) Linear(f_mod).
+    """Features of some anchors after the step: f + g(f_mod) Linear(f_mod), by the kernels where they can.
 
-    Twin of `support_network.support`: only pairs that exist are computed, one matrix product a
-    kernel cell.
+    Twin of `support_network.support`: only pairs that exist are computed.
 
     Args:
         network: Parameters of the step.
@@ -99,13 +99,43 @@ def supported(
 
     Source: HDGS, Eqs. 7 and 8.
     """
-    own = features[seen]
     if ice == "off":
-        return own
-    count = len(features)
-    wanted = torch.zeros(count, dtype=torch.bool, device=features.device)
+        return features[seen]
+    wanted = torch.zeros(len(features), dtype=torch.bool, device=features.device)
     wanted[seen] = True
     near = near.of(wanted)
+    if native.applies(network, features, centres, quaternions, scales):
+        return native.support(
+            network, features, centres, quaternions, scales,
+            (near.sites, near.neighbours, near.ends), seen,
+            modulated=ice in ("full", "no-gate"), gated=ice in ("full", "no-mod"),
+        )  # fmt: skip
+    return supported_by_products(network, features, centres, quaternions, scales, near, seen, ice)
+
+
+def supported_by_products(
+    network: SupportNetwork,
+    features: Float[Tensor, "n c"],
+    centres: Float[Tensor, "n 3"],
+    quaternions: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    near: Pairs,
+    seen: Int[Tensor, " v"],
+    ice: Ice,
+) -> Float[Tensor, "v c"]:
+    """The same with one matrix product a kernel cell, for any dtype and device.
+
+    Args:
+        network: As for `supported`, like all but `near` and `ice`.
+        features: Features of all anchors.
+        centres: Positions of all anchors.
+        quaternions: Orientation of each anchor's base covariance.
+        scales: Standard deviations of the base covariance.
+        near: Pairs whose receiving site is seen.
+        seen: Rows of the anchors whose features are asked for.
+        ice: Any but "off".
+    """
+    own, count = features[seen], len(features)
     counts = [end - start for start, end in itertools.pairwise((0, *near.ends))]
     given = features.index_select(0, near.neighbours).split(counts)  # its gradient is one copy
     added = torch.cat(

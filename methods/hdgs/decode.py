@@ -1,12 +1,13 @@
-"""Decoding of moving anchors with few, wide matrix products: the twin of the reference's hierarchy."""
+"""Decoding of moving anchors by the kernels, or with few, wide matrix products: twins of the reference's hierarchy."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from splatproof.methods.kernels import hierarchy as native
 from splatproof.reference.anchors.motion_hierarchy import (
     HierarchyNetworks,
     HierarchySettings,
@@ -28,6 +29,102 @@ class Placed:
     """Scales of the last anchors: their Gaussians' are below."""
     away: Float[Tensor, "a c 3"]
     """Offset of each of an anchor's Gaussians from it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reach:
+    """The last anchors, and how far what they decode to reaches."""
+
+    at: Float[Tensor, "a 3"]
+    away: Float[Tensor, " a"]
+    """Largest distance of one of an anchor's Gaussians from it."""
+    largest: Float[Tensor, " a"]
+    """Largest scale that one of them can have."""
+
+
+def reach(
+    anchors: MotionAnchors,
+    networks: HierarchyNetworks,
+    sizes: HierarchySettings,
+    time: float,
+    index: Int[Tensor, " v"],
+) -> Reach:
+    """Where some of the stored anchors have their Gaussians at a time, without decoding them.
+
+    Args:
+        anchors: All stored anchors.
+        networks: Those of positions and scales are run.
+        sizes: Sizes of the hierarchy.
+        time: In the unit of the peaks.
+        index: Rows of those that are asked about, ascending.
+    """
+    if native.applies(anchors, networks):
+        found = native.reach(anchors, networks, sizes, time, index).reshape(-1, native.REACH)
+        return Reach(at=found[:, :3], away=found[:, 3], largest=found[:, 4])
+    chosen = some(anchors, index)
+    last = placed(chosen, networks, sizes, torch.full_like(chosen.peaks, time))
+    away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
+    return Reach(at=last.at, away=away, largest=last.base.amax(dim=1))
+
+
+def decode_some(
+    anchors: MotionAnchors,
+    networks: HierarchyNetworks,
+    sizes: HierarchySettings,
+    time: float,
+    camera_centre: Float[Tensor, "3"],
+    index: Int[Tensor, " v"],
+    *,
+    features: Float[Tensor, "v f"] | None = None,
+    unit: float = 1.0,
+    middle: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Splats:
+    """What some of the stored anchors decode to; rows and slots count among all.
+
+    Args:
+        anchors: All stored anchors.
+        networks: Networks of the same sizes.
+        sizes: Sizes of the hierarchy.
+        time: In the unit of the peaks.
+        camera_centre: In the anchors' frame.
+        index: Rows of the anchors that are decoded, ascending.
+        features: Features that layer 0 starts from, one row a decoded anchor; None: the stored ones.
+        unit: What positions and scales are multiplied by once they are decoded.
+        middle: What is then added to the positions.
+    """
+    if native.applies(anchors, networks, camera_centre):
+        return native.decode(
+            anchors, networks, sizes, time, camera_centre, index=index, features=features,
+            unit=unit, middle=middle,
+        )  # fmt: skip
+    chosen = some(anchors, index)
+    if features is not None:
+        chosen = replace(chosen, features=features)
+    k = sizes.gaussians
+    places = torch.arange(k, device=index.device)
+    splats = decoded(chosen, networks, sizes, time, camera_centre)
+    return replace(
+        splats, decoded=index, scales=splats.scales * unit,
+        means=splats.means * unit + splats.means.new_tensor(middle),
+        rows=index.repeat_interleave(k), slots=(index[:, None] * k + places).reshape(-1),
+    )  # fmt: skip
+
+
+def some(anchors: MotionAnchors, index: Int[Tensor, " v"]) -> MotionAnchors:
+    """Copies of some of the anchors.
+
+    Args:
+        anchors: All of them.
+        index: Rows of those that are wanted.
+    """
+    parts = {
+        name: value.index_select(0, index)
+        for name, value in vars(anchors).items()
+        if isinstance(value, Tensor)
+    }
+    return MotionAnchors(
+        **parts, offsets=tuple(value.index_select(0, index) for value in anchors.offsets)
+    )
 
 
 def placed(

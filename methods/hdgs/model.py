@@ -16,7 +16,7 @@ from splatproof.methods.dynamic.sky import Sky
 from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
-from splatproof.methods.hdgs.decode import decoded, placed
+from splatproof.methods.hdgs.decode import decode_some, reach
 from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
 from splatproof.methods.hdgs.settings import Smoothing
 from splatproof.reference.anchors.motion_hierarchy import (
@@ -97,13 +97,9 @@ class HdgsModel(Model):
         self.sky = Sky()
         self._near: tuple[Tensor, Pairs] | None = None
 
-    def anchors(self, index: Int[Tensor, " v"] | None = None) -> MotionAnchors:
-        """The stored anchors.
-
-        Args:
-            index: Rows of those that are wanted; None: all.
-        """
-        return stored_anchors(self.parameters, self.sizes.layers, index)
+    def anchors(self) -> MotionAnchors:
+        """The stored anchors."""
+        return stored_anchors(self.parameters, self.sizes.layers)
 
     def time(self, view: View) -> float:
         """Time of a view in the unit of the peaks.
@@ -143,35 +139,36 @@ class HdgsModel(Model):
         rows = self.parameters.rows
         alive = life(rows["peaks"], rows["log_spans"].exp(), time) > ALIVE
         (index,) = torch.where(alive)
-        networks = hierarchy(self.parameters.shared, self.sizes.layers)
-        times = rows["peaks"].new_full((len(index),), time)
-        anchors = self.anchors(index)
-        last = placed(anchors, networks, self.sizes, times)
+        anchors, networks = self.anchors(), hierarchy(self.parameters.shared, self.sizes.layers)
+        last = reach(anchors, networks, self.sizes, time, index)
         at = last.at
         if later:
-            at = at + self.drift(anchors, later).repeat_interleave(self.sizes.leaves, dim=0)
+            drift = self.drift(index, later)
+            at = at + drift.repeat_interleave(self.sizes.leaves, dim=0)
         # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
-        away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
-        radius = away + REACH * last.base.amax(dim=1)
+        radius = last.away + REACH * last.largest
         local = transform_points(camera, self.frame.outwards(at)) / self.frame.unit
         depth = local[:, 2]
         focal = float(camera.K.diagonal()[:2].min())
-        radius = radius + BLUR / focal * (depth.abs() + away)
-        seen = depth + away > camera.near / self.frame.unit
+        radius = radius + BLUR / focal * (depth.abs() + last.away)
+        seen = depth + last.away > camera.near / self.frame.unit
         for side in frustum(camera)[1:, :3]:  # all pass through the camera
             inwards = torch.from_numpy(side / np.linalg.norm(side)).to(local)
             seen &= local @ inwards > -radius
         return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
 
-    def drift(self, anchors: MotionAnchors, later: float) -> Float[Tensor, "n 3"]:
+    def drift(self, index: Int[Tensor, " v"], later: float) -> Float[Tensor, "v 3"]:
         """How far anchors get at their average velocity, in the model's unit.
 
         Args:
-            anchors: Their velocities and spans count.
+            index: Rows of the anchors.
             later: Time in the unit of the peaks.
         """
-        spans, period = anchors.log_spans.exp(), self.sizes.period
-        return later * average_velocities(anchors.velocities, spans, period, self.smoothing.decay)
+        rows, period = self.parameters.rows, self.sizes.period
+        velocities, spans = (
+            rows[name].index_select(0, index) for name in ("velocities", "log_spans")
+        )
+        return later * average_velocities(velocities, spans.exp(), period, self.smoothing.decay)
 
     def splats(self, view: View, moment: Moment) -> Splats:
         """What the anchors alive and in view decode to.
@@ -186,29 +183,23 @@ class HdgsModel(Model):
         time = self.time(view) - later
         seen = self.in_view(view.camera, time, later)
         shared, layers = self.parameters.shared, self.sizes.layers
-        anchors = self.anchors(seen)
+        anchors, features = self.anchors(), None
         if CONVOLUTION in shared:
             rows = self.parameters.rows
             features = supported(
                 support(shared), rows["features"], self.parameters.labels["centres"],
                 rows["quaternions"], rows["log_scales"].exp(), self.near(), seen, self.ice,
             )  # fmt: skip
-            anchors = replace(anchors, features=features)
         centre = self.frame.inwards(view.camera.centre)
-        splats = decoded(anchors, hierarchy(shared, layers), self.sizes, time, centre)
-        k = self.sizes.gaussians
+        networks = hierarchy(shared, layers)
+        splats = decode_some(
+            anchors, networks, self.sizes, time, centre, seen, features=features,
+            unit=self.frame.unit, middle=self.frame.middle,
+        )  # fmt: skip
         if later:
-            drift = self.drift(anchors, later).repeat_interleave(k, dim=0)
-            splats = replace(splats, means=splats.means + drift)
-        places = torch.arange(k, device=seen.device)
-        return replace(
-            splats,
-            means=self.frame.outwards(splats.means),
-            scales=splats.scales * self.frame.unit,
-            rows=seen.repeat_interleave(k),
-            slots=(seen[:, None] * k + places).reshape(-1),
-            decoded=seen,
-        )
+            drift = self.drift(seen, later).repeat_interleave(self.sizes.gaussians, dim=0)
+            splats = replace(splats, means=splats.means + drift * self.frame.unit)
+        return splats
 
     def finish_image(self, view: View, output: RenderOutput) -> Float[Tensor, "h w c"]:
         """The sky behind what was rasterized.
@@ -227,19 +218,14 @@ class HdgsModel(Model):
         }  # fmt: skip
 
 
-def stored_anchors(
-    parameters: Parameters, layers: int, index: Int[Tensor, " v"] | None = None
-) -> MotionAnchors:
+def stored_anchors(parameters: Parameters, layers: int) -> MotionAnchors:
     """Anchors of a model's tensors.
 
     Args:
         parameters: As `start.started` makes them.
         layers: Layers of the hierarchy.
-        index: Rows of those that are wanted; None: all.
     """
     parts = {"centres": parameters.labels["centres"], **parameters.rows}
-    if index is not None:
-        parts = {name: value.index_select(0, index) for name, value in parts.items()}
     offsets = tuple(parts.pop(f"offsets{layer}") for layer in range(1, layers))
     return MotionAnchors(**parts, offsets=offsets)
 

@@ -318,6 +318,90 @@ def attend_backward(
 ) -> None:
     """Gradients by query, key and value from the gradient by what was mixed."""
 
+class MovingAnchors:
+    """Arrays of a hierarchy of anchors and of the networks that decode it."""
+
+    def __init__(
+        self,
+        features: Tensor,
+        instances: Tensor,
+        centres: Tensor,
+        velocities: Tensor,
+        log_scales: Tensor,
+        peaks: Tensor,
+        log_spans: Tensor,
+        offsets: list[Tensor],
+        index: Tensor | None,
+        camera_centre: Tensor,
+        own_features: bool,
+        children: int,
+        gaussians: int,
+        period: float,
+        time: float,
+        unit: float,
+        middle: Tensor,
+        networks: list[Tensor],
+    ) -> None: ...
+
+def reach_of_anchors(anchors: MovingAnchors, out: Tensor) -> None:
+    """Position, largest distance of a Gaussian and largest scale of each last anchor."""
+
+def decode_moving_anchors(
+    anchors: MovingAnchors,
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colours: Tensor,
+    rows: Tensor,
+    slots: Tensor,
+) -> None:
+    """Decode the Gaussians into the given arrays."""
+
+def moving_anchors_backward(
+    anchors: MovingAnchors,
+    of_means: Tensor | None,
+    of_quaternions: Tensor | None,
+    of_scales: Tensor | None,
+    of_opacities: Tensor | None,
+    of_colours: Tensor | None,
+    by_anchors: list[Tensor | None],
+    by_networks: list[Tensor],
+) -> None:
+    """Gradients by anchors and networks from gradients by what was decoded."""
+
+class Sites:
+    """Arrays of anchors that support one another, and of the networks for it."""
+
+    def __init__(
+        self,
+        features: Tensor,
+        centres: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        sites: Tensor,
+        neighbours: Tensor,
+        ends: list[int],
+        seen: Tensor,
+        parameters: list[Tensor],
+        modulated: bool,
+        gated: bool,
+    ) -> None: ...
+
+def support(sites: Sites, out: Tensor, mixed: Tensor) -> None:
+    """Features of the seen sites after the step."""
+
+def support_backward(
+    sites: Sites,
+    mixed: Tensor,
+    of_out: Tensor | None,
+    by_features: Tensor | None,
+    by_quaternions: Tensor | None,
+    by_scales: Tensor | None,
+    by_parameters: list[Tensor],
+) -> None:
+    """Gradients by sites and parameters from gradients by the features after the step."""
+
 class ColourHead:
     """Colours of Gaussians and the network that adapts them."""
 

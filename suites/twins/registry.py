@@ -2,6 +2,7 @@
 
 from splatproof.suites.twins.anchors import DECODING
 from splatproof.suites.twins.files import PACKING
+from splatproof.suites.twins.hierarchy import HIERARCHY
 from splatproof.suites.twins.images import LOSS, SSIM
 from splatproof.suites.twins.optimizers import ADAM
 from splatproof.suites.twins.ranks import SOFT_RANK
@@ -13,6 +14,7 @@ from splatproof.suites.twins.twin import Component
 COMPONENTS: dict[str, Component] = {
     component.name: component
     for component in (
-        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, SOFT_RANK, STITCHING, PACKING, TRAINING,
+        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, SOFT_RANK, STITCHING, PACKING,
+        TRAINING,
     )
 }  # fmt: skip

@@ -10,11 +10,16 @@ import torch
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.hdgs.networks import drawn, hierarchy
 from splatproof.methods.kernels import adam
+from splatproof.methods.kernels import hierarchy as native_hierarchy
+from splatproof.methods.kernels import support as native_support
 from splatproof.methods.kernels.blocks import block_weights, render_blocks
 from splatproof.methods.kernels.loss import photometric
 from splatproof.methods.kernels.rasterizer import native_camera, rasterize
 from splatproof.methods.kernels.step import ViewGradients, observe
+from splatproof.reference.anchors.motion_hierarchy import HierarchySettings, MotionAnchors
+from splatproof.reference.anchors.support_network import create
 from splatproof.reference.compression.logistic import squash, stretch
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
@@ -300,8 +305,67 @@ def attention(draw: random.Random) -> None:
     _ext.attend_backward(state, spoiled(draw, numbers(draw, len(rows), out)), *made)
 
 
+def moving_anchors(draw: random.Random) -> None:
+    """A hierarchy of any sizes, some of whose tensors do not fit the others."""
+    n, k, layers = draw.choice(COUNTS), draw.randint(1, 3), draw.randint(2, 5)
+    sizes = HierarchySettings(
+        layers=layers, children=k, gaussians=draw.randint(1, 3) * k ** (layers - 2),
+        features=draw.choice((0, 1, 5, 16, 33)), instance=draw.choice((0, 1, 8)),
+        period=draw.choice((1.0, 1.0, 1e-30, 0.0, float("nan"))),
+    )  # fmt: skip
+    part = lambda *shape: spoiled(draw, numbers(draw, n, *shape))
+    counts = [k**layer for layer in range(1, layers - 1)] + [sizes.gaussians]
+    anchors = MotionAnchors(
+        centres=part(3), features=part(sizes.features), instances=part(sizes.instance),
+        quaternions=torch.zeros(n, 4), log_scales=part(3), peaks=part(), velocities=part(3),
+        log_spans=part(), offsets=tuple(part(count, 3) for count in counts),
+    )  # fmt: skip
+    shared = {
+        name: spoiled(draw, value)
+        for name, value in drawn(sizes, draw.getrandbits(20), ice=False).items()
+    }
+    for value in (*shared.values(), *anchors.offsets, anchors.features, anchors.peaks):
+        if value.is_floating_point() and draw.random() < 0.8:
+            value.requires_grad_()
+    index = None
+    if draw.random() < 0.6:
+        index = spoiled(
+            draw, torch.tensor([i for i in range(n + 1) if draw.random() < 0.5][-n:]).long()
+        )
+    networks, time = hierarchy(shared, layers), draw.choice(ODD)
+    if index is None or draw.random() < 0.5:
+        native_hierarchy.reach(anchors, networks, sizes, time, index)
+    splats = native_hierarchy.decode(anchors, networks, sizes, time, numbers(draw, 3), index=index)
+    if splats.means.requires_grad:
+        (splats.means.sum() + splats.scales.sum()).backward()
+
+
+def support(draw: random.Random) -> None:
+    """Sites and pairs of which some do not exist."""
+    n, c = draw.choice(COUNTS), draw.choice((1, 5, 16, 33))
+    network = create(c, torch.Generator().manual_seed(draw.getrandbits(20)), torch.float32)
+    parts = [spoiled(draw, numbers(draw, n, width)) for width in (c, 3, 4, 3)]
+    seen = [i for i in range(n) if draw.random() < 0.7]
+    count = draw.choice((0, 1, 40, 900)) if seen else 0
+    receives = torch.tensor([draw.choice(seen) for _ in range(count)], dtype=torch.int64)
+    gives = torch.tensor(
+        [draw.randrange(n + (draw.random() < 0.001)) for _ in range(count)], dtype=torch.int64
+    )
+    ends = sorted(draw.randint(0, count) for _ in range(26)) + [count + (draw.random() < 0.05)]
+    for i in (0, 2, 3):
+        if parts[i].is_floating_point():
+            parts[i].requires_grad_()
+    out = native_support.support(
+        network, *parts, (spoiled(draw, receives), spoiled(draw, gives), ends),
+        spoiled(draw, torch.tensor(seen, dtype=torch.int64)),
+        modulated=draw.random() < 0.7, gated=draw.random() < 0.7,
+    )  # fmt: skip
+    if out.requires_grad:
+        out.sum().backward()
+
+
 CASES: dict[str, Callable[[random.Random], None]] = {
     "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
     "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
-    "codes": codes, "attention": attention,
+    "codes": codes, "attention": attention, "moving anchors": moving_anchors, "support": support,
 }  # fmt: skip

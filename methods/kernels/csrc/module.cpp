@@ -34,7 +34,9 @@ NB_MODULE(_ext, m) {
   bind_attention(m);
   bind_codec(m);
   bind_colour_head(m);
+  bind_consistency(m);
   bind_field(m);
+  bind_moving_anchors(m);
   bind_raster(m);
   bind_training(m);
 }

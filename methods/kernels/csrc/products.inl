@@ -21,7 +21,13 @@ struct Right {
 struct Start {  // of the sums; null data is zero
   const float* data;
   ptrdiff_t stride;
+  bool one_a_row = false;  // the number that a row of sums starts from, instead of one number a column
 };
+INLINE vf at_start(Start start, int row, int column) {
+  if (!start.data) return all(0);
+  const float* here = start.data + row * start.stride;
+  return start.one_a_row ? all(*here) : load(here + column);
+}
 
 template <int R, int N>
 INLINE void product_tile(Left a, Right b, int depth, Start start, float* c, ptrdiff_t stride) {
@@ -29,7 +35,7 @@ INLINE void product_tile(Left a, Right b, int depth, Start start, float* c, ptrd
 #pragma GCC unroll 8
   for (int r = 0; r < R; ++r)
 #pragma GCC unroll 2
-    for (int n = 0; n < N; ++n) sums[r][n] = start.data ? load(start.data + r * start.stride + n * LANES) : all(0);
+    for (int n = 0; n < N; ++n) sums[r][n] = at_start(start, r, n * LANES);
   for (int k = 0; k < depth; ++k) {
     vf row[N];
 #pragma GCC unroll 2
@@ -53,7 +59,10 @@ INLINE void product_rows(Left a, Right b, int rows, int lanes, int depth, Start 
   for (; r + R <= rows; r += R) {
     const Left here = {a.data + r * a.by_row, a.by_row, a.by_depth};
     int column = 0;
-    const auto part = [&](int at) { return Start{start.data ? start.data + r * start.stride + at : nullptr, start.stride}; };
+    const auto part = [&](int at) {
+      const int right = start.one_a_row ? 0 : at;
+      return Start{start.data ? start.data + r * start.stride + right : nullptr, start.stride, start.one_a_row};
+    };
     for (; column + TILE_VECTORS * LANES <= lanes; column += TILE_VECTORS * LANES)
       product_tile<R, TILE_VECTORS>(here, {b.data + column, b.stride}, depth, part(column), c + r * stride + column, stride);
     for (; column < lanes; column += LANES)
@@ -62,7 +71,8 @@ INLINE void product_rows(Left a, Right b, int rows, int lanes, int depth, Start 
   if constexpr (R > 1) {
     if (r < rows)
       product_rows<R / 2>({a.data + r * a.by_row, a.by_row, a.by_depth}, b, rows - r, lanes, depth,
-                          {start.data ? start.data + r * start.stride : nullptr, start.stride}, c + r * stride, stride);
+                          {start.data ? start.data + r * start.stride : nullptr, start.stride, start.one_a_row},
+                          c + r * stride, stride);
   }
 }
 

@@ -149,7 +149,7 @@ def test_a_smoothed_step_draws_another_moment_moved_on():
     at = {int(row): place for place, row in enumerate(still.slots)}
     both = [(place, at[int(row)]) for place, row in enumerate(splats.slots) if int(row) in at]
     ours, theirs = (torch.tensor(places) for places in zip(*both, strict=True))
-    slow = model.anchors(splats.rows).velocities * math.exp(-math.exp(0.3) / 2)
+    slow = model.parameters.rows["velocities"][splats.rows] * math.exp(-math.exp(0.3) / 2)
     moved = model.frame.outwards(slow * later) - model.frame.outwards(torch.zeros(1, 3))
     assert len(both) > 0.9 * len(splats)
     assert float(moved.abs().max()) > 1e-3
