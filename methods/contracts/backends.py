@@ -32,6 +32,9 @@ class Backend:
     """What to install before it can be used; empty when it is ready."""
     device: str = "cpu"
     """Kind of torch device that it draws on, and that models and images are kept on for it."""
+    again: Callable[..., RenderOutput] | None = None
+    """again(drawn, camera, means, quaternions, scales, opacities, colours=...): what `rasterize` makes of other
+    colours of Gaussians that it drew, sooner; `drawn` is that picture, with a gradient. None: it cannot."""
     count_pairs: Callable[[], int] | None = None
     """Pairs of Gaussian and tile of all pictures of this process so far; None: it does not count."""
 
@@ -75,7 +78,7 @@ def _cpu() -> Backend:
         return _absent("cpu", f"the compiled kernels do not load ({error}); run `pip install .`")
     return Backend(
         name="cpu", rasterize=kernel.rasterize, capabilities=CONTRACT - {"float64"},
-        count_pairs=kernel.pairs_listed,
+        again=kernel.rasterize_again, count_pairs=kernel.pairs_listed,
     )  # fmt: skip
 
 

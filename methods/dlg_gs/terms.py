@@ -1,6 +1,7 @@
 """What method dlg-gs minimises, term by term."""
 
 from dataclasses import replace
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -81,7 +82,7 @@ class Depth:
             run: Its backend draws; priors are kept in as many bytes as images are.
             weighted: Whether pixels whose two renders differ count less.
         """
-        self.rasterizer = get_backend(run.backend).rasterize
+        self.backend = get_backend(run.backend)
         self.priors = TensorCache(run.image_bytes)
         self.weighted = weighted
 
@@ -91,10 +92,13 @@ class Depth:
         Args:
             frame: A rendered view that has a depth prior.
         """
-        splats = frame.splats
+        splats, rasterizer = frame.splats, self.backend.rasterize
+        if self.backend.again and frame.output.colour.requires_grad:
+            # as much of each Gaussian is seen as in the picture itself
+            rasterizer = partial(self.backend.again, frame.output)
         disparity = depth_constraint.gaussian_disparity(
             frame.view.camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
-            rasterizer=self.rasterizer,
+            rasterizer=rasterizer,
         )  # fmt: skip
         return self._error(disparity, frame)
 
@@ -109,7 +113,7 @@ class Depth:
         anchors = centres_of(frame.model.parameters).index_select(0, splats.rows)
         disparity = depth_constraint.anchor_disparity(
             frame.view.camera, anchors, splats.means, splats.quaternions, splats.scales,
-            rasterizer=self.rasterizer,
+            rasterizer=self.backend.rasterize,
         )  # fmt: skip
         return self._error(disparity, frame)
 

@@ -154,6 +154,53 @@ def rasterize_roughly(
     return RenderOutput(**dict(zip(_NAMES, images, strict=True)))  # type: ignore[arg-type]
 
 
+def rasterize_again(
+    drawn: RenderOutput,
+    camera: Camera,
+    means: Float[Tensor, "n 3"],
+    quaternions: Float[Tensor, "n 4"],
+    scales: Float[Tensor, "n 3"],
+    opacities: Float[Tensor, " n"],
+    *,
+    colours: Float[Tensor, "n c"],
+) -> RenderOutput:
+    """The picture that `rasterize` makes of other colours, where all else was drawn before.
+
+    Who covers which pixel by how much is read from the first picture, so this one takes about half the time. Gradients
+    are those of `rasterize`, to the bit.
+
+    Args:
+        drawn: What `rasterize` returned for these Gaussians, while it has a gradient.
+        camera: The camera that it was drawn from.
+        means: The tensor that was drawn, or one that shares its numbers, as the three that follow: a detached one
+            gets no gradient.
+        quaternions: Rotations (w, x, y, z).
+        scales: Standard deviations in scene units.
+        opacities: Opacity of each Gaussian, in [0, 1].
+        colours: Colour of each Gaussian, 1 to 32 channels.
+
+    Returns: The colours; alpha, depth and radii are those of `drawn` without gradient.
+
+    Raises: ValueError if `drawn` has no gradient, the camera or one of the tensors is not what was drawn, or the
+        colours do not fit them.
+
+    Source: ours.
+    """
+    node = drawn.colour.grad_fn
+    if getattr(node, "_forward_cls", None) is not _Rasterize:
+        raise ValueError("drawn is no picture of this rasterizer that has a gradient")
+    if camera is not node.camera:
+        raise ValueError("camera is not the one that was drawn from")
+    check_model(means, quaternions, scales, opacities, colours, None)
+    shape = means, quaternions, scales, opacities
+    for name, tensor, before in zip(_SHAPE, shape, node.drawn, strict=True):
+        if tensor.data_ptr() != before.data_ptr() or tensor.shape != before.shape:
+            raise ValueError(f"{name} is not the tensor that was drawn")
+    alpha, depth = drawn.alpha.detach(), drawn.depth.detach()
+    image = _Again.apply(node, alpha, depth, *shape, colours)
+    return RenderOutput(colour=image, alpha=alpha, depth=depth, radii=drawn.radii)  # type: ignore[arg-type]
+
+
 def check_model(
     means: Tensor,
     quaternions: Tensor,
@@ -226,6 +273,7 @@ def check_background(background: Tensor | None, channels: int) -> None:
         )
 
 
+_SHAPE = ("means", "quaternions", "scales", "opacities")
 _NAMES = (
     "colour", "alpha", "depth", "radii", "distance", "median_depth", "contributor_ids",
     "contributor_weights",
@@ -279,7 +327,8 @@ class _Rasterize(torch.autograd.Function):
             model, *native_camera(camera), background, colour, alpha, depth, radii, left, far,
             middle, ids, weights,
         )  # fmt: skip
-        ctx.state, ctx.model = state, model
+        ctx.state, ctx.model, ctx.camera, ctx.antialiased = state, model, camera, antialiased
+        ctx.drawn = (means, quaternions, scales, opacities)
         ctx.shapes = [None if t is None else t.shape for t in tensors]
         ctx.save_for_backward(background, left, alpha, depth, far, *tensors[:6])
         ctx.mark_non_differentiable(*(t for t in (radii, ids, weights) if t is not None))
@@ -304,3 +353,32 @@ class _Rasterize(torch.autograd.Function):
             by_median, *new[:6], *new[7:],
         )  # fmt: skip
         return None, None, *new[:6], behind, *new[7:]
+
+
+class _Again(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, node: Any, alpha: Tensor, depth: Tensor, *tensors: Tensor):
+        means, quaternions, scales, opacities, colours = (t.detach().contiguous() for t in tensors)
+        model = _ext.Model(
+            means, quaternions, scales, opacities, colours, None, 0, False, node.antialiased,
+        )  # fmt: skip
+        image = means.new_empty(*alpha.shape, colours.shape[1])
+        use_threads()
+        ctx.state, ctx.model = _ext.render_again(node.state, model, None, image), model
+        ctx.shapes = [t.shape for t in tensors]
+        ctx.save_for_backward(alpha, depth)
+        return image
+
+    @staticmethod
+    def backward(ctx: Any, *grad_outputs: Tensor):
+        alpha, depth = ctx.saved_tensors
+        new = [
+            alpha.new_empty(shape) if need else None
+            for shape, need in zip(ctx.shapes, ctx.needs_input_grad[3:], strict=True)
+        ]
+        use_threads()
+        _ext.render_backward(
+            ctx.state, ctx.model, None, alpha, depth, None, plain(grad_outputs[0]), None, None,
+            None, None, *new, None, None, None,
+        )  # fmt: skip
+        return None, None, None, *new

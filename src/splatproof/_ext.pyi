@@ -127,6 +127,9 @@ def render(
 ) -> State:
     """Render into the given arrays."""
 
+def render_again(before: State, model: Model, background: Tensor | None, colour: Tensor) -> State:
+    """Other colours of Gaussians that were drawn, and what a backward pass needs of that."""
+
 def render_backward(
     state: State,
     model: Model,

@@ -332,12 +332,14 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
   }
 }
 
-void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
+// With AGAIN the picture's Gaussians have been drawn before: which blocks they meet stands in `tiles`, and stays.
+template <bool AGAIN>
+INLINE void draw_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
   const Window window = {tile % tiles.across * TILE, tile / tiles.across * TILE};
   const int features = features_of(out), stride = rec_stride(features);
   const bool stored = (features != 3 && features != 4) || (features == 3 && out.alpha) || out.median || out.contributors;
   const int rows = ST_FEATURES + (features + 3) / 4 * 4;
-  const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first;
+  const uint32_t first = tiles.start[tile], total = AGAIN ? tiles.processed[tile] : tiles.start[tile + 1] - first;
   const Centres centres;
   unsigned open = 0;  // blocks that have a pixel which is not full
   for (int b = 0; b < BLOCKS; ++b) {
@@ -356,7 +358,8 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
     const int count = total - done < (uint32_t)CHUNK ? (int)(total - done) : CHUNK;
     int lengths[BLOCKS];
     uint16_t met[CHUNK];
-    prepare<true>(tiles, scratch, features, window.left, window.top, first, done, count, met);
+    prepare<!AGAIN>(tiles, scratch, features, window.left, window.top, first, done, count, met);
+    if (AGAIN) __builtin_memcpy(met, tiles.blocks + first + done, count * sizeof *met);
     nothing_at(scratch.recs + (size_t)count * stride, stride, done + (uint32_t)count - 1);
     const unsigned before = open;
     list_blocks(met, count, before, scratch, CAPACITY, lengths);
@@ -397,17 +400,25 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
       }
       processed = processed > end ? processed : end;
     }
-    if (tiles.blocks) __builtin_memcpy(tiles.blocks + first + done, met, count * sizeof *met);
+    if (!AGAIN && tiles.blocks) __builtin_memcpy(tiles.blocks + first + done, met, count * sizeof *met);
   }
-  tiles.processed[tile] = processed < total ? processed : total;
+  if (!AGAIN) tiles.processed[tile] = processed < total ? processed : total;
   for (int b = 0; b < BLOCKS; ++b) {
     const float* state = scratch.state + (size_t)b * rows * L;
     write_block(tiles, out, window, b, state);
-    if (!tiles.trace) continue;
+    if (AGAIN || !tiles.trace) continue;
     float* trace = tiles.trace + ((size_t)tile * BLOCKS + b) * TRACE * L;
     store(trace + TR_LEFT * L, load(state + ST_LEFT * L));
     store(trace + TR_LAST * L, load(state + ST_LAST * L));
   }
+}
+
+void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
+  draw_tile<false>(tiles, out, scratch, tile);
+}
+
+void render_tile_again(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
+  draw_tile<true>(tiles, out, scratch, tile);
 }
 
 }  // namespace

@@ -103,6 +103,22 @@ State* render(const ModelArrays& arrays, const In<double, 2>& k, const In<double
   return state.release();
 }
 
+State* render_again(State& before, const ModelArrays& arrays, Background background, Out<float, 3> colour) {
+  const Model model = arrays.model();
+  check(model.count == before.count && model.colours && model.sh_count == 0, "the model");
+  check_image(colour, before.camera, "colour");
+  check(colour.shape(2) == (size_t)model.channels, "colour");
+  check(!background || background->shape(0) == (size_t)model.channels, "background");
+  auto state = std::make_unique<State>();
+  Pictures p = {};
+  p.channels = model.channels;
+  p.background = data(background);
+  p.colour = colour.data();
+  nb::gil_scoped_release release;
+  forward_again(model, p, before, threads(), *state);
+  return state.release();
+}
+
 void render_blocks(const ModelArrays& arrays, const In<double, 2>& k, const In<double, 2>& pose, int width, int height,
                    double near, Background background, In<int64_t, 1> blocks, Out<float, 4> colour, Out<float, 3> alpha,
                    Out<float, 3> depth) {
@@ -200,6 +216,8 @@ void bind_raster(nb::module_& m) {
         nb::arg("height"), nb::arg("near"), array("background").none(), array("colour"), array("alpha"),
         array("depth"), array("radii"), array("left").none(), array("distance").none(), array("median").none(),
         array("ids").none(), array("weights").none(), "Render into the given arrays.");
+  m.def("render_again", &render_again, nb::arg("before"), nb::arg("model"), array("background").none(), array("colour"),
+        nb::keep_alive<0, 1>(), "Other colours of Gaussians that were drawn, and what a backward pass needs of that.");
   m.def("render_backward", &render_backward, nb::arg("state"), nb::arg("model"), array("background").none(),
         array("alpha_value"), array("depth_value"), array("distance_value").none(), array("colour").none(),
         array("alpha").none(), array("depth").none(), array("distance").none(), array("median").none(),

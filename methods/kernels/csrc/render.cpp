@@ -31,13 +31,14 @@ uint64_t pairs_listed() { return listed; }
 void set_backward_rows(size_t count) { most_rows = std::max<size_t>(count, 1); }
 
 Tiles State::view() {
-  return {geo.data(), features.size() ? features.data() : nullptr, stride, channels == 3, bins.entries.data(),
-          bins.start.data(), processed.data(), blocks.size() ? blocks.data() : nullptr,
-          trace.size() ? trace.data() : nullptr, stop, reach, across(), camera.width, camera.height};
+  State& l = laid();
+  return {l.geo.data(), features.size() ? features.data() : nullptr, stride, channels == 3 && !drawn_before,
+          l.bins.entries.data(), l.bins.start.data(), l.processed.data(), l.blocks.size() ? l.blocks.data() : nullptr,
+          l.trace.size() ? l.trace.data() : nullptr, stop, reach, across(), camera.width, camera.height};
 }
 
 Projection State::projection(float* radii) {
-  return {geo.data(), features.size() ? features.data() : nullptr, stride, radii, drawn.data()};
+  return {laid().geo.data(), features.size() ? features.data() : nullptr, stride, radii, laid().drawn.data()};
 }
 
 size_t State::bytes() const {
@@ -87,6 +88,28 @@ void forward(const Model& model, Pictures pictures, float* radii, int threads, S
   clock.lap(STAGE_BLEND);
 }
 
+void forward_again(const Model& model, Pictures pictures, State& before, int threads, State& state) {
+  state.drawn_before = &before.laid();
+  state.camera = before.camera;
+  state.count = model.count;
+  state.channels = model.channels;
+  state.stop = before.stop;
+  state.reach = before.reach;
+  state.stride = (model.channels + 3) / 4 * 4;
+  state.features.resize((size_t)model.count * state.stride);
+  over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
+    for (int64_t i = first; i < last; ++i) {
+      float* to = state.features.data() + i * state.stride;
+      std::copy(model.colours + i * model.channels, model.colours + (i + 1) * model.channels, to);
+      std::fill(to + model.channels, to + state.stride, 0.0f);
+    }
+  });
+  const Scratches scratch(threads, CHUNK, features_of(pictures));
+  const Tiles tiles = state.view();
+  parallel(threads, state.tiles(),
+           [&](int tile, int worker) { kernels().render_tile_again(tiles, pictures, scratch[worker], tile); });
+}
+
 void backward(const Model& model, PictureGradients pictures, const ModelGradients& out, int threads, State& state) {
   StageClock clock;
   const Kernels& k = kernels();
@@ -109,7 +132,7 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
     });
     clock.lap(STAGE_PROJECT_BACKWARD);
   };
-  const Bins& bins = state.bins;
+  const Bins& bins = state.laid().bins;
   const std::vector<int> bands = bands_of(bins, count, most_rows);
   size_t rows = 0;
   for (size_t b = 0; b + 1 < bands.size(); ++b)

@@ -19,17 +19,23 @@ struct State {
   Buffer<uint16_t> blocks;
   Buffer<float> trace;
   Bins bins;
+  State* drawn_before = nullptr;  // the picture whose layout and light this one has, with other colours
 
   int across() const { return (camera.width + TILE - 1) / TILE; }
   int tiles() const { return across() * ((camera.height + TILE - 1) / TILE); }
   Tiles view();
   Projection projection(float* radii);
+  State& laid() { return drawn_before ? *drawn_before : *this; }
   size_t bytes() const;
 };
 
 // Project and sort into tiles: what every picture of the model with as many features as these shares, from this camera.
 void lay_out(const Model& model, const Pictures& pictures, float* radii, int threads, State& state);
 void forward(const Model& model, Pictures pictures, float* radii, int threads, State& state);
+
+// The colour of a picture of the same Gaussians from the same camera with other colours: `state` stays with
+// `before`, which must outlive it. Its channels are those of the model, which has colours alone.
+void forward_again(const Model& model, Pictures pictures, State& before, int threads, State& state);
 
 // Pairs of Gaussian and tile that all pictures of this process so far were made of: work that does not depend on
 // the machine's load, nor on threads.

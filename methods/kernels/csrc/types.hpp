@@ -188,6 +188,7 @@ struct Kernels {
   void (*spans)(const float* geo, const Footprint*, const uint32_t* span_start, int across, float reach, Span*,
                 uint32_t* touched, int64_t first, int64_t last);
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
+  void (*render_tile_again)(const Tiles&, const Pictures&, const Scratch&, int tile);  // other colours of the same
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
                         float* sums, int sums_stride);
   void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,

@@ -79,7 +79,7 @@ def test_its_two_colours_are_the_references(vdjc, radius):
 
 
 def test_lists_follow_anchors_that_move():
-    made = model(replace(SMALL, vdjc="mc", radius=4.0))
+    made = model(replace(SMALL, vdjc="mc", radius=1.0))
     view = tiny_scene().views[2]
     every = torch.arange(len(made.parameters))
     for step in (0.0, 0.01, 0.3, 0.3):

@@ -2,6 +2,7 @@
 
 import inspect
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -356,3 +357,61 @@ def test_gradients_by_a_distance_that_was_not_drawn_are_refused():
     given: list[Any] = [None, *flat[:3], None, None, None, flat[3], *[None] * 9]
     with pytest.raises(ValueError, match="a picture without it"):
         _ext.render_backward(state, model, *given)
+
+
+AGAIN = ("means", "quaternions", "scales", "opacities")
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 6])
+@pytest.mark.parametrize("first", [3, 6])
+@pytest.mark.parametrize("mode", ["classic", "antialiased"])
+def test_other_colours_of_what_was_drawn_are_those_of_a_new_picture(
+    simd_level, channels, first, mode
+):
+    """More Gaussians than a chunk has, some opaque, so that blocks end early."""
+    scene = random_scene(900, channels, width=50, height=40)
+    opacities = torch.where(torch.arange(900) % 9 == 0, torch.tensor(0.99), 0.3 * scene.opacities)
+    scene = replace(scene, opacities=opacities)
+    g = torch.Generator().manual_seed(channels)
+    values, weight = (
+        torch.rand(900, channels, generator=g),
+        torch.randn(40, 50, channels, generator=g),
+    )
+    found = []
+    for fresh in (True, False):
+        leaves = [leaf.detach().requires_grad_() for leaf in scene.arguments(torch.float32)[:4]]
+        drawn = native.rasterize(
+            scene.camera, *leaves, colours=torch.rand(900, first, generator=g), mode=mode
+        )
+        colours = values.clone().requires_grad_()
+        fixed = leaves[0], leaves[1].detach(), leaves[2].detach(), leaves[3]
+        draw = (
+            partial(native.rasterize, mode=mode)
+            if fresh
+            else partial(native.rasterize_again, drawn)
+        )
+        out = draw(scene.camera, *fixed, colours=colours)
+        (out.colour * weight).sum().backward()
+        assert leaves[1].grad is None
+        found.append(
+            [out.colour, out.alpha, out.depth, leaves[0].grad, leaves[3].grad, colours.grad]
+        )
+    for one, other in zip(*found, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_only_what_was_drawn_is_drawn_again():
+    scene = random_scene(30, 1)
+    leaves = dict(zip(AGAIN, scene.arguments(torch.float32)[:4], strict=True))
+    colours = torch.rand(30, 3, generator=torch.Generator().manual_seed(2))
+    drawn = native.rasterize(scene.camera, *leaves.values(), colours=colours)
+    with pytest.raises(ValueError, match="camera is not the one"):
+        native.rasterize_again(drawn, replace(scene.camera), *leaves.values(), colours=colours)
+    for name in AGAIN:
+        other = {**leaves, name: leaves[name].clone()}
+        with pytest.raises(ValueError, match=f"{name} is not the tensor"):
+            native.rasterize_again(drawn, scene.camera, *other.values(), colours=colours)
+    with torch.no_grad():
+        still = native.rasterize(scene.camera, *leaves.values(), colours=colours)
+    with pytest.raises(ValueError, match="has a gradient"):
+        native.rasterize_again(still, scene.camera, *leaves.values(), colours=colours)
