@@ -286,7 +286,10 @@ def plan(
             because=f"the shorter side keeps {LEAST_SHORT_SIDE} pixels",
             expects=f"{100 * (1 - share):.0f} % fewer pixels",
         ))  # fmt: skip
-    told.append(Choice(component="Gaussians", value=f"at most {most:,}", because=why))
+    told.append(Choice(
+        component="Gaussians", value=f"at most {most:,}" + (", at an even pace" if pace == "even" else ""),
+        because=why,
+    ))  # fmt: skip
     told.append(Choice(
         component="largest scale",
         value=f"{settings.widest:g} of the distance to the nearest camera" if settings.widest else "no bound",
