@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from splatproof.methods.models.exposure import Exposure
+from splatproof.methods.training.density import Pace
 from splatproof.methods.training.schedules import require, require_cell
 
 LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0}
@@ -46,6 +47,9 @@ class AutoSettings:
     gradient: float | None = None
     """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
     is densified. None: planned."""
+    pace: Pace | None = None
+    """How fast the number of Gaussians may come to its cap: free: at once; even: by equal shares of the room that
+    is left. None: planned."""
     motion: bool | None = None
     """Whether Gaussians move, as method pvg's do, by the scene's times and LiDAR sweeps. None: planned."""
     exposure: Exposure | None = None

@@ -73,13 +73,15 @@ class MovingControl(DensityControl):
             if len(self.peak_sum) != len(parameters):  # no view was observed since
                 self._clear(len(parameters), parameters.rows["means"].device)
             pulled = self.peak_sum.abs() / self.seen.clamp(min=1) >= self.time.time_gradient
-            in_space = self.densify(step, parameters, generator)
+            most = self.most_after(step, len(parameters))
+            in_space = self.densify(step, parameters, generator, most=most)
             yield self._spread(in_space, parameters, generator)
             assert in_space.parents is not None
             assert in_space.fresh is not None
             chosen = pulled[in_space.parents] & ~in_space.fresh
             if bool(chosen.any()):
                 shorter = step >= self.time.time_split * self.settings.stop
+                chosen = within(chosen, most)
                 yield self.in_time(chosen, parameters, generator, shorter=shorter)
             self._clear(len(parameters), chosen.device)
         if self.resets(step):
@@ -130,14 +132,13 @@ class MovingControl(DensityControl):
         """Clone Gaussians of short life, split those of long life into moments of it.
 
         Args:
-            chosen: Those that are pulled in time.
+            chosen: Those that are pulled in time and may grow.
             parameters: The model's tensors.
             generator: Source of the moments.
             shorter: Whether three children live 1 / 1.6 as long, rather than two as long as before.
         """
         rows = {name: value.detach() for name, value in parameters.rows.items()}
         long = spans(rows) > self.time.least_span
-        chosen = self._within(chosen)
         split = torch.where(chosen & long)[0].repeat(3 if shorter else 2)
         clone = torch.where(chosen & ~long)[0]
         keep = torch.where(~(chosen & long))[0]
@@ -150,13 +151,6 @@ class MovingControl(DensityControl):
             log_spans = log_spans - children.to(log_spans) * math.log(SPLIT_SHRINK)
         fresh = torch.arange(len(parents), device=parents.device) >= len(keep)
         return Edit(parents=parents, fresh=fresh, values={**values, "log_spans": log_spans})
-
-    def _within(self, chosen: Bool[Tensor, " n"]) -> Bool[Tensor, " n"]:
-        """The first of them, as many as the bound on all Gaussians lets be chosen."""
-        if self.settings.most is None:
-            return chosen
-        left = max(0, self.settings.most - len(chosen)) // 2
-        return chosen & (chosen.cumsum(0) <= left)
 
     def _clear(self, count: int, device: torch.device) -> None:
         """Forget the statistics."""
@@ -171,3 +165,15 @@ class MovingControl(DensityControl):
         """Take over what `state` returned."""
         super().restore(state)
         self.peak_sum = state["peak_sum"].clone()
+
+
+def within(chosen: Bool[Tensor, " n"], most: int | None) -> Bool[Tensor, " n"]:
+    """The first of some Gaussians, as many as a bound on all lets become three each.
+
+    Args:
+        chosen: Those that are to be cloned or split in time.
+        most: Most Gaussians afterwards; None: no bound.
+    """
+    if most is None:
+        return chosen
+    return chosen & (chosen.cumsum(0) <= max(0, most - len(chosen)) // 2)

@@ -103,22 +103,23 @@ class FsgsControl(SparseControl):
             generator: Source of the children's positions.
         """
         if self.densifies(step):
-            yield self.densify(step, parameters, generator)
+            most = self.most_after(step, len(parameters))
+            yield self.densify(step, parameters, generator, most=most)
             if step < self.unpool_stop:
-                yield self.unpool(parameters)
+                yield self.unpool(parameters, most)
         if self.resets(step):
             yield self.reset(parameters)
 
-    def unpool(self, parameters: Parameters) -> Edit:
+    def unpool(self, parameters: Parameters, most: int | None) -> Edit:
         """Add Gaussians half way between lonely ones and their neighbours.
 
         They have the neighbour's scale and opacity, no rotation, and are grey.
 
         Args:
             parameters: The model's tensors, those of a GaussianModel.
+            most: Most Gaussians afterwards; None: no bound.
         """
         rows = {name: value.detach() for name, value in parameters.rows.items()}
-        most = self.settings.most
         made = unpooled(
             rows["means"], *nearest_others(rows["means"]), self.unpool_distance,
             None if most is None else most - len(parameters),

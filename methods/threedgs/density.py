@@ -107,7 +107,7 @@ class StrategicDensity(Density):
         """Refuse settings that the strategy does not look at, and a strategy without what it needs."""
         strategy = self.strategy
         if strategy == "mcmc":
-            self._require_unset("gradient", "split_gradient", "split_size", "largest_size")
+            self._require_unset("gradient", "split_gradient", "split_size", "largest_size", "pace")
             never = self.reset_interval in (0, Density.reset_interval)
             require(never, "density.reset_interval", self.reset_interval,
                     "0 under strategy mcmc, which resets no opacity")  # fmt: skip

@@ -48,14 +48,15 @@ class ErrorControl(DensityControl):
             views = self.scorer.drawn(step, splats, generator)
             found = self.evidence(views, splats) if self.chosen.strategy == "error" else None
             before = len(parameters)
+            most = self.most_after(step, before)
             if self.chosen.insertion.share:
-                yield from self.insert(views, parameters, generator)
+                yield from self.insert(views, parameters, generator, most)
             if found is None:
-                yield self.densify(step, parameters, generator)
+                yield self.densify(step, parameters, generator, most=most)
             else:
                 found = torch.cat([found, found.new_zeros(len(found), len(parameters) - before)], 1)
                 losses = found.new_tensor([view.loss for view in views])
-                yield from self.gated(step, parameters, generator, found, losses)
+                yield from self.gated(step, parameters, generator, found, losses, most)
         if self.resets(step):
             yield self.reset(parameters)
 
@@ -81,6 +82,7 @@ class ErrorControl(DensityControl):
         generator: torch.Generator,
         found: Float[Tensor, "v n"],
         losses: Float[Tensor, " v"],
+        most: int | None,
     ) -> Iterator[Edit]:
         """Densify what views agree on, then remove what they blame most; blame follows its rows.
 
@@ -90,9 +92,11 @@ class ErrorControl(DensityControl):
             generator: Source of the children's positions.
             found: Evidence in each view.
             losses: Loss of each view.
+            most: Most Gaussians afterwards; None: no bound.
         """
         rules = self.chosen.error
-        edit = self.densify(step, parameters, generator, importance(found) <= rules.pixels)
+        resting = importance(found) <= rules.pixels
+        edit = self.densify(step, parameters, generator, resting, most)
         yield edit
         if rules.blame == 1:
             return
@@ -103,7 +107,11 @@ class ErrorControl(DensityControl):
             yield Edit(parents=torch.where(~gone)[0])
 
     def insert(
-        self, views: Sequence[ScoredView], parameters: Parameters, generator: torch.Generator
+        self,
+        views: Sequence[ScoredView],
+        parameters: Parameters,
+        generator: torch.Generator,
+        most: int | None,
     ) -> Iterator[Edit]:
         """Add Gaussians where photos show errors, as far as `most` allows; their statistics are 0.
 
@@ -111,8 +119,9 @@ class ErrorControl(DensityControl):
             views: Rendered views.
             parameters: The model's tensors.
             generator: Source of the pixels.
+            most: Most Gaussians afterwards; None: no bound.
         """
-        rules, most, count = self.chosen.insertion, self.chosen.most, len(parameters)
+        rules, count = self.chosen.insertion, len(parameters)
         wanted = round(rules.share * count)
         wanted = wanted if most is None else min(wanted, max(0, most - count))
         made = inserted(views, wanted, size=rules.size, opacity=rules.opacity, generator=generator)

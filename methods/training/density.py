@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -15,6 +16,8 @@ SPLIT_SHRINK = 1.6
 """A child's scale is its parent's divided by this (0.8 times the 2 children)."""
 RESET_OPACITY = 0.01
 """A reset leaves no Gaussian more opaque than this."""
+Pace = Literal["free", "even"]
+"""How fast densification may come to the cap on Gaussians: at once, or by equal shares of what is left."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +59,10 @@ class Density:
     most: int | None = None
     """Most Gaussians that densification may lead to: those with the largest gradients are densified
     first. None: no bound."""
+    pace: Pace = "free"
+    """How fast. free: any densification may lead to `most`; even: each may add an equal share of the room that is
+    left up to `most`, one part for it and one for each densification to come, so that what is pulled at
+    early does not take the room of what shows to be wanted later."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -70,6 +77,13 @@ class Density:
             require(value >= 1, f"density.{name}", value, ">= 1")
         require(0 <= self.least_opacity < 1, "density.least_opacity", self.least_opacity, "[0, 1)")
         require(self.most is None or self.most >= 1, "density.most", self.most, ">= 1 or None")
+        bounded = self.pace == "free" or self.most is not None
+        require(
+            bounded,
+            "density.pace",
+            self.pace,
+            "free where density.most is None: there is no room to share out",
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

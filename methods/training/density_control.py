@@ -65,6 +65,38 @@ def densifies(settings: Density, step: int) -> bool:
     return settings.start < step < settings.stop and step % settings.interval == 0
 
 
+def densifications_left(settings: Density, step: int) -> int:
+    """Number of densifications from a step on, its own included.
+
+    Args:
+        settings: Density control whose steps are the run's own.
+        step: Number of the step, from 1.
+    """
+    last = max(0, settings.stop - 1) // settings.interval
+    return max(0, last - max(settings.start, step - 1) // settings.interval)
+
+
+def most_after(settings: Density, step: int, count: int) -> int | None:
+    """Most Gaussians that a step's densification may lead to: count + (most - count) / left at an even pace.
+
+    A function of what is there now, so that nothing has to be kept between steps: where every
+    densification takes what it may, the number rises by as many each time.
+
+    Args:
+        settings: Density control whose steps are the run's own.
+        step: A step that ends with a densification.
+        count: Gaussians before it.
+
+    Returns: The number, rounded down; `most` where there are more; None: no bound.
+
+    Source: ours.
+    """
+    if settings.pace == "free" or settings.most is None:
+        return settings.most
+    share = (settings.most - count) // max(1, densifications_left(settings, step))
+    return min(settings.most, count + share)
+
+
 class DensityControl:
     """Adaptive density control of explicit Gaussians, as the 3DGS release does it."""
 
@@ -142,6 +174,15 @@ class DensityControl:
         """Whether a step ends with a densification."""
         return densifies(self.settings, step)
 
+    def most_after(self, step: int, count: int) -> int | None:
+        """Most rows that a step's densification may lead to; None: no bound.
+
+        Args:
+            step: A step that ends with a densification.
+            count: Rows before it.
+        """
+        return most_after(self.settings, step, count)
+
     def resets(self, step: int) -> bool:
         """Whether a step ends with an opacity reset."""
         every = self.settings.reset_interval
@@ -153,6 +194,7 @@ class DensityControl:
         parameters: Parameters,
         generator: torch.Generator,
         resting: Bool[Tensor, " n"] | None = None,
+        most: int | None = None,
     ) -> Edit:
         """Clone, split and prune by the statistics so far, and forget them.
 
@@ -161,6 +203,7 @@ class DensityControl:
             parameters: The model's tensors, as for `edits`.
             generator: Source of the children's positions.
             resting: Rows that are neither cloned nor split, whatever pulls at them; None: none.
+            most: Most rows that it may lead to; None: as `most_after` says of the rows that are there.
         """
         every = self.settings.reset_interval
         fixed = None
@@ -175,8 +218,9 @@ class DensityControl:
             fixed = self.rules.fixed(parameters)
         if resting is not None:
             gradient[resting] = absolute[resting] = -1  # below any threshold
+        most = self.most_after(step, len(parameters)) if most is None else most
         rows = densify(
-            _shapes(parameters), gradient, self.settings, extent=self.extent,
+            _shapes(parameters), gradient, replace(self.settings, most=most), extent=self.extent,
             prune_large=0 < every < step, generator=generator, fixed=fixed,
             absolute=absolute if self.settings.split_gradient else None,
         )  # fmt: skip

@@ -158,7 +158,7 @@ def test_what_moves_follows_the_plan():
         without_what_is_lacking(usual(AutoSettings(sh_degree=1), facts())), iterations=123,
         exposure="gain",
     )  # fmt: skip
-    settings = replace(settings, density=replace(settings.density, most=777))
+    settings = replace(settings, density=replace(settings.density, most=777, pace="even"))
     found = moving(settings, DRIVE)
     assert (found.iterations, found.sh_degree, found.exposure) == (123, 1, "gain")
     for part in fields(Density):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from splatproof.base.errors import UsageError
 from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.planner import (
+    PACE,
     Candidate,
     candidates,
     coarsest,
@@ -103,6 +104,17 @@ def test_the_largest_scale_stands_in_the_plan():
         (told,) = (one for one in found.choices if one.component == "largest scale")
         assert why in told.because
         assert (told.value == "no bound") == (share == 0)
+
+
+def test_the_pace_stands_in_the_plan_and_needs_a_cap_that_only_the_plan_knows():
+    for pace in ("free", "even"):
+        asked = AutoSettings(pace=pace)
+        assert usual(asked, FACTS).density.pace == "free"
+        found = planned(asked)
+        assert found.settings.density.pace == pace
+        (told,) = (one for one in found.choices if one.component == "Gaussians")
+        assert told.value.endswith(", at an even pace") == (pace == "even")
+    assert planned(AutoSettings()).settings.density.pace == PACE
 
 
 def test_exposures_compete_where_photos_differ():

@@ -150,6 +150,15 @@ def test_never_more_than_asked_for():
     assert len(full.parameters) == 6
 
 
+def test_growth_in_space_and_in_time_share_what_a_step_may_add():
+    paced = replace(DENSITY, most=101, pace="even", gradient=0.5)
+    for by_place, want in ((0.0, 8), (0.1, 11)):  # 19 densifications: (101 - 6) / 19 = 5 a step
+        of = control(tensors(6), paced)
+        observe(of, [3e-3] * 6, by_place=by_place)
+        apply(of)
+        assert len(of.parameters) == want  # in time two of six, as each may become three
+
+
 def test_statistics_come_back_and_are_forgotten_after_a_densification():
     of = control(tensors(3))
     observe(of, [1e-3, 2e-3, 3e-3])

@@ -70,7 +70,7 @@ def test_what_is_unpooled_lies_half_way_grey_and_upright_with_the_neighbours_loo
         parameters.rows[name] = torch.randn(value.shape, generator=generator)
     control.unpool_distance = 1.5
     before = {name: value.clone() for name, value in parameters.rows.items()}
-    edit = control.unpool(parameters)
+    edit = control.unpool(parameters, None)
     parameters.edit(edit)
     added = len(parameters) - 15
     assert added > 0

@@ -1,6 +1,7 @@
 """Method absgs: 3dgs with a split by absolute gradients, on both paths."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -14,7 +15,9 @@ from splatproof.methods.threedgs.absgs import AbsDensity, AbsGS
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 
-FAST = {"start": 0, "interval": 10, "least_interval": 10, "stop": 25_000, "reset_interval": 0}
+FAST: dict[str, Any] = {
+    "start": 0, "interval": 10, "least_interval": 10, "stop": 25_000, "reset_interval": 0,
+}  # fmt: skip
 
 
 def test_its_own_thresholds_hold_where_a_suite_sets_others():

@@ -265,7 +265,7 @@ def test_only_what_views_agree_on_grows():
     found = torch.zeros(2, 40)
     found[:, 7] = torch.tensor([4.0, 8.0])
     found[0, 9] = 9.0  # one view alone
-    edit, *rest = control.gated(10, rows, seeded(), found, torch.ones(2))
+    edit, *rest = control.gated(10, rows, seeded(), found, torch.ones(2), None)
     assert rest == []
     assert edit.parents is not None
     assert edit.parents.bincount(minlength=40).nonzero()[:, 0].tolist() == list(range(40))
@@ -279,7 +279,7 @@ def test_blame_follows_its_rows_through_the_densification():
     found[:, 30] = 19.5
     control.gradient_sum[30] = 0.0  # nothing pulls at this one
     before = rows.rows["means"].clone()
-    for edit in control.gated(10, rows, seeded(), found, torch.ones(2)):
+    for edit in control.gated(10, rows, seeded(), found, torch.ones(2), None):
         rows.edit(edit)
     kept = (rows.rows["means"][:, None] == before).all(dim=2).any(dim=0)
     assert not kept[30]
@@ -288,7 +288,7 @@ def test_blame_follows_its_rows_through_the_densification():
 
 def test_nothing_marked_lets_nothing_grow_and_removes_nothing():
     control, rows = gated(pixels=0.0, blame=0.5)
-    (edit,) = control.gated(10, rows, seeded(), torch.zeros(2, 40), torch.ones(2))
+    (edit,) = control.gated(10, rows, seeded(), torch.zeros(2, 40), torch.ones(2), None)
     assert edit.parents is not None
     assert edit.parents.tolist() == list(range(40))
 
@@ -381,13 +381,13 @@ def test_insertion_pads_the_statistics_and_keeps_to_the_cap():
     assert isinstance(control, ErrorControl)
     control.gradient_sum = control.absolute_sum = control.seen = torch.arange(40.0)
     views = control.scorer.drawn(10, splats_of(rows), seeded())
-    edit = only(control.insert(views, rows, seeded()))
+    edit = only(control.insert(views, rows, seeded(), control.settings.most))
     rows.edit(edit)
     assert len(rows) == 42  # 4 were wanted
     assert edit.fresh is not None
     assert edit.fresh.tolist() == [False] * 40 + [True] * 2
     assert control.gradient_sum.tolist() == [*range(40), 0, 0]
-    assert list(control.insert(views, rows, seeded())) == []
+    assert list(control.insert(views, rows, seeded(), control.settings.most)) == []
 
 
 # --- whole runs
