@@ -155,9 +155,8 @@ class DlgModel(AnchorModel):
         gated = attention.pooled_gates(self.attention_inputs(camera, centres), weights)
         if not self.mixes:
             return gated @ weights.value
-        radius = (
-            self.lighting.radius if self.moves else math.inf
-        )  # lists of what stands still are exact
+        # Lists of what stands still are exact.
+        radius = self.lighting.radius if self.moves else math.inf
         return attention_among(gated, seen, self._neighbours(every), weights, every, radius)
 
     def attention_inputs(

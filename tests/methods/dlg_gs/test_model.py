@@ -13,9 +13,10 @@ from splatproof.methods.contracts.model import TRAINED, Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.fit import prepare
 from splatproof.methods.dlg_gs.light import factors, statistics
-from splatproof.methods.dlg_gs.model import DlgModel
+from splatproof.methods.dlg_gs.model import DlgModel, adapted_colours
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.reference.anchors import attention, hvi, lighting_appearance, scaffold
+from splatproof.reference.types import mlp
 from splatproof.reference.types.mlp import Mlp
 from splatproof.reference.types.scene import Scene, View, camera_view
 
@@ -76,6 +77,19 @@ def test_its_two_colours_are_the_references(vdjc, radius):
     trained = made.splats(view, TRAINED).colours
     assert trained is not None
     assert torch.equal(trained, splats.colours[:, :3])
+
+
+def test_colours_that_torch_adapts_are_the_references():
+    """As where the kernels do not apply: in float64."""
+    g = torch.Generator().manual_seed(3)
+    draw = lambda *shape: torch.rand(*shape, generator=g, dtype=torch.float64)
+    head = mlp.create((3 + 4 + 5, 6, 6, 4), g, torch.float64)
+    colours, factor, attended = draw(9, 3), draw(4), draw(4, 5)
+    owner = torch.tensor([0, 0, 0, 1, 2, 2, 3, 3, 3])
+    torch.testing.assert_close(
+        adapted_colours(head, colours, factor, attended, owner),
+        lighting_appearance.adapt_colours(head, colours, factor, attended[owner]),
+    )
 
 
 def test_lists_follow_anchors_that_move():
