@@ -186,7 +186,7 @@ def rasterize_again(
 
     Source: ours.
     """
-    node = drawn.colour.grad_fn
+    node: Any = drawn.colour.grad_fn  # the context of its forward pass
     if getattr(node, "_forward_cls", None) is not _Rasterize:
         raise ValueError("drawn is no picture of this rasterizer that has a gradient")
     if camera is not node.camera:
@@ -379,6 +379,6 @@ class _Again(torch.autograd.Function):
         use_threads()
         _ext.render_backward(
             ctx.state, ctx.model, None, alpha, depth, None, plain(grad_outputs[0]), None, None,
-            None, None, *new, None, None, None,
+            None, None, *new, sh=None, screen=None, screen_absolute=None,
         )  # fmt: skip
         return None, None, None, *new
