@@ -168,6 +168,11 @@ LADDERS = (
            problem=_leaf("stitching", "opacity_logits", torch.add)),
     Ladder(component="loss", name="times as alike", rungs=decades(0, 6), problem=_photo),
     Ladder(component="anchors", name="times as far apart", rungs=decades(0, 6), problem=_apart),
+    Ladder(component="hierarchy", name="times as short a life", rungs=decades(0, 4),
+           problem=_leaf("hierarchy", "log_spans", lambda v, h: v - math.log(h))),
+    # from 10^4 on every float32 sine of where a child stands is off: the code has it times 8
+    Ladder(component="hierarchy", name="times as large an anchor", rungs=decades(0, 3),
+           problem=_leaf("hierarchy", "log_scales", lambda v, h: v + math.log(h))),
     Ladder(component="soft rank", name="spread / temperature", rungs=decades(0, 8, 2),
            problem=_leaf("soft rank", "values", lambda v, h: v * h * TEMPERATURE)),
 )  # fmt: skip
