@@ -107,7 +107,7 @@ def reach(
     time: float,
     index: Int[Tensor, " v"] | None = None,
 ) -> Float[Tensor, "v leaves 5"]:
-    """Of each last anchor: position (3), largest distance of its Gaussians from it, largest base scale.
+    """Each last anchor's position (3), largest distance of its Gaussians from it, largest base scale.
 
     Args:
         anchors: The stored anchors.

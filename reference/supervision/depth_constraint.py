@@ -143,7 +143,12 @@ def normalise_disparity(
 
 
 def quantiles(values: Float[Tensor, " n"], shares: Sequence[float]) -> list[Float[Tensor, ""]]:
-    """Linear between neighbours in order, as torch.quantile, which sorts all values to find them."""
+    """Linear between neighbours in order, as torch.quantile, which sorts all values to find them.
+
+    Args:
+        values: At least one.
+        shares: Each in [0, 1]: 0 is the smallest value, 1 the largest.
+    """
     ranks = [share * (len(values) - 1) for share in shares]
     below = [math.floor(rank) for rank in ranks]
     above = [min(rank + 1, len(values) - 1) for rank in below]

@@ -32,5 +32,5 @@ void exp2_many(const float* x, float* y, int64_t count) {
 #define STRING(a) STRING2(a)
 
 extern const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL);
-const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, footprints, spans, render_tile, render_tile_again,
+const splat::Kernels JOIN(splat_kernels_, SPLAT_LEVEL) = {STRING(SPLAT_LEVEL), project, footprints, spans, render_tile<false>, render_tile<true>,
                                                          backward_tile, backward_project, loss_rows, adam, exp2_many};

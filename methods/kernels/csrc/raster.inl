@@ -334,7 +334,7 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
 
 // With AGAIN the picture's Gaussians have been drawn before: which blocks they meet stands in `tiles`, and stays.
 template <bool AGAIN>
-INLINE void draw_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
+void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
   const Window window = {tile % tiles.across * TILE, tile / tiles.across * TILE};
   const int features = features_of(out), stride = rec_stride(features);
   const bool stored = (features != 3 && features != 4) || (features == 3 && out.alpha) || out.median || out.contributors;
@@ -411,14 +411,6 @@ INLINE void draw_tile(const Tiles& tiles, const Pictures& out, const Scratch& sc
     store(trace + TR_LEFT * L, load(state + ST_LEFT * L));
     store(trace + TR_LAST * L, load(state + ST_LAST * L));
   }
-}
-
-void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
-  draw_tile<false>(tiles, out, scratch, tile);
-}
-
-void render_tile_again(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
-  draw_tile<true>(tiles, out, scratch, tile);
 }
 
 }  // namespace
