@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatproof.datasets.procedural.noise import fbm
+from splatproof.datasets.procedural.noise import fbm, inner
 from splatproof.datasets.procedural.surface import mix, rgb, step
 from splatproof.datasets.procedural.tracing import START, Caster
 from splatproof.datasets.procedural.units import Number, Triple
@@ -134,7 +134,7 @@ class Daylight:
         lit = np.zeros(len(points), dtype=bool)
         starts = points[facing] + face_normals[facing] * START * 5
         lit[facing] = ~self.caster.blocked(starts, np.broadcast_to(to_sun, starts.shape))
-        cosine = (normals @ torch.from_numpy(to_sun.astype(np.float32))).clamp(min=0)
+        cosine = inner(normals, torch.from_numpy(to_sun.astype(np.float32))).clamp(min=0)
         sun = torch.from_numpy(lit).float() * cosine
         return sun[:, None] * torch.tensor(self.sky.sun) + self._skylight(points, normals)
 

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.datasets.procedural.noise import cell_random, fbm, visible
+from splatproof.datasets.procedural.noise import cell_random, fbm, inner, visible
 from splatproof.datasets.procedural.surface import Paint, Surface, mix, rgb, step
 from splatproof.datasets.procedural.units import Number
 
@@ -55,7 +55,7 @@ def soil_colour(surface: Surface, heading: Number = 0.35) -> Float[Tensor, "n 3"
     p, foot = surface.points[:, :2], surface.footprint
     across = torch.tensor([-torch.sin(torch.tensor(heading)), torch.cos(torch.tensor(heading))])
     bend = fbm(p, 9.0, 2, 21) * 0.8
-    row = torch.sin((p @ across + bend) * (2 * torch.pi / 0.9)) * visible(0.9, foot)
+    row = torch.sin((inner(p, across) + bend) * (2 * torch.pi / 0.9)) * visible(0.9, foot)
     crop = step(-0.1, 0.9, row + 1.6 * (fbm(p, 2.2, 4, 22, foot) - 0.5))
     soil = mix(rgb("5a4433"), rgb("8d7358"), fbm(p, 3.0, 5, 23, foot))
     green = mix(rgb("4c6b2c"), rgb("7f9446"), fbm(p, 7.0, 4, 24, foot))
@@ -130,7 +130,7 @@ def segment_distance(
     for start, end in pairwise(line):
         a, b = torch.tensor(start), torch.tensor(end)
         length = float((b - a).norm())
-        t = ((points - a) @ (b - a) / length**2).clamp(0, 1)
+        t = (inner(points - a, b - a) / length**2).clamp(0, 1)
         away = (points - a - t[:, None] * (b - a)).norm(dim=1)
         along = torch.where(away < best, walked + t * length, along)
         best = torch.minimum(best, away)

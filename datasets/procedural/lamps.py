@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from splatproof.datasets.procedural.noise import inner
 from splatproof.datasets.procedural.tracing import START, Caster
 
 LOBE = 2.0
@@ -48,7 +49,7 @@ class Lamps:
             ways = torch.from_numpy(position - points)
             distance = ways.norm(dim=1)
             ways = functional.normalize(ways, dim=1)
-            lobe = (-(ways @ torch.from_numpy(axis))).clamp(min=0) ** LOBE
+            lobe = (-inner(ways, torch.from_numpy(axis))).clamp(min=0) ** LOBE
             cosine = (ways.float() * normals).sum(dim=1).clamp(min=0)
             strength = self.power * lobe.float() * cosine / distance.float() ** 2
             wanted = np.flatnonzero((strength > 1e-4).numpy())

@@ -92,10 +92,37 @@ def fbm(
         if carried is not None and not bool(carried.any()):
             break  # finer ones are carried even less
         # turning each octave hides that all lattices are aligned
-        turned = points @ _turn(points.shape[1], octave).to(points)
+        turned = products(points, _turn(points.shape[1], octave).to(points))
         wave = (value_noise(turned / length, seed + 101 * octave) - 0.5) * (0.5**octave / norm)
         total = total + (wave if carried is None else wave * carried)
     return total
+
+
+def products(points: Float[Tensor, "n d"], matrix: Float[Tensor, "d m"]) -> Float[Tensor, "n m"]:
+    """Points times a matrix, rounded alike on every machine.
+
+    A library's product chooses its order of sums and its fused multiplications by the processor it finds
+    itself on: a hundred values of a world's pictures then come out one level apart, and rows of two
+    machines were scored on other images.
+
+    Args:
+        points: Row vectors.
+        matrix: What multiplies each from the right.
+    """
+    total = points[:, :1] * matrix[0]
+    for axis in range(1, points.shape[1]):
+        total = total + points[:, axis : axis + 1] * matrix[axis]
+    return total
+
+
+def inner(points: Float[Tensor, "n d"], way: Float[Tensor, " d"]) -> Float[Tensor, " n"]:
+    """Inner products of points with one vector, rounded alike on every machine.
+
+    Args:
+        points: Row vectors.
+        way: What each is multiplied with.
+    """
+    return products(points, way[:, None])[:, 0]
 
 
 def visible(wavelength: Number, footprint: Float[Tensor, " n"]) -> Float[Tensor, " n"]:

@@ -1,0 +1,34 @@
+"""Worlds have the same pixels whichever processor's way of multiplying matrices a library takes."""
+
+import os
+import subprocess
+import sys
+
+SCRIPT = """
+import hashlib
+from splatproof.datasets.procedural import ray_images, worlds
+for world in ("tunnel", "street", "courtyard"):
+    plan = worlds.plan(world, "small", 0)
+    shot = plan.shots[0]
+    stage = plan.stage(shot)
+    frame = ray_images.take(stage.caster, stage.lighting, shot.camera, samples=2, seed=3,
+                            exposure=stage.exposure, seeds=stage.object_seeds)
+    print(world, hashlib.sha256(frame.colour.tobytes()).hexdigest(), flush=True)
+"""
+MODES = ({}, {"MKL_CBWR": "COMPATIBLE"}, {"MKL_CBWR": "AVX2", "OPENBLAS_CORETYPE": "Haswell"})
+"""What the libraries take on another processor: without and with fused multiplications."""
+
+
+def test_pixels_do_not_depend_on_the_libraries_kernels():
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-c", SCRIPT],
+            env=os.environ | mode | {"OMP_NUM_THREADS": "1"},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for mode in MODES
+    ]
+    shown = [run.communicate()[0].split() for run in runs]
+    assert [run.returncode for run in runs] == [0] * len(MODES)
+    assert shown[0] == shown[1] == shown[2]
