@@ -1,7 +1,7 @@
 """Run a suite: every case once, resumable at any moment, one failing case never stops the others."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -99,7 +99,7 @@ def run_suite(
     suite: Suite,
     folder: str | Path,
     *,
-    only: str | None = None,
+    planned: Sequence[Case] = (),
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_result: Callable[[Outcome], None] = lambda _: None,
     backend: str = "cpu",
@@ -113,14 +113,15 @@ def run_suite(
     """Run all cases that are not finished yet, one after the other.
 
     Cases that differ in the rules of scoring alone are trained once, see `training_key`, also where
-    `only` chose one of them now and another before. A case is finished if its record was made of these
+    one of them is run now and another was before. A case is finished if its record was made of these
     settings, protocol, backend and data. Where the data behind the scene's name have changed it runs again, and what it had goes to
     <folder>/<suite>/.replaced/.../seed<k>/<n>.
 
     Args:
         suite: What to run.
         folder: Results go to <folder>/<suite>/<scene>/<method>/<protocol>/seed<k>/.
-        only: Pattern that the cases to run match, see `select`.
+        planned: Cases that are not run now, where `suite` is a choice of them: models are taken of those that
+            ran another time.
         on_progress: Hears where a running case is.
         on_result: Hears what became of each case, kept ones included.
         backend: Name of the rasterizer; part of what makes a result count as this case's.
@@ -132,10 +133,10 @@ def run_suite(
         engine: Where blocks are trained, see splatproof.methods.city.executor.
         launch: Runs a job to its record.
     Returns: One outcome a case, in the suite's order.
-    Raises: UsageError if `only` matches nothing; also if another process is at work in the folder.
+    Raises: UsageError if another process is at work in the folder.
     """
     folder = Path(folder)
-    cases = select(suite, only=only).cases
+    cases = suite.cases
     outcomes = []
     root = folder / suite.name
     blocks = root / ".blocks"
@@ -144,7 +145,7 @@ def run_suite(
         if not resume:
             shutil.rmtree(blocks, ignore_errors=True)
         models: dict[str, dict[Path, str]] = {}
-        for case in suite.cases if resume else ():  # also those that run another time
+        for case in (*planned, *cases) if resume else ():
             same = models.setdefault(training_key(case, backend), {})
             same[root / case.folder] = case_key(case, backend)
         for index, case in enumerate(cases):

@@ -86,6 +86,17 @@ def test_choosing_and_starting_over(suite, capsys):
 
 
 @pytest.mark.usefixtures("no_store")
+def test_a_model_is_taken_of_a_case_that_was_chosen_another_time(suite, capsys):
+    suite.with_name("half.toml").write_text('source = "tests"\nregion = "right_half"\n')
+    suite.write_text(SUITE.replace('["default"]', '["default", "./half.toml"]'))
+    for protocol, trained in (("default", False), ("half", True)):
+        assert bench_run(suite, "--only", f"*/{protocol}/seed1", "--json") == 0
+        (record,) = lines(capsys.readouterr().out)
+        told = json.loads((Path(record["folder"]) / "record.json").read_text())
+        assert ("trained in" in told["environment"]) == trained
+
+
+@pytest.mark.usefixtures("no_store")
 def test_a_failed_case_is_told_and_the_exit_code_is_1(suite, capsys):
     suite.write_text(SUITE.replace("iterations = 6", 'iterations = 6\nfail_with = "no sky"'))
     assert bench_run(suite, "--json", "--quiet") == 1

@@ -11,7 +11,7 @@ from splatproof.methods.loading import load_origin
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.suites import run_case as cases
-from splatproof.suites.runner import run_suite
+from splatproof.suites.runner import run_suite, select
 from splatproof.suites.same_model import training_key
 from splatproof.suites.suite_files import Case, Suite
 from splatproof.suites.workers import in_process
@@ -37,9 +37,12 @@ def fits(monkeypatch) -> list[int]:
     return made
 
 
-def run(folder, *those: Case, **options):
+def run(folder, *those: Case, only: str | None = None, resume: bool = True):
     suite = Suite(name="tiny", description="For tests", cases=those, scenes=("town",))
-    return run_suite(suite, folder, backend="reference", launch=in_process, **options)
+    return run_suite(
+        select(suite, only=only), folder, planned=those, backend="reference", launch=in_process,
+        resume=resume,
+    )  # fmt: skip
 
 
 def test_one_model_is_scored_under_two_protocols(tmp_path, fits):

@@ -90,7 +90,7 @@ def run(
     with output.progress() as bar:
         screen = Screen(bar, _print_record)
         outcomes = run_suite(
-            chosen, out, on_progress=screen.progress, on_result=screen.result,
+            chosen, out, planned=whole.cases, on_progress=screen.progress, on_result=screen.result,
             **options(running, blocks),
         )  # fmt: skip
     if sync_cases(out / whole.name, uri):
