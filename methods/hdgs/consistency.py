@@ -101,15 +101,15 @@ def supported(
     """
     if ice == "off":
         return features[seen]
-    wanted = torch.zeros(len(features), dtype=torch.bool, device=features.device)
-    wanted[seen] = True
-    near = near.of(wanted)
     if native.applies(network, features, centres, quaternions, scales):
         return native.support(
             network, features, centres, quaternions, scales,
             (near.sites, near.neighbours, near.ends), seen,
             modulated=ice in ("full", "no-gate"), gated=ice in ("full", "no-mod"),
         )  # fmt: skip
+    wanted = torch.zeros(len(features), dtype=torch.bool, device=features.device)
+    wanted[seen] = True
+    near = near.of(wanted)
     return supported_by_products(network, features, centres, quaternions, scales, near, seen, ice)
 
 

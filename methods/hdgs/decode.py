@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from splatproof.methods.kernels import hierarchy as native
@@ -31,25 +31,20 @@ class Placed:
     """Offset of each of an anchor's Gaussians from it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Reach:
-    """The last anchors, and how far what they decode to reaches."""
-
-    at: Float[Tensor, "a 3"]
-    away: Float[Tensor, " a"]
-    """Largest distance of one of an anchor's Gaussians from it."""
-    largest: Float[Tensor, " a"]
-    """Largest scale that one of them can have."""
-
-
-def reach(
+@torch.no_grad()
+def visible(
     anchors: MotionAnchors,
     networks: HierarchyNetworks,
     sizes: HierarchySettings,
     time: float,
     index: Int[Tensor, " v"],
-) -> Reach:
-    """Where some of the stored anchors have their Gaussians at a time, without decoding them.
+    pyramid: native.Pyramid,
+    drift: Float[Tensor, "v 3"] | None = None,
+) -> Bool[Tensor, " v"]:
+    """Of which of some anchors an image may show a Gaussian, without decoding them.
+
+    An anchor counts if a ball around one of its last descendants, which holds all that one's Gaussians
+    with all their pixels, meets the pyramid.
 
     Args:
         anchors: All stored anchors.
@@ -57,14 +52,22 @@ def reach(
         sizes: Sizes of the hierarchy.
         time: In the unit of the peaks.
         index: Rows of those that are asked about, ascending.
+        pyramid: What the image opens.
+        drift: What is added to the positions of what each decodes to; None: nothing.
     """
     if native.applies(anchors, networks):
-        found = native.reach(anchors, networks, sizes, time, index).reshape(-1, native.REACH)
-        return Reach(at=found[:, :3], away=found[:, 3], largest=found[:, 4])
+        return native.visible(anchors, networks, sizes, time, pyramid, index=index, drift=drift)
     chosen = some(anchors, index)
     last = placed(chosen, networks, sizes, torch.full_like(chosen.peaks, time))
     away = last.away.square().sum(dim=2).amax(dim=1).sqrt()
-    return Reach(at=last.at, away=away, largest=last.base.amax(dim=1))
+    at = last.at if drift is None else last.at + drift.repeat_interleave(sizes.leaves, dim=0)
+    pose = pyramid.pose.to(at)
+    local = at @ pose[:, :3].T + pose[:, 3]
+    depth = local[:, 2]
+    radius = away + pyramid.sigmas * last.base.amax(dim=1) + pyramid.blur * (depth.abs() + away)
+    seen = depth + away > pyramid.near
+    seen &= (local @ pyramid.sides.to(at).T > -radius[:, None]).all(dim=1)
+    return seen.reshape(len(index), sizes.leaves).any(dim=1)
 
 
 def decode_some(

@@ -16,16 +16,17 @@ from splatproof.methods.dynamic.sky import Sky
 from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported
-from splatproof.methods.hdgs.decode import decode_some, reach
+from splatproof.methods.hdgs.decode import decode_some, visible
 from splatproof.methods.hdgs.networks import CONVOLUTION, hierarchy, support
 from splatproof.methods.hdgs.settings import Smoothing
+from splatproof.methods.kernels.hierarchy import Pyramid
 from splatproof.reference.anchors.motion_hierarchy import (
     HierarchySettings,
     MotionAnchors,
 )
 from splatproof.reference.anchors.vibration import life
 from splatproof.reference.partition.frustum import frustum
-from splatproof.reference.types.camera import Camera, transform_points
+from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
 from splatproof.reference.types.splats import Splats
@@ -127,9 +128,7 @@ class HdgsModel(Model):
         """Rows of the anchors that are alive and of whose Gaussians an image may show one.
 
         All of them are put in their places, residuals and vibration included, by the small networks
-        of positions and scales alone; the larger ones run on what is left. An anchor counts if a
-        ball around one of its last descendants, which holds all that one's Gaussians with all their
-        pixels, meets the pyramid that the image opens.
+        of positions and scales alone; the larger ones run on what is left.
 
         Args:
             camera: Camera of the image.
@@ -140,22 +139,9 @@ class HdgsModel(Model):
         alive = life(rows["peaks"], rows["log_spans"].exp(), time) > ALIVE
         (index,) = torch.where(alive)
         anchors, networks = self.anchors(), hierarchy(self.parameters.shared, self.sizes.layers)
-        last = reach(anchors, networks, self.sizes, time, index)
-        at = last.at
-        if later:
-            drift = self.drift(index, later)
-            at = at + drift.repeat_interleave(self.sizes.leaves, dim=0)
-        # A ball around each of the last anchors that holds its Gaussians, in the model's unit.
-        radius = last.away + REACH * last.largest
-        local = transform_points(camera, self.frame.outwards(at)) / self.frame.unit
-        depth = local[:, 2]
-        focal = float(camera.K.diagonal()[:2].min())
-        radius = radius + BLUR / focal * (depth.abs() + last.away)
-        seen = depth + last.away > camera.near / self.frame.unit
-        for side in frustum(camera)[1:, :3]:  # all pass through the camera
-            inwards = torch.from_numpy(side / np.linalg.norm(side)).to(local)
-            seen &= local @ inwards > -radius
-        return index[seen.reshape(len(index), self.sizes.leaves).any(dim=1)]
+        drift = self.drift(index, later) if later else None
+        pyramid = pyramid_of(camera, self.frame)
+        return index[visible(anchors, networks, self.sizes, time, index, pyramid, drift)]
 
     def drift(self, index: Int[Tensor, " v"], later: float) -> Float[Tensor, "v 3"]:
         """How far anchors get at their average velocity, in the model's unit.
@@ -216,6 +202,26 @@ class HdgsModel(Model):
             "sizes": asdict(self.sizes), "frame": asdict(self.frame), "clock": self.clock.facts(),
             "voxel": self.voxel, "ice": self.ice,
         }  # fmt: skip
+
+
+def pyramid_of(camera: Camera, frame: Frame) -> Pyramid:
+    """What a camera's image may show, as the model counts lengths.
+
+    Args:
+        camera: Camera in the scene's frame.
+        frame: The model's coordinates.
+    """
+    pose = camera.world_to_camera.double().cpu().numpy()[:3].copy()
+    pose[:, 3] = (pose[:, :3] @ frame.middle + pose[:, 3]) / frame.unit
+    sides = frustum(camera)[1:, :3]  # all pass through the camera
+    sides = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    return Pyramid(
+        pose=torch.from_numpy(pose.astype(np.float32)),
+        near=camera.near / frame.unit,
+        sides=torch.from_numpy(sides.astype(np.float32)),
+        sigmas=REACH,
+        blur=BLUR / float(camera.K.diagonal()[:2].min()),
+    )
 
 
 def stored_anchors(parameters: Parameters, layers: int) -> MotionAnchors:

@@ -54,15 +54,16 @@ def step(
         if len(tensors) != len(rates):
             raise ValueError(f"{name} has {len(tensors)} tensors, expected {len(rates)} as rates")
         for i, (tensor, value) in enumerate(zip(tensors, values, strict=True)):
-            good = tensor.dtype == torch.float32 and tensor.is_contiguous()
-            if not good or tensor.device.type != "cpu" or tensor.shape != value.shape:
+            good = tensor.dtype == torch.float32 and tensor.is_contiguous() and tensor.is_cpu
+            if not good or tensor.shape != value.shape:
                 raise ValueError(
                     f"{name}[{i}] is {tensor.dtype} {tuple(tensor.shape)} on {tensor.device}, "
                     f"expected contiguous torch.float32 {tuple(value.shape)} on the CPU"
                 )
     use_threads()
+    at = {name: [tensor.data_ptr() for tensor in tensors] for name, tensors in groups.items()}
     _ext.adam(
-        [t.detach() for t in values], [t.detach() for t in gradients],
-        [t.detach() for t in first], [t.detach() for t in second],
+        at["values"], at["gradients"], at["first"], at["second"],
+        [len(value) if value.ndim else 0 for value in values], [value.numel() for value in values],
         list(rates), number, betas[0], betas[1], epsilon, rows,
     )  # fmt: skip

@@ -1,14 +1,15 @@
 """The native decoding of moving anchors: twin of splatproof.reference.anchors.motion_hierarchy.decode, in float32.
 
 It differs from the reference by rounding only, and leaves quaternions of any norm. Additions: `index` decodes some of
-the anchors without copying them, `features` replaces theirs, and `reach` says where Gaussians may stand at all.
+the anchors without copying them, `features` replaces theirs, and `visible` says of which an image may show anything.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from splatproof import _ext
@@ -26,8 +27,22 @@ DEPTH = 2
 """Layers of each network that the kernels evaluate: one hidden layer."""
 MOST_LAYERS = 8
 """Largest N that the kernels have room for."""
-REACH = 5
-"""Numbers that `reach` says of a last anchor."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pyramid:
+    """What an image may show, in the anchors' frame and unit: what lies before it and between its four sides."""
+
+    pose: Float[Tensor, "3 4"]
+    """From the anchors' frame into the camera's, float32."""
+    near: float
+    """Depth from which anything is drawn."""
+    sides: Float[Tensor, "4 3"]
+    """Unit normals of planes through the camera in its frame, inwards, float32."""
+    sigmas: float
+    """Scales of a Gaussian within which it is drawn."""
+    blur: float
+    """What is drawn of a Gaussian beyond that, as a share of its distance."""
 
 
 def applies(
@@ -100,31 +115,37 @@ def decode(
 
 
 @torch.no_grad()
-def reach(
+def visible(
     anchors: MotionAnchors,
     networks: HierarchyNetworks,
     settings: HierarchySettings,
     time: float,
+    pyramid: Pyramid,
+    *,
     index: Int[Tensor, " v"] | None = None,
-) -> Float[Tensor, "v leaves 5"]:
-    """Each last anchor's position (3), largest distance of its Gaussians from it, largest base scale.
+    drift: Float[Tensor, "v 3"] | None = None,
+) -> Bool[Tensor, " v"]:
+    """Of which anchors an image may show a Gaussian: of those that are not True it shows none.
 
     Args:
         anchors: The stored anchors.
         networks: Those of positions and scales are run.
         settings: Sizes; the offsets must fit them.
         time: In the unit of the peaks.
+        pyramid: What the image opens.
         index: Rows of the anchors that are asked about, ascending; None: all.
+        drift: What is added to the positions of what each decodes to; None: nothing.
 
     Raises: ValueError if the shapes do not fit together.
     """
     facts = _Facts(settings, time, anchors.centres.new_zeros(3), index, False)
     native = facts.arrays(_stored(anchors), _tensors(networks))
-    out = anchors.centres.new_empty(
-        len(anchors.centres) if index is None else len(index), settings.leaves, REACH
-    )
+    out = torch.empty(len(anchors.centres) if index is None else len(index), dtype=torch.bool)
     use_threads()
-    _ext.reach_of_anchors(native, out)
+    _ext.visible_anchors(
+        native, pyramid.pose.contiguous(), pyramid.sides.contiguous(), pyramid.near,
+        pyramid.sigmas, pyramid.blur, plain(drift), out,
+    )  # fmt: skip
     return out
 
 

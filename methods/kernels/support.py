@@ -55,7 +55,8 @@ def support(
         centres: Positions of all sites.
         quaternions: Orientation (w, x, y, z) of each base covariance, any norm.
         scales: Standard deviations of the base covariance, > 0.
-        pairs: Who receives, who gives, and where the pairs of each kernel cell end; only of sites that are seen.
+        pairs: Who receives, who gives, and where the pairs of each kernel cell end; those whose receiving site is
+            not seen count for nothing.
         seen: Rows of the sites whose features are asked for.
         modulated: Whether direction and shape weigh what is given.
         gated: Whether the gate weighs what is added.

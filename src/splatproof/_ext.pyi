@@ -159,10 +159,12 @@ def photometric(
     """The loss; its gradient goes into `gradient`."""
 
 def adam(
-    values: list[Tensor],
-    gradients: list[Tensor],
-    first: list[Tensor],
-    second: list[Tensor],
+    values: list[int],
+    gradients: list[int],
+    first: list[int],
+    second: list[int],
+    lengths: list[int],
+    sizes: list[int],
     rates: list[float],
     step: int,
     beta1: float,
@@ -346,8 +348,17 @@ class MovingAnchors:
         networks: list[Tensor],
     ) -> None: ...
 
-def reach_of_anchors(anchors: MovingAnchors, out: Tensor) -> None:
-    """Position, largest distance of a Gaussian and largest scale of each last anchor."""
+def visible_anchors(
+    anchors: MovingAnchors,
+    pose: Tensor,
+    sides: Tensor,
+    near: float,
+    sigmas: float,
+    blur: float,
+    drift: Tensor | None,
+    out: Tensor,
+) -> None:
+    """Whether a view's pyramid may show a Gaussian of each anchor."""
 
 def decode_moving_anchors(
     anchors: MovingAnchors,

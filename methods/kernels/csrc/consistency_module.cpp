@@ -31,19 +31,20 @@ struct SiteArrays {
   In<int64_t, 1> seen;
   std::vector<Flat> parameters;
   bool modulated, gated;
+  std::vector<int64_t> receive = {}, give = {}, kept_ends = {};  // the pairs whose receiving site is seen
 
   SupportArrays arrays() const {
-    SupportArrays a = {features.data(), centres.data(), quaternions.data(), scales.data(), sites.data(),
-                       neighbours.data(), seen.data(), (int64_t)features.shape(0), (int64_t)sites.shape(0),
+    SupportArrays a = {features.data(), centres.data(), quaternions.data(), scales.data(), receive.data(),
+                       give.data(), seen.data(), (int64_t)features.shape(0), (int64_t)receive.size(),
                        (int64_t)seen.shape(0), {}, parameters[0].data(), network_at(parameters, MODULATION),
                        network_at(parameters, GATE), parameters[RESIDUAL].data(), parameters[RESIDUAL + 1].data(),
                        (int)features.shape(1), modulated, gated};
-    for (int i = 0; i < CELLS; ++i) a.ends[i] = ends[(size_t)i];
+    for (int i = 0; i < CELLS; ++i) a.ends[i] = kept_ends[(size_t)i];
     return a;
   }
 
-  // Throws std::invalid_argument where they do not fit together.
-  void check_all() const {
+  // Chooses the pairs; throws std::invalid_argument where things do not fit together.
+  void take() {
     const size_t n = features.shape(0), c = features.shape(1);
     check(centres.shape(0) == n && centres.shape(1) == 3, "centres");
     check(quaternions.shape(0) == n && quaternions.shape(1) == 4, "quaternions");
@@ -55,7 +56,7 @@ struct SiteArrays {
     check_network(GATE, c, 1, "the gate");
     check(parameters[RESIDUAL].ndim() == 2 && parameters[RESIDUAL].shape(0) == c && parameters[RESIDUAL].shape(1) == c &&
           parameters[RESIDUAL + 1].size() == c, "the residual");
-    check_pairs((int64_t)n);
+    take_pairs((int64_t)n);
   }
 
  private:
@@ -66,25 +67,36 @@ struct SiteArrays {
           t[3].shape(0) == outputs, name);
   }
 
-  void check_pairs(int64_t n) const {
+  void take_pairs(int64_t n) {
     check(sites.shape(0) == neighbours.shape(0), "neighbours");
     check(ends.size() == CELLS && ends.back() == (int64_t)sites.shape(0), "the list of ends");
     for (size_t i = 0; i < CELLS; ++i) check(ends[i] >= (i ? ends[i - 1] : 0), "the list of ends");
-    std::vector<bool> shown((size_t)n, false);
+    std::vector<uint8_t> shown((size_t)n, 0);
     for (size_t i = 0; i < seen.shape(0); ++i) {
       const int64_t row = seen.data()[i];
       if (row < 0 || row >= n || shown[(size_t)row])
         throw std::invalid_argument("seen[" + std::to_string(i) + "] is " + std::to_string(row) +
                                     ", expected different rows below " + std::to_string(n));
-      shown[(size_t)row] = true;
+      shown[(size_t)row] = 1;
     }
-    for (size_t i = 0; i < sites.shape(0); ++i) {
-      const int64_t site = sites.data()[i], other = neighbours.data()[i];
-      if (site < 0 || site >= n || other < 0 || other >= n || !shown[(size_t)site])
-        throw std::invalid_argument("pair " + std::to_string(i) + " is of " + std::to_string(site) + " and " +
-                                    std::to_string(other) + ", expected rows below " + std::to_string(n) +
-                                    ", the first of them seen");
+    const int64_t *from = sites.data(), *to = neighbours.data();
+    receive.resize(sites.shape(0));
+    give.resize(sites.shape(0));
+    size_t count = 0, pair = 0;
+    for (const int64_t end : ends) {
+      for (; pair < (size_t)end; ++pair) {
+        const int64_t site = from[pair], other = to[pair];
+        if (site < 0 || site >= n || other < 0 || other >= n)
+          throw std::invalid_argument("pair " + std::to_string(pair) + " is of " + std::to_string(site) + " and " +
+                                      std::to_string(other) + ", expected rows below " + std::to_string(n));
+        receive[count] = site;
+        give[count] = other;
+        count += shown[(size_t)site];
+      }
+      kept_ends.push_back((int64_t)count);
     }
+    receive.resize(count);
+    give.resize(count);
   }
 };
 
@@ -124,7 +136,7 @@ void bind_consistency(nb::module_& m) {
               const std::vector<Flat>& parameters, bool modulated, bool gated) {
              new (self) SiteArrays{features, centres, quaternions, scales, sites, neighbours, ends, seen, parameters,
                                    modulated, gated};
-             self->check_all();
+             self->take();
            },
            array("features"), array("centres"), array("quaternions"), array("scales"), array("sites"),
            array("neighbours"), nb::arg("ends"), array("seen"), array("parameters"), nb::arg("modulated"),

@@ -74,17 +74,25 @@ struct HierarchyGradients {
   float* offsets[MOST_LEVELS];
 };
 
+// What an image may show: points before the near plane and between four planes through the camera, all in the
+// anchors' unit.
+struct Pyramid {
+  float rotation[9], shift[3];  // from the anchors' frame into the camera's
+  float near;
+  float sides[4][3];            // unit normals in the camera's frame, inwards
+  float sigmas, blur;           // reach of a Gaussian in scales, and in distances from the camera
+};
+
 struct HierarchyKernels {
-  // Of anchors [first, last), at most GROUP, one row of REACH numbers a last anchor: its position, the largest distance
-  // of its Gaussians from it and its largest scale.
-  void (*reach)(const HierarchyArrays&, const HierarchyModel&, float* out, float* memory, int64_t first, int64_t last);
+  // Of anchors [first, last), at most GROUP: whether a ball around one of the last anchors that holds its Gaussians
+  // meets the pyramid. `drift` [count, 3] is added to positions; null: nothing is.
+  void (*visible)(const HierarchyArrays&, const HierarchyModel&, const Pyramid&, const float* drift, uint8_t* out,
+                  float* memory, int64_t first, int64_t last);
   void (*decode)(const HierarchyArrays&, const HierarchyModel&, const HierarchyOutputs&, float* memory, int64_t first,
                  int64_t last);
   // Gradients by these anchors; those by the networks are added to the sums.
   void (*backward)(const HierarchyArrays&, const HierarchyModel&, const HierarchyGradients&, const NetworkSums*,
                    float* memory, int64_t first, int64_t last);
 };
-
-constexpr int REACH = 5;
 
 }  // namespace splat

@@ -171,31 +171,40 @@ struct Last {  // the last layer of anchors
   }
 };
 
-void reach(const HierarchyArrays& a, const HierarchyModel& net, float* out, float* m, int64_t first, int64_t last) {
+void visible(const HierarchyArrays& a, const HierarchyModel& net, const Pyramid& pyramid, const float* drift,
+             uint8_t* out, float* m, int64_t first, int64_t last) {
   const HierarchyPlaces& p = net.places;
   read_records(a, p, m, first, last);
   place(a, net, m, false);
   const Last l = Last::of(a, p, m);
-  float* planes = m + p.decoded;
+  alignas(64) float moved[3 * GROUP] = {}, shown[GROUP] = {};
+  for (int64_t i = first; drift && i < last; ++i)
+    for (int c = 0; c < 3; ++c) moved[c * GROUP + i - first] = drift[3 * i + c];
   for (int node = 0; node < l.nodes; ++node)
     for (int i = 0; i < GROUP; i += LANES) {
-      vf farthest = all(0), largest = all(0);
+      vf square = all(0), largest = all(0), at[3], local[3];
       for (int g = 0; g < l.each; ++g) {
         const vf x = l.away(node, g, 0, i), y = l.away(node, g, 1, i), z = l.away(node, g, 2, i);
-        farthest = maximum(farthest, x * x + y * y + z * z);
+        square = maximum(square, x * x + y * y + z * z);
       }
-      float* to = planes + node * REACH * GROUP + i;
       for (int c = 0; c < 3; ++c) {
-        store(to + c * GROUP, load(l.at + c * l.lanes + node * GROUP + i));
+        at[c] = load(l.at + c * l.lanes + node * GROUP + i) + load(moved + c * GROUP + i);
         largest = maximum(largest, load(l.sizes + c * l.lanes + node * GROUP + i));
       }
-      store(to + 3 * GROUP, square_root(farthest));
-      store(to + 4 * GROUP, largest);
+      for (int c = 0; c < 3; ++c) {
+        const float* row = pyramid.rotation + 3 * c;
+        local[c] = all(row[0]) * at[0] + all(row[1]) * at[1] + all(row[2]) * at[2] + all(pyramid.shift[c]);
+      }
+      const vf away = square_root(square), depth = local[2], far = maximum(depth, all(0) - depth);
+      const vf radius = away + all(pyramid.sigmas) * largest + all(pyramid.blur) * (far + away);
+      vf inside = select(depth + away <= all(pyramid.near), all(0), all(1));
+      for (const auto& side : pyramid.sides) {
+        const vf along = local[0] * all(side[0]) + local[1] * all(side[1]) + local[2] * all(side[2]);
+        inside = select(along + radius <= all(0), all(0), inside);
+      }
+      store(shown + i, maximum(load(shown + i), inside));
     }
-  const int width = l.nodes * REACH;
-  to_rows(planes, width, m + p.rows, p.row_stride);
-  for (int64_t i = first; i < last; ++i)
-    __builtin_memcpy(out + i * width, m + p.rows + (i - first) * p.row_stride, width * sizeof(float));
+  for (int64_t i = first; i < last; ++i) out[i] = shown[i - first] > 0;
 }
 
 // Features, distance and direction of the last anchors, and the networks that read them, activated.
@@ -458,4 +467,4 @@ void backward(const HierarchyArrays& a, const HierarchyModel& net, const Hierarc
 #define JOIN(a, b) JOIN2(a, b)
 
 extern const splat::HierarchyKernels JOIN(splat_hierarchy_, SPLAT_LEVEL);
-const splat::HierarchyKernels JOIN(splat_hierarchy_, SPLAT_LEVEL) = {reach, decode, backward};
+const splat::HierarchyKernels JOIN(splat_hierarchy_, SPLAT_LEVEL) = {visible, decode, backward};

@@ -75,7 +75,7 @@ HierarchyPlaces places_of(const HierarchyArrays& a, const HierarchyModel& model)
   int64_t widest = hidden;
   for (int i = 0; i < model.heads + HEADS; ++i) widest = std::max(widest, (int64_t)model.networks[i].outputs);
   p.turned = take(padded(widest) * lanes);
-  const int64_t columns = std::max<int64_t>(GAUSSIAN * a.gaussians, REACH * p.nodes[last]);
+  const int64_t columns = GAUSSIAN * a.gaussians;
   p.decoded = take(padded(columns) * GROUP);
   p.row_stride = padded(std::max<int64_t>(columns, p.width));
   p.rows = take(p.row_stride * GROUP);
@@ -174,10 +174,11 @@ void leave_all(const Prepared& prepared, const NetworkSums* sums, const std::vec
 
 }  // namespace
 
-void hierarchy_reach(const HierarchyArrays& a, const std::vector<SmallNetwork>& networks, float* out, int threads) {
+void hierarchy_visible(const HierarchyArrays& a, const std::vector<SmallNetwork>& networks, const Pyramid& pyramid,
+                       const float* drift, uint8_t* out, int threads) {
   const Prepared prepared(a, networks);
   over_blocks(a, prepared.model, threads, [&](int64_t first, int64_t last, float* memory) {
-    hierarchy_in_use().reach(a, prepared.model, out, memory, first, last);
+    hierarchy_in_use().visible(a, prepared.model, pyramid, drift, out, memory, first, last);
   });
 }
 

@@ -9,9 +9,9 @@ namespace splat {
 
 // Networks are given in the order of HierarchyModel, each as it is stored.
 
-// [count * last anchors, REACH]: positions, largest distances of Gaussians and largest scales of the last anchors.
-void hierarchy_reach(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks, float* out,
-                     int threads);
+// Whether the pyramid may show a Gaussian of each anchor [count], moved by its drift [count, 3] or null.
+void hierarchy_visible(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks,
+                       const Pyramid& pyramid, const float* drift, uint8_t* out, int threads);
 void hierarchy_decode(const HierarchyArrays& anchors, const std::vector<SmallNetwork>& networks,
                       const HierarchyOutputs& out, int threads);
 // Writes the gradients in full, zero for anchors that were not decoded; `by_networks` is empty where they are not

@@ -109,12 +109,26 @@ struct MovingArrays {
   }
 };
 
-void reach(const MovingArrays& arrays, Out<float, 3> out) {
+void visible(const MovingArrays& arrays, In<float, 2> pose, In<float, 2> sides, float near, float sigmas, float blur,
+             Maybe<In<float, 2>> drift, Out<bool, 1> out) {
   const HierarchyArrays a = arrays.anchors();
-  check(out.shape(0) == (size_t)a.count && out.shape(1) == arrays.leaves() && out.shape(2) == REACH, "out");
+  Pyramid pyramid = {};
+  check(pose.shape(0) == 3 && pose.shape(1) == 4, "pose");
+  check(sides.shape(0) == 4 && sides.shape(1) == 3, "sides");
+  check_rows(drift, a.count, 3, "drift");
+  check(out.shape(0) == (size_t)a.count, "out");
+  for (int row = 0; row < 3; ++row) {
+    for (int c = 0; c < 3; ++c) pyramid.rotation[3 * row + c] = pose.data()[4 * row + c];
+    pyramid.shift[row] = pose.data()[4 * row + 3];
+  }
+  for (int side = 0; side < 4; ++side)
+    for (int c = 0; c < 3; ++c) pyramid.sides[side][c] = sides.data()[3 * side + c];
+  pyramid.near = near;
+  pyramid.sigmas = sigmas;
+  pyramid.blur = blur;
   const std::vector<SmallNetwork> networks = arrays.stored();
   nb::gil_scoped_release release;
-  hierarchy_reach(a, networks, out.data(), threads());
+  hierarchy_visible(a, networks, pyramid, data(drift), reinterpret_cast<uint8_t*>(out.data()), threads());
 }
 
 void decode(const MovingArrays& arrays, Out<float, 2> means, Out<float, 2> quaternions, Out<float, 2> scales,
@@ -184,8 +198,9 @@ void bind_moving_anchors(nb::module_& m) {
            nb::arg("own_features"), nb::arg("children"), nb::arg("gaussians"), nb::arg("period"), nb::arg("time"),
            nb::arg("unit"), array("middle"),
            array("networks"));
-  m.def("reach_of_anchors", &reach, nb::arg("anchors"), array("out"),
-        "Position, largest distance of a Gaussian and largest scale of each last anchor.");
+  m.def("visible_anchors", &visible, nb::arg("anchors"), array("pose"), array("sides"), nb::arg("near"),
+        nb::arg("sigmas"), nb::arg("blur"), array("drift").none(), array("out"),
+        "Whether a view's pyramid may show a Gaussian of each anchor.");
   m.def("decode_moving_anchors", &decode, nb::arg("anchors"), array("means"), array("quaternions"), array("scales"),
         array("opacities"), array("colours"), array("rows"), array("slots"),
         "Decode the Gaussians into the given arrays.");

@@ -25,21 +25,23 @@ double photometric_loss(In<float, 3> image, In<float, 3> truth, Maybe<In<bool, 2
   return photometric(image.data(), truth.data(), valid, (int)h, (int)w, (int)c, dssim, data(gradient), threads());
 }
 
-using Flat = nb::ndarray<nb::pytorch, float, nb::c_contig, nb::device::cpu>;
+// Tensors come as addresses: a model has a hundred of them, four to a parameter, and taking each as an array costs as
+// much as the update of most. The caller has checked what they are, and holds them.
+using Addresses = std::vector<uintptr_t>;
 
-void adam_update(const std::vector<Flat>& values, const std::vector<Flat>& gradients, const std::vector<Flat>& first,
-                 const std::vector<Flat>& second, const std::vector<double>& rates, int64_t step, double beta1,
-                 double beta2, double epsilon, Maybe<In<bool, 1>> rows) {
+void adam_update(const Addresses& values, const Addresses& gradients, const Addresses& first, const Addresses& second,
+                 const std::vector<int64_t>& lengths, const std::vector<int64_t>& sizes,
+                 const std::vector<double>& rates, int64_t step, double beta1, double beta2, double epsilon,
+                 Maybe<In<bool, 1>> rows) {
   const size_t n = values.size();
-  check(gradients.size() == n && first.size() == n && second.size() == n && rates.size() == n, "a list of tensors");
+  check(gradients.size() == n && first.size() == n && second.size() == n && lengths.size() == n &&
+        sizes.size() == n && rates.size() == n, "a list of tensors");
+  const auto at = [](uintptr_t address) { return reinterpret_cast<float*>(address); };
   std::vector<AdamGroup> groups;
   for (size_t i = 0; i < n; ++i) {
-    const size_t size = values[i].size();
-    check(gradients[i].size() == size && first[i].size() == size && second[i].size() == size, "a gradient or moment");
-    const size_t length = values[i].ndim() ? values[i].shape(0) : 0;
-    check(!rows || rows->shape(0) == length, "rows");
-    groups.push_back({{values[i].data(), first[i].data(), second[i].data(), gradients[i].data()},
-                      (int64_t)length, length ? (int64_t)(size / length) : 0, rates[i]});
+    check(!rows || (int64_t)rows->shape(0) == lengths[i], "rows");
+    groups.push_back({{at(values[i]), at(first[i]), at(second[i]), at(gradients[i])}, lengths[i],
+                      lengths[i] ? sizes[i] / lengths[i] : 0, rates[i]});
   }
   const uint8_t* chosen = reinterpret_cast<const uint8_t*>(data(rows));
   nb::gil_scoped_release release;
@@ -101,8 +103,8 @@ void observe(In<float, 2> screen, In<float, 1> radii, double half_width, double 
 void bind_training(nb::module_& m) {
   m.def("photometric", &photometric_loss, array("image"), array("truth"), array("mask").none(),
         nb::arg("dssim"), array("gradient").none(), "The loss; its gradient goes into `gradient`.");
-  m.def("adam", &adam_update, array("values"), array("gradients"), array("first"), array("second"),
-        nb::arg("rates"), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
+  m.def("adam", &adam_update, nb::arg("values"), nb::arg("gradients"), nb::arg("first"), nb::arg("second"),
+        nb::arg("lengths"), nb::arg("sizes"), nb::arg("rates"), nb::arg("step"), nb::arg("beta1"), nb::arg("beta2"), nb::arg("epsilon"),
         array("rows").none(), "One update of all tensors in place.");
   m.def("step", &step, nb::arg("model"), array("K"), array("world_to_camera"), nb::arg("width"), nb::arg("height"),
         nb::arg("near"), array("background").none(), array("truth"), array("mask").none(), nb::arg("dssim"),

@@ -12,11 +12,12 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import TRAINED, Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.hdgs.fit import prepare
-from splatproof.methods.hdgs.model import CYCLE, HdgsModel
+from splatproof.methods.hdgs.model import CYCLE, Frame, HdgsModel, pyramid_of
 from splatproof.methods.hdgs.networks import hierarchy, support
 from splatproof.methods.hdgs.settings import Settings, Smoothing
 from splatproof.reference.anchors.motion_hierarchy import decode
 from splatproof.reference.anchors.support_network import support as reference_support
+from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import View
 
 SMALL = Settings(iterations=20, gaussians=4, features=6, instance=3, anchors=40)
@@ -156,6 +157,24 @@ def test_a_smoothed_step_draws_another_moment_moved_on():
     torch.testing.assert_close(splats.means[ours], (still.means[theirs] + moved[ours]))
     torch.testing.assert_close(splats.opacities[ours], still.opacities[theirs])
     torch.testing.assert_close(splats.colours[ours], still.colours[theirs])
+
+
+def test_a_pyramid_is_the_cameras_in_the_models_frame():
+    frame = Frame(middle=(3.0, -7.0, 11.0), unit=4.5)
+    camera = replace(tiny_drive().views[2].camera, near=0.9)
+    pyramid = pyramid_of(camera, frame)
+    draw = torch.randn(400, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    local = 6 * draw + torch.tensor([0, 0, 4.0])  # before the camera, beside it and behind it
+    pose = camera.world_to_camera.double()
+    world = (local - pose[:3, 3]) @ pose[:3, :3]
+    found = frame.inwards(world).float() @ pyramid.pose[:, :3].T + pyramid.pose[:, 3]
+    torch.testing.assert_close(found, (local / 4.5).float(), atol=2e-6, rtol=1e-5)
+    assert pyramid.near == pytest.approx(0.2)
+    pixels, depth = project_points(camera, world)
+    size = torch.tensor([camera.width, camera.height])
+    shown = ((pixels >= 0) & (pixels <= size)).all(dim=1) & (depth > 0)
+    assert torch.equal((found @ pyramid.sides.T > 0).all(dim=1), shown)
+    assert 20 < int(shown.sum()) < 380
 
 
 @pytest.mark.parametrize("seed", range(4))

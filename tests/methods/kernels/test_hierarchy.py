@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.hdgs import decode as twin
 from splatproof.methods.hdgs import networks as nets
 from splatproof.methods.kernels import hierarchy as native
 from splatproof.reference.anchors import motion_hierarchy
@@ -272,33 +275,77 @@ def test_bits_do_not_depend_on_threads():
             splats = native.decode(
                 case.anchors, case.networks, case.sizes, TIME, CAMERA, index=case.index
             )
-            reach = native.reach(case.anchors, case.networks, case.sizes, TIME, case.index)
+            facts = (case.anchors, case.networks, case.sizes, TIME, looking(case, 1))
+            visible = native.visible(*facts, index=case.index)
             values = [getattr(splats, name) for name in VALUES]
             loss = torch.cat([value.flatten() for value in values]).cos().sum()
-            found.append([reach, *values, *torch.autograd.grad(loss, leaves)])
+            found.append([visible, *values, *torch.autograd.grad(loss, leaves)])
     finally:
         torch.set_num_threads(before)
     for others in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], others, strict=True))
 
 
+def looking(case: Case, seed: int) -> native.Pyramid:
+    """A pyramid of 40 degrees from a little off the anchors towards one of them."""
+    draw = np.random.default_rng(seed)
+    turn = Rotation.from_quat(draw.normal(size=4)).as_matrix()
+    target = case.anchors.centres[draw.integers(len(case.anchors.centres))].detach().numpy()
+    shift = [0, 0, 1.5] - turn @ target
+    sides = np.array([[1, 0, 0.36], [-1, 0, 0.36], [0, 1, 0.36], [0, -1, 0.36]])
+    return native.Pyramid(
+        pose=torch.tensor(np.hstack([turn, shift[:, None]]), dtype=torch.float32), near=0.2,
+        sides=torch.tensor(sides / np.linalg.norm(sides, axis=1, keepdims=True), dtype=torch.float32),
+        sigmas=3.3, blur=0.02,
+    )  # fmt: skip
+
+
+def small(case: Case) -> Case:
+    """The anchors a twelfth in size, so that pyramids leave some out."""
+    anchors = replace(case.anchors, log_scales=case.anchors.log_scales - 2.5)
+    return replace(case, anchors=anchors)
+
+
+@pytest.mark.parametrize("moves", [False, True])
 @pytest.mark.parametrize("layers", [2, 3, 4])
-def test_reach_is_where_gaussians_are_decoded(simd_level, layers):
-    case = drawn(45, layers, 2, 4, 12, share=0.7)
+def test_visible_is_the_twins(simd_level, layers, moves):
+    case, some = small(drawn(45, layers, 2, 4, 12, share=0.7)), 0
     assert case.index is not None
-    found = native.reach(case.anchors, case.networks, case.sizes, TIME, case.index)
-    splats = native.decode(case.anchors, case.networks, case.sizes, TIME, CAMERA, index=case.index)
-    means = splats.means.reshape(len(case.index), case.sizes.leaves, -1, 3)
-    away = (means - found[:, :, None, :3]).square().sum(dim=3).amax(dim=2).sqrt()
-    torch.testing.assert_close(found[..., 3], away)
-    scales = splats.scales.reshape(len(case.index), case.sizes.leaves, -1)
-    assert (scales.amax(dim=2) <= found[..., 4]).all()
-    full = {n: v + 40 * (n == "shape.bias1") for n, v in case.shared.items()}
-    splats = native.decode(
-        case.anchors, nets.hierarchy(full, layers), case.sizes, TIME, CAMERA, index=case.index
-    )
-    scales = splats.scales.reshape(len(case.index), case.sizes.leaves, -1)
-    torch.testing.assert_close(found[..., 4], scales.amax(dim=2))
+    for seed in range(6):
+        pyramid = looking(case, seed)
+        drift = torch.randn(len(case.index), 3, generator=torch.Generator().manual_seed(seed))
+        drift = drift if moves else None
+        facts = (case.networks, case.sizes, TIME)
+        found = native.visible(case.anchors, *facts, pyramid, index=case.index, drift=drift)
+        wide = changed(case, Tensor.double)
+        # a hair to either side: what lies between the two may fall to either
+        less, more = (
+            twin.visible(
+                wide.anchors, wide.networks, case.sizes, TIME, case.index,
+                replace(pyramid, sigmas=pyramid.sigmas * by, near=pyramid.near / by), drift,
+            )
+            for by in (1 - 1e-5, 1 + 1e-5)
+        )  # fmt: skip
+        assert not (less & ~found).any()
+        assert not (found & ~more).any()
+        some += int(found.sum())
+    assert 0 < some < 6 * len(case.index)
+
+
+@pytest.mark.parametrize("layers", [2, 3, 4])
+def test_what_is_not_visible_decodes_to_nothing_within_the_pyramid(layers):
+    case = small(drawn(200, layers, 2, 4, 12))
+    pyramid = looking(case, 0)
+    found = native.visible(case.anchors, case.networks, case.sizes, TIME, pyramid)
+    splats = native.decode(case.anchors, case.networks, case.sizes, TIME, CAMERA)
+    local = splats.means @ pyramid.pose[:, :3].T + pyramid.pose[:, 3]
+    reach = pyramid.sigmas * splats.scales.amax(dim=1) + pyramid.blur * local[:, 2].abs()
+    within = (local[:, 2] > pyramid.near) & (local @ pyramid.sides.T > -reach[:, None]).all(dim=1)
+    assert splats.rows is not None
+    shown = torch.zeros(len(found), dtype=torch.bool)
+    shown[splats.rows[within]] = True
+    assert not (shown & ~found).any()
+    assert 0 < int(shown.sum()) < len(found)
 
 
 @pytest.mark.parametrize("layers", [2, 3])
