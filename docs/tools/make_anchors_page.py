@@ -16,8 +16,9 @@ ANCHORS = Comparison(
     intro="""\
 The scenes are `courtyard`, which splatproof makes itself, and drone photos of a beach, both without motion and without
 change of light. Both methods are trained for about as many processor seconds on one thread each, as the tables show;
-opacities are never reset, for runs are shorter than the pause between two resets of the release. Protocol
-`default_seen` holds out what training photos show too, by its own split: another training.
+opacities are never reset, for runs are shorter than the pause between two resets of the release. Protocols
+`quarter_seen` and `brighton_quarter` hold out one photo of four, `quarter_seen` only of those that show what training
+photos show too: trainings of their own, with more photos to judge by.
 """,
     printed=(),
 )

@@ -334,7 +334,14 @@ def moving_anchors(draw: random.Random) -> None:
         )
     networks, time = hierarchy(shared, layers), draw.choice(ODD)
     if index is None or draw.random() < 0.5:
-        native_hierarchy.reach(anchors, networks, sizes, time, index)
+        pyramid = native_hierarchy.Pyramid(
+            pose=spoiled(draw, numbers(draw, 3, 4)), near=draw.choice(ODD),
+            sides=spoiled(draw, numbers(draw, 4, 3)), sigmas=draw.choice(ODD),
+            blur=draw.choice(ODD),
+        )  # fmt: skip
+        count = n if index is None else len(index)
+        drift = None if draw.random() < 0.5 else spoiled(draw, numbers(draw, count, 3))
+        native_hierarchy.visible(anchors, networks, sizes, time, pyramid, index=index, drift=drift)
     splats = native_hierarchy.decode(anchors, networks, sizes, time, numbers(draw, 3), index=index)
     if splats.means.requires_grad:
         (splats.means.sum() + splats.scales.sum()).backward()

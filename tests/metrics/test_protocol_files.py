@@ -40,6 +40,7 @@ def test_what_ours_change():
         "width_500": {"width": 500},
         "brighton_250": {"width": 250, "test_names": ("dji_0026.jpg",)},
         "brighton_500": {"width": 500, "test_names": ("dji_0026.jpg",)},
+        "brighton_quarter": {"width": 250, "hold": 4},
         "city_400": {"width": 400},
         "city_unseen": {"width": 320, "test_folder": "unseen"},
         "float": {"rounding": "float"},
