@@ -7,7 +7,7 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import require
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 
-RefinerName = Literal["none", "warp"]
+RefinerName = Literal["none", "warp", "own"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +20,8 @@ class SideSettings:
     photo. 0: none, an ablation of the paper."""
     refiner: RefinerName = "warp"
     """What makes a side view's target of its render. warp: the nearest photo's texture where that
-    photo sees the surface, holes inpainted; none: the render as it was, a control that says what
+    photo sees the surface, holes inpainted; own: that, corrected by our small network, whose weights
+    come with the package; none: the render as it was, a control that says what
     training on one's own renders does."""
     refresh: int = 5000
     """Steps, of a 30,000 step run, after which targets are made anew by the model as it is then."""

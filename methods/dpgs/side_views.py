@@ -10,10 +10,12 @@ from torch import Tensor
 
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.dpgs.settings import RefinerName
+from splatproof.methods.priors.view_refiner import OwnRefiner, load_refiner
 from splatproof.reference.supervision.side_views import (
     EVIDENCE,
     SOLID,
     SeenView,
+    ViewRefiner,
     is_side_view_step,
     nearest_photo,
     sees,
@@ -56,7 +58,8 @@ class SideViews:
             told: Called with the number of a round and the share of its pixels without evidence.
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
-        self.refiner, self.folder, self.told = refiner, folder, told
+        self.folder, self.told = folder, told
+        self.refiner: RefinerName = refiner
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -102,37 +105,55 @@ class SideViews:
 
     @torch.no_grad()
     def _made(self, number: int) -> dict[str, Tensor]:
-        training = [self._seen(photo) for photo in self.photos]
-        forward = torch.stack([photo.camera.rotation[2] for photo in self.photos]).double()
+        guide, refine = Guide(self.photos, self.draw), refiner_of(self.refiner)
         targets, unproven = [], []
         for camera in self.cameras:
-            output = self.draw(camera_view(camera, SIDE))
-            side = SeenView(
-                camera=camera, image=output.colour.clamp(0, 1).cpu(), alpha=output.alpha.cpu(),
-                depth=output.depth.cpu(),
-            )  # fmt: skip
-            target, proven = self._refined(side, training, forward)
+            side, proven, photo = guide.of(camera)
+            target = refine(side, photo)
             targets.append((target.clamp(0, 1) * 255).round().byte())
             unproven.append(~proven)
         made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
         self.told(number, float(made["unproven"].float().mean()))
         return made
 
-    def _refined(
-        self, side: SeenView, training: Sequence[SeenView], forward: Float[Tensor, "v 3"]
-    ) -> tuple[Float[Tensor, "h w 3"], Bool[Tensor, "h w"]]:
-        seen = torch.stack([sees(view, side) for view in training])
+
+class Guide:
+    """What a model's render of a side view is worth, and which photo guides its refinement."""
+
+    @torch.no_grad()
+    def __init__(self, photos: Sequence[View], draw: Draw) -> None:
+        """Render the training views.
+
+        Args:
+            photos: Training views, at least one.
+            draw: Renders a view.
+        """
+        self.photos, self.draw = photos, draw
+        self.training = [self._seen(photo) for photo in photos]
+        self.forward = torch.stack([photo.camera.rotation[2] for photo in photos]).double()
+
+    @torch.no_grad()
+    def of(self, camera: Camera) -> tuple[SeenView, Bool[Tensor, "h w"], SeenView]:
+        """The render at a camera, the pixels that have evidence, and the photo that sees most of it.
+
+        Args:
+            camera: Where the side view is taken from.
+        """
+        output = self.draw(camera_view(camera, SIDE))
+        side = SeenView(
+            camera=camera, image=output.colour.clamp(0, 1).cpu(), alpha=output.alpha.cpu(),
+            depth=output.depth.cpu(),
+        )  # fmt: skip
+        seen = torch.stack([sees(view, side) for view in self.training])
         proven = (side.alpha >= SOLID) & (seen.sum(dim=0) >= EVIDENCE)
-        if self.refiner == "none":
-            return side.image, proven
         shared = seen.flatten(1).sum(dim=1).double()
-        best = nearest_photo(shared, forward, side.camera.rotation[2].double())
-        photo = training[best]
+        best = nearest_photo(shared, self.forward, side.camera.rotation[2].double())
+        photo = self.training[best]
         texture = SeenView(
             camera=photo.camera, image=self.photos[best].load(), alpha=photo.alpha,
             depth=photo.depth,
         )  # fmt: skip
-        return warp_and_fill(side, texture), proven
+        return side, proven, texture
 
     def _seen(self, photo: View) -> SeenView:
         """What the model has at a photo's camera, in half precision; the photo is read when needed."""
@@ -141,6 +162,18 @@ class SideViews:
             camera=photo.camera, image=torch.zeros(1).expand(*photo.size, 3),
             alpha=output.alpha.half().cpu(), depth=output.depth.half().cpu(),
         )  # fmt: skip
+
+
+def refiner_of(name: RefinerName) -> ViewRefiner:
+    """What makes a target of a side view's render.
+
+    Args:
+        name: none: the render itself; warp: `warp_and_fill`; own: our network, with the weights that come with
+            the package.
+    """
+    if name == "own":
+        return OwnRefiner(load_refiner())
+    return warp_and_fill if name == "warp" else lambda side, photo: side.image
 
 
 class SideOrder:

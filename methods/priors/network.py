@@ -2,15 +2,13 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
-from splatproof.base.errors import DataError
-from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.methods.priors.unet import STRIDE, UNet, load_facts, load_weights, save_weights
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.scene import DepthPrior, Scene, View
@@ -25,40 +23,18 @@ LONGER = 128
 """Pixels of the longer side that the network sees; its answer is enlarged again."""
 SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
 """Weights that come with this package; depth.json beside them says how they were made."""
-STRIDE = 2 ** (len(WIDTHS) - 1)
-"""Both sides that the network sees are multiples of this."""
 
 
-class DepthNetwork(nn.Module):
-    """A U-Net of four levels with 0.8 million parameters; says disparity of unknown scale and zero."""
+class DepthNetwork(UNet):
+    """Four levels with 0.8 million parameters; says disparity of unknown scale and zero."""
 
     def __init__(self) -> None:
         """Start from random weights."""
-        super().__init__()
-        before = (INPUTS, *WIDTHS[:-1])
-        self.down = nn.ModuleList(_level(a, b) for a, b in zip(before, WIDTHS, strict=True))
-        coarse = list(zip(WIDTHS[1:], WIDTHS[:-1], strict=True))
-        self.up = nn.ModuleList(_level(below + here, here) for below, here in coarse)
-        self.last = nn.Conv2d(WIDTHS[0], 1, 1)
+        super().__init__(INPUTS, 1, WIDTHS)
 
     def forward(self, given: Float[Tensor, "n 5 h w"]) -> Float[Tensor, "n h w"]:
         """Disparity of each pixel; both sides of the input are multiples of STRIDE."""
-        kept = []
-        at = given
-        for index, level in enumerate(self.down):
-            at = level(at if index == 0 else functional.max_pool2d(at, 2))
-            kept.append(at)
-        for index in reversed(range(len(self.up))):
-            larger = functional.interpolate(at, scale_factor=2, mode="bilinear")
-            at = self.up[index](torch.cat([larger, kept[index]], dim=1))
-        return self.last(at)[:, 0]
-
-
-def _level(before: int, after: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(before, after, 3, padding=1), nn.GroupNorm(8, after), nn.ReLU(),
-        nn.Conv2d(after, after, 3, padding=1), nn.GroupNorm(8, after), nn.ReLU(),
-    )  # fmt: skip
+        return self.features(given)[:, 0]
 
 
 def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], DepthPrior]:
@@ -137,16 +113,7 @@ def save_network(path: Path, network: DepthNetwork, facts: dict[str, object]) ->
         network: What is saved.
         facts: How it was trained, JSON-ready.
     """
-    write_tensors(path, network.state_dict(), {"format": FORMAT} | facts)
-
-
-def load_facts(path: Path) -> dict[str, Any]:
-    """How a network was trained, as `save_network` was told.
-
-    Raises: DataError where the file is missing or damaged.
-    """
-    _, facts = read_tensors(path)
-    return facts if isinstance(facts, dict) else {}
+    save_weights(path, network, FORMAT, facts)
 
 
 def load_network(path: Path) -> DepthNetwork:
@@ -154,14 +121,4 @@ def load_network(path: Path) -> DepthNetwork:
 
     Raises: DataError where the file is missing, damaged or not such a network's.
     """
-    tensors, facts = read_tensors(path)
-    network = DepthNetwork()
-    shapes = {name: tensor.shape for name, tensor in network.state_dict().items()}
-    same = {name: tensor.shape for name, tensor in tensors.items()} == shapes
-    if not same or not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise DataError(
-            f"{path}: not the weights of a depth network of splatproof ({FORMAT!r}); "
-            "`bench train-prior depth` writes them"
-        )
-    network.load_state_dict(tensors)
-    return network.eval()
+    return load_weights(path, DepthNetwork(), FORMAT, "bench train-prior depth")

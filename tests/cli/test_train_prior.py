@@ -9,7 +9,8 @@ from helpers.prior_scenes import plane_scene
 from splatproof.base.files import sha256
 from splatproof.cli import main, train_prior
 from splatproof.methods.priors import network
-from splatproof.methods.priors.network import load_facts, load_network
+from splatproof.methods.priors.network import load_network
+from splatproof.methods.priors.unet import load_facts
 
 
 @pytest.fixture

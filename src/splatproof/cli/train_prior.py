@@ -3,9 +3,9 @@
 import json
 import shlex
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
@@ -14,12 +14,17 @@ from splatproof.base.files import sha256, write_text
 from splatproof.cli import output
 
 if TYPE_CHECKING:
+    from splatproof.methods.dpgs.refiner_training import Sample
     from splatproof.reference.types.scene import Scene
+
+N = TypeVar("N")
 
 FIRST_SEED = 1000
 """Worlds are trained on from this seed on, where no registered scene lies."""
 CURVE_EVERY = 50
 """Steps that one point of the record's loss curve is the mean of."""
+APART = {"city": "city_unseen", "aerial-sparse": "aerial_sparse_3"}
+"""Kinds of worlds with views apart from their photos, and the protocol that holds them out."""
 MOST_BYTES = 4_000_000
 """Most bytes of a file of weights."""
 
@@ -48,46 +53,132 @@ def depth(
 
     Raises: UsageError for a kind or preset that there is not, and for fewer than one seed or step.
     """
-    import torch
-
     from splatproof.methods.priors.network import save_network
     from splatproof.methods.priors.network_training import samples_of, train
     from splatproof.methods.training.threads import threads
 
     _check(out, worlds, preset, seeds, steps)
-    numbers = list(range(FIRST_SEED, FIRST_SEED + seeds))
-    facts = {"worlds": list(worlds), "preset": preset, "seeds": numbers, "steps": steps}
-    losses: list[float] = []
+    facts, numbers = _facts(worlds, preset, seeds, steps)
     with threads(1):
         samples = [
             sample
             for world in worlds
-            for seed in numbers
-            for scene in _scenes(world, preset, seed)
+            for number in numbers
+            for scene in _scenes(world, preset, number)
             for sample in samples_of(scene)
         ]
-        started = time.perf_counter()
-        with output.progress() as bar:
-            task = bar.add_task(f"depth on {len(samples)} views", total=steps, values="")
-
-            def report(step: int, total: int, loss: float) -> None:
-                losses.append(loss)
-                bar.update(task, completed=step, total=total, values=f"loss {loss:.3f}")
-
-            network = train(samples, steps=steps, report=report)
-        seconds = time.perf_counter() - started
+        network, losses, seconds = _trained("depth", train, samples, steps)
     save_network(out, network, facts)
-    words = ["bench", "train-prior", "depth", out.name, "--worlds", *worlds, "--preset", preset]
-    record = facts | {
-        "command": shlex.join([*words, "--seeds", str(seeds), "--steps", str(steps)]),
-        "sha256": sha256(out), "bytes": out.stat().st_size, "views": len(samples),
-        "torch": torch.__version__, "train_seconds": round(seconds),
+    record = facts | _record("depth", out, facts, len(samples), losses, seconds)
+    _tell(out, record)
+
+
+def refiner(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.safetensors")],
+    *,
+    worlds: tuple[str, ...] = ("city", "aerial-sparse"),
+    preset: str = "small",
+    seeds: int = 2,
+    steps: int = 1200,
+    model_steps: int = 300,
+) -> None:
+    """Train the network that refines side views (`dpgs`, setting `side.refiner = "own"`).
+
+    Each world is trained on for a moment, and drawn from where it was never photographed: there the network
+    learns what a render lacks. Worlds, threads, bits and the record are as for the depth network; the record also
+    says the mean error, where there is no evidence, of renders, of warping and of the network on one more world
+    of each kind, which it never saw.
+
+    Args:
+        out: File of the weights.
+        worlds: city (trained on its flight, drawn low and at facades) and aerial-sparse (three photos).
+        preset: Size of the worlds.
+        seeds: Worlds of each kind, of the seeds 1000, 1001, ...; the one after them is kept for the record.
+        steps: Batches of four crops; about a third of a second each on one thread.
+        model_steps: Steps of the shorter of two trainings of each scene.
+
+    Raises: UsageError for a kind that has no such views, and as the depth network's.
+    """
+    from splatproof.methods.dpgs.refiner_training import errors, samples_of, train
+    from splatproof.methods.priors.view_refiner import save_refiner
+    from splatproof.methods.training.threads import threads
+
+    _check(out, worlds, preset, seeds, steps)
+    for world in worlds:
+        if world not in APART:
+            raise UsageError(
+                f"{world}: no views apart from its photos; there are {', '.join(APART)}"
+            )
+    if model_steps < 1:
+        raise UsageError(f"--model-steps is {model_steps}, expected 1 or more")
+    facts, numbers = _facts(worlds, preset, seeds, steps)
+    facts |= {"model_steps": model_steps}
+
+    def drawn(number: int) -> "list[Sample]":
+        return [
+            sample
+            for world in worlds
+            for scene in _scenes(world, preset, number, APART[world])
+            for sample in samples_of(scene, steps=model_steps)
+        ]
+
+    with threads(1):
+        samples = [sample for number in numbers for sample in drawn(number)]
+        network, losses, seconds = _trained("refiner", train, samples, steps)
+        apart = errors(network, drawn(numbers[-1] + 1))
+    save_refiner(out, network, facts)
+    record = facts | _record("refiner", out, facts, len(samples), losses, seconds)
+    record |= {"error_apart": {name: round(value, 5) for name, value in apart.items()}}
+    _tell(out, record)
+
+
+def _facts(
+    worlds: tuple[str, ...], preset: str, seeds: int, steps: int
+) -> tuple[dict[str, object], list[int]]:
+    """What a file of weights says of its training, and the seeds of its worlds."""
+    numbers = list(range(FIRST_SEED, FIRST_SEED + seeds))
+    return {"worlds": list(worlds), "preset": preset, "seeds": numbers, "steps": steps}, numbers
+
+
+def _trained(
+    name: str, train: "Callable[..., N]", samples: list[Any], steps: int
+) -> "tuple[N, list[float], float]":
+    """A network, the loss of each step and the seconds it took."""
+    losses: list[float] = []
+    started = time.perf_counter()
+    with output.progress() as bar:
+        task = bar.add_task(f"{name} on {len(samples)} views", total=steps, values="")
+
+        def report(step: int, total: int, loss: float) -> None:
+            losses.append(loss)
+            bar.update(task, completed=step, total=total, values=f"loss {loss:.3f}")
+
+        network = train(samples, steps=steps, report=report)
+    return network, losses, time.perf_counter() - started
+
+
+def _record(
+    name: str, out: Path, facts: dict[str, Any], views: int, losses: list[float], seconds: float
+) -> dict[str, Any]:
+    """What the file beside the weights adds: the command that makes them again, hash and curve."""
+    import torch
+
+    words = ["bench", "train-prior", name, out.name, "--worlds", *facts["worlds"]]
+    words += ["--preset", facts["preset"], "--seeds", str(len(facts["seeds"]))]
+    words += ["--steps", str(facts["steps"])]
+    if "model_steps" in facts:
+        words += ["--model-steps", str(facts["model_steps"])]
+    return {
+        "command": shlex.join(words), "sha256": sha256(out), "bytes": out.stat().st_size,
+        "views": views, "torch": torch.__version__, "train_seconds": round(seconds),
         "loss": _curve(losses), "loss_every": CURVE_EVERY,
     }  # fmt: skip
+
+
+def _tell(out: Path, record: dict[str, Any]) -> None:
     write_text(out.with_suffix(".json"), json.dumps(record, indent=1) + "\n")
-    output.emit(
-        record, f"{out}: loss {record['loss'][0]} to {record['loss'][-1]} in {seconds:.0f} s"
-    )
+    first, last = record["loss"][0], record["loss"][-1]
+    output.emit(record, f"{out}: loss {first} to {last} in {record['train_seconds']} s")
 
 
 def _check(out: Path, worlds: tuple[str, ...], preset: str, seeds: int, steps: int) -> None:
@@ -104,8 +195,8 @@ def _check(out: Path, worlds: tuple[str, ...], preset: str, seeds: int, steps: i
             raise UsageError(f"--{name} is {value}, expected 1 or more")
 
 
-def _scenes(world: str, preset: str, seed: int) -> "Iterator[Scene]":
-    """The scenes of a world, made in the cache unless they are there."""
+def _scenes(world: str, preset: str, seed: int, protocol: str = "default") -> "Iterator[Scene]":
+    """The scenes of a world under a protocol, made in the cache unless they are there."""
     from splatproof.datasets.cache_folder import cache_folder
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.datasets.procedural.worlds import content, make
@@ -119,7 +210,7 @@ def _scenes(world: str, preset: str, seed: int) -> "Iterator[Scene]":
     whole = (folder / "sparse").is_dir()
     parts = [folder] if whole else sorted(each.parent for each in folder.glob("*/sparse"))
     for part in parts:
-        yield open_scene(str(part), load_protocol("default"))
+        yield open_scene(str(part), load_protocol(protocol))
 
 
 def _curve(losses: list[float]) -> list[float]:

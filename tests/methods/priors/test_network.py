@@ -23,6 +23,7 @@ from splatproof.methods.priors.network import (
     save_network,
 )
 from splatproof.methods.priors.network_training import affine_loss, samples_of, train
+from splatproof.methods.priors.unet import load_facts
 from splatproof.reference.types.scene import View
 
 
@@ -94,7 +95,7 @@ def test_files_of_something_else_are_refused(tmp_path):
     path = tmp_path / "net.safetensors"
     write_tensors(path, {"a": torch.ones(2)}, {"format": network.FORMAT})
     with pytest.raises(
-        DataError, match="not the weights of a depth network.*bench train-prior depth"
+        DataError, match="not the weights that are expected .*depth network.*bench train-prior depth"
     ):
         load_network(path)
     write_tensors(path, DepthNetwork().state_dict(), {"format": "other"})
@@ -115,7 +116,7 @@ def test_the_shipped_weights_are_those_of_their_record():
     assert record["sha256"] == sha256(network.SHIPPED)
     assert record["bytes"] == network.SHIPPED.stat().st_size <= MOST_BYTES
     assert record["command"].startswith("bench train-prior depth depth.safetensors --worlds ")
-    facts = network.load_facts(network.SHIPPED)
+    facts = load_facts(network.SHIPPED)
     assert {name: record[name] for name in ("worlds", "seeds", "steps", "preset")} == {
         name: facts[name] for name in ("worlds", "seeds", "steps", "preset")
     }
@@ -124,7 +125,7 @@ def test_the_shipped_weights_are_those_of_their_record():
 
 
 def test_no_registered_scene_is_of_a_seed_that_was_trained_on():
-    seeds = network.load_facts(network.SHIPPED)["seeds"]
+    seeds = load_facts(network.SHIPPED)["seeds"]
     assert not {entry.seed for entry in list_scenes()} & set(seeds)
 
 
