@@ -22,6 +22,8 @@ CROP = 96
 """Sides in pixels of what is trained on at a time."""
 SHORT, LONG = 1, 3
 """The models that draw side views are trained for so many steps in units of `steps`: early and late ones."""
+MATCHED, DRAWN = 4.0, 10_000
+"""Pixels a matched point that these models start from, and points drawn where a scene has none at all."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +50,9 @@ def samples_of(scene: Scene, *, steps: int, seed: int = 0) -> list[Sample]:
         raise DataError(f"{scene.name}: no held-out views to learn side views from")
     found = []
     for length in (SHORT, LONG):
-        settings = ThreeDGS(iterations=length * steps)
+        settings = ThreeDGS(
+            iterations=length * steps, dense_cell=MATCHED, random_points=DRAWN
+        )  # fmt: skip
         model = fit(scene.for_training(), settings, Run(seed=seed, threads=1))
         guide = Guide(scene.train_views, model.render)
         for view in scene.test_views:

@@ -6,11 +6,14 @@ import pytest
 import torch
 
 from helpers.prior_scenes import plane_scene
+from helpers.tiny_scene import tiny_scene
 from splatproof.base.files import sha256
 from splatproof.cli import main, train_prior
+from splatproof.methods.dpgs import refiner_training
 from splatproof.methods.priors import network
 from splatproof.methods.priors.network import load_network
 from splatproof.methods.priors.unet import load_facts
+from splatproof.methods.priors.view_refiner import load_refiner
 
 
 @pytest.fixture
@@ -40,6 +43,47 @@ def test_it_trains_and_says_how(tmp_path, capsys):
     after = load_network(out).state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
     capsys.readouterr()
+
+
+def test_the_refiner_trains_and_says_what_it_does_for_worlds_apart(monkeypatch, tmp_path, capsys):
+    asked = []
+
+    def scenes(world, preset, seed, protocol):
+        asked.append((world, seed, protocol))
+        return [tiny_scene()]
+
+    monkeypatch.setattr(refiner_training, "CROP", 16)
+    monkeypatch.setattr(train_prior, "_scenes", scenes)
+    monkeypatch.setattr(train_prior, "CURVE_EVERY", 4)
+    out = tmp_path / "r.safetensors"
+    told = ["--worlds", "city", "--seeds", "2", "--steps", "8", "--model-steps", "3"]
+    assert main(["train-prior", "refiner", str(out), *told]) == 0
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert record["command"] == (
+        "bench train-prior refiner r.safetensors --worlds city --preset small --seeds 2 --steps 8 "
+        "--model-steps 3"
+    )
+    assert asked == [("city", seed, "city_unseen") for seed in (1000, 1001, 1002)]
+    assert (record["views"], len(record["loss"])) == (4, 2)
+    assert set(record["error_apart"]) == {"render", "warp", "own"}
+    assert record["sha256"] == sha256(out)
+    load_refiner(out)
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--worlds", "tunnel"], "tunnel: no views apart from its photos; there are city, aerial-"),
+        (["--model-steps", "0"], "--model-steps is 0, expected 1 or more"),
+        (["--worlds", "moon"], "moon: no such world"),
+    ],
+)
+def test_what_no_refiner_learns_of_is_said_in_one_line(given, said, capsys):
+    assert main(["train-prior", "refiner", "r.safetensors", *given]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import json
 import shlex
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -210,7 +211,7 @@ def _scenes(world: str, preset: str, seed: int, protocol: str = "default") -> "I
     whole = (folder / "sparse").is_dir()
     parts = [folder] if whole else sorted(each.parent for each in folder.glob("*/sparse"))
     for part in parts:
-        yield open_scene(str(part), load_protocol(protocol))
+        yield open_scene(str(part), replace(load_protocol(protocol), width=None))
 
 
 def _curve(losses: list[float]) -> list[float]:

@@ -95,7 +95,8 @@ def test_files_of_something_else_are_refused(tmp_path):
     path = tmp_path / "net.safetensors"
     write_tensors(path, {"a": torch.ones(2)}, {"format": network.FORMAT})
     with pytest.raises(
-        DataError, match="not the weights that are expected .*depth network.*bench train-prior depth"
+        DataError,
+        match="not the weights that are expected .*depth network.*bench train-prior depth",
     ):
         load_network(path)
     write_tensors(path, DepthNetwork().state_dict(), {"format": "other"})
