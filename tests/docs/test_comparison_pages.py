@@ -15,6 +15,7 @@ from make_anchors_page import ANCHORS
 from make_sparse_page import SPARSE
 from make_street_page import STREET
 from make_tunnel_page import TUNNEL
+from make_unseen_page import UNSEEN
 from printed_tables import Line, Printed, ours, printed_tables, printed_value
 from strips import MOMENTS, SHARE, WIDTH, crops, strip
 
@@ -27,7 +28,7 @@ from splatproof.suites.published.rows import numbers
 from splatproof.suites.suite_files import load_suite, suite_names
 
 DOCS = Path(__file__).parents[2] / "docs"
-BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE, ANCHORS], ids=lambda one: one.suite)
+BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE, ANCHORS, UNSEEN], ids=lambda one: one.suite)
 
 
 @BOTH

@@ -43,6 +43,7 @@ def test_what_ours_change():
         "brighton_quarter": {"width": 250, "hold": 4},
         "city_400": {"width": 400},
         "city_unseen": {"width": 320, "test_folder": "unseen"},
+        "unseen": {"test_folder": "unseen"},
         "float": {"rounding": "float"},
         "truncate": {"rounding": "truncate"},
         "3dgs": {
