@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import torch
 
+from splatproof.base.files import sha256
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.contracts.model import TRAINED, Model
@@ -14,6 +15,8 @@ from splatproof.methods.dpgs.side_views import SideOrder, SideViews
 from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import explicit, exposed
+from splatproof.methods.priors.unet import domain
+from splatproof.methods.priors.view_refiner import SHIPPED
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import cost
 from splatproof.methods.training.plan import Plan
@@ -61,6 +64,8 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
     cameras = side_cameras(scene, side) if side.every else ()
     if side.every:
         run.on_fact("side views", f"{len(cameras)} on {side.spirals} spirals, {side.refiner}")
+    if side.every and side.refiner == "own":
+        run.on_fact("refiner", f"{domain(scene, SHIPPED)}; weights {sha256(SHIPPED)}")
     if not cameras:
         return plan
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from splatproof.base.errors import MissingError, UsageError
 from splatproof.base.files import sha256
 from splatproof.base.names import unknown
-from splatproof.methods.priors import depth_anything, lidar, network, noisy, oracle, sweep
+from splatproof.methods.priors import depth_anything, lidar, network, noisy, oracle, sweep, unet
 from splatproof.reference.types.result import NO_PRIOR
 from splatproof.reference.types.scene import DepthPrior, Scene
 
@@ -46,11 +46,11 @@ KINDS = {
     "sweep": Kind(description="matching with neighbouring photos", prepare=sweep.prepare),
     "own": Kind(
         description="our own small network, from photo and sparse points, weights shipped",
-        prepare=network.prepare, shipped=network.SHIPPED, domain=network.domain,
+        prepare=network.prepare, shipped=network.SHIPPED, domain=unet.domain,
     ),
     "network": Kind(
         description="our own small network with weights of another training",
-        prepare=network.prepare, weights=True, domain=network.domain,
+        prepare=network.prepare, weights=True, domain=unet.domain,
     ),
     "depth-anything": Kind(
         description="a monocular network of transformers, from a local folder",

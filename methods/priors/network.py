@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatproof.methods.priors.unet import STRIDE, UNet, load_facts, load_weights, save_weights
+from splatproof.methods.priors.unet import STRIDE, UNet, load_weights, save_weights
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.scene import DepthPrior, Scene, View
@@ -59,21 +59,6 @@ def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], De
         return DepthPrior(disparity=whole.clone(), valid=torch.ones(view.size, dtype=torch.bool))
 
     return make
-
-
-def domain(scene: Scene, weights: Path) -> str:
-    """Whether the network was trained on the kind of world that a scene is, for the record.
-
-    Args:
-        scene: What it is asked about; made worlds say their kind in the fact "world".
-        weights: File that `save_network` wrote, with the fact "worlds".
-    Returns: "in domain" or "out of domain", with both kinds.
-    """
-    facts = load_facts(weights)
-    kinds = [str(kind) for kind in facts.get("worlds", ())]
-    here = scene.facts.get("world", "photos")
-    known = "in domain" if here in kinds else "out of domain"
-    return f"{known}: trained on {', '.join(kinds) or 'nothing known'}, used on {here}"
 
 
 def network_size(camera: Camera) -> tuple[int, int]:

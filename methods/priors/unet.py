@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from splatproof.base.errors import DataError
 from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.reference.types.scene import Scene
 
 LEVELS = 4
 """Levels of each network, every one half as wide and high as the one before."""
@@ -82,6 +83,21 @@ def load_facts(path: Path) -> dict[str, Any]:
     """
     _, facts = read_tensors(path)
     return facts if isinstance(facts, dict) else {}
+
+
+def domain(scene: Scene, weights: Path) -> str:
+    """Whether a network was trained on the kind of world that a scene is, for the record.
+
+    Args:
+        scene: What it is asked about; made worlds say their kind in the fact "world".
+        weights: File that `save_weights` wrote, with the fact "worlds".
+    Returns: "in domain" or "out of domain", with both kinds.
+    """
+    facts = load_facts(weights)
+    kinds = [str(kind) for kind in facts.get("worlds", ())]
+    here = scene.facts.get("world", "photos")
+    known = "in domain" if here in kinds else "out of domain"
+    return f"{known}: trained on {', '.join(kinds) or 'nothing known'}, used on {here}"
 
 
 def load_weights(path: Path, network: N, form: str, command: str) -> N:

@@ -7,8 +7,13 @@ import torch
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs import refiner_training
 from splatproof.methods.dpgs.refiner_training import Sample, errors, samples_of, train
+from splatproof.methods.dpgs.side_views import Guide
+from splatproof.methods.priors.view_refiner import refiner_input
+from splatproof.methods.threedgs.fit import fit
+from splatproof.methods.threedgs.settings import ThreeDGS
 
 
 @pytest.fixture
@@ -41,6 +46,12 @@ def test_samples_are_held_out_views_as_models_of_the_training_views_draw_them():
         assert one.counted.any()
         assert one.given.abs().max() <= 1
     assert not torch.equal(samples[0].given, samples[1].given)
+    early = fit(
+        scene, ThreeDGS(iterations=3, dense_cell=4.0, random_points=10_000), Run(seed=0, threads=1)
+    )
+    side, proven, photo = Guide(scene.train_views, early.render).of(scene.test_views[0].camera)
+    assert torch.equal(samples[0].given, refiner_input(side, photo))
+    assert torch.equal(samples[0].counted, ~proven)
     blind = replace(scene, test=())
     with pytest.raises(DataError, match="no held-out views"):
         samples_of(blind, steps=3)

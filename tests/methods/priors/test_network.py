@@ -13,7 +13,7 @@ from splatproof.base.files import sha256
 from splatproof.base.tensor_files import write_tensors
 from splatproof.cli.train_prior import MOST_BYTES
 from splatproof.datasets.catalogue.registry import list_scenes
-from splatproof.methods.priors import network, network_training
+from splatproof.methods.priors import network, network_training, unet
 from splatproof.methods.priors.attach import with_priors
 from splatproof.methods.priors.kinds import WEIGHTS
 from splatproof.methods.priors.network import (
@@ -136,7 +136,7 @@ def test_a_record_says_whether_the_network_knows_such_scenes(tmp_path):
 
     def said(world: str | None) -> str:
         facts = {} if world is None else {"world": world}
-        return network.domain(replace(scene, facts=facts), path)
+        return unet.domain(replace(scene, facts=facts), path)
 
     assert said("city") == "in domain: trained on city, street, used on city"
     assert said("tunnel") == "out of domain: trained on city, street, used on tunnel"
