@@ -94,7 +94,7 @@ def test_the_shipped_weights_are_those_of_their_record_and_help_on_worlds_apart(
     assert {name: record[name] for name in named} == {name: facts[name] for name in named}
     assert record["loss"][-1] < record["loss"][0]
     apart = record["error_apart"]
-    assert apart["own"] < 0.9 * min(apart["warp"], apart["render"])
+    assert apart["own"] < 0.95 * min(apart["warp"], apart["render"])
     load_refiner()
 
 
