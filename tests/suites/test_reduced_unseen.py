@@ -10,7 +10,7 @@ def test_unseen_runs_every_row(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     rows = rows_of(["run", "unseen", "--quick", "--out", str(tmp_path)], capsys)
     assert len(rows) == len(load_suite("unseen-quick").cases)
-    assert all(row["psnr"] > 10 for row in rows)
+    assert all(row["psnr"] > 9 for row in rows)
     (own,) = [row for row in rows if row["variant"] == "own"]
     facts = json.loads((tmp_path / "unseen-quick" / own["folder"] / "record.json").read_text())
     said = json.dumps(facts)

@@ -155,6 +155,15 @@ def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():
     assert shares == {0: pytest.approx(float(unproven.float().mean()))}
 
 
+def test_our_own_network_corrects_the_warp_and_leaves_what_is_proven_as_it_was():
+    warped, *_ = side_views("warp").views(1)
+    refined, *_ = side_views("own").views(1)
+    assert warped.load_mask is not None
+    assert refined.load_mask is not None
+    assert torch.equal(warped.load_mask(), refined.load_mask())
+    assert 0.5 / 255 < float((warped.load() - refined.load()).abs().mean()) < 0.3
+
+
 def test_without_a_refiner_the_target_is_the_render():
     first, *_ = side_views("none").views(1)
     assert float((first.load()[:, 8:] - 0.5).abs().max()) <= 0.51 / 255
