@@ -28,7 +28,9 @@ from splatproof.suites.published.rows import numbers
 from splatproof.suites.suite_files import load_suite, suite_names
 
 DOCS = Path(__file__).parents[2] / "docs"
-BOTH = pytest.mark.parametrize("made", [STREET, TUNNEL, SPARSE, ANCHORS, UNSEEN], ids=lambda one: one.suite)
+BOTH = pytest.mark.parametrize(
+    "made", [STREET, TUNNEL, SPARSE, ANCHORS, UNSEEN], ids=lambda one: one.suite
+)
 
 
 @BOTH
