@@ -77,11 +77,13 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
         return replace(output, colour=model.finish_image(view, output))
 
     def told(number: int, share: float) -> None:
-        run.on_fact(f"side pixels without evidence, round {number}", f"{share:.3f}")
+        run.on_fact(f"side pixels trained on, round {number}", f"{share:.3f}")
 
     name = hashlib.sha256(plan.key.encode()).hexdigest()[:16]
     folder = None if run.folder is None else run.folder / "checkpoint" / "side" / name
-    made = SideViews(cameras, plan.views, draw, side.refiner, folder, told)
+    made = SideViews(
+        cameras, plan.views, draw, side.refiner, folder, told, holes=side.holes
+    )
     order = SideOrder(
         len(plan.views), len(cameras), steps=plan.steps, every=side.every,
         refresh=max(1, round(side.refresh * shrink(plan.steps))),

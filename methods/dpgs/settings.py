@@ -23,6 +23,9 @@ class SideSettings:
     photo sees the surface, holes inpainted; own: that, corrected by our small network, whose weights
     come with the package; none: the render as it was, a control that says what
     training on one's own renders does."""
+    holes: bool = True
+    """Whether side views are trained on where the render has no surface (alpha below one half), and the refiner's
+    word is all there is; off: there they are masked."""
     refresh: int = 5000
     """Steps, of a 30,000 step run, after which targets are made anew by the model as it is then."""
     spirals: int = 1

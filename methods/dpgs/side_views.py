@@ -13,6 +13,7 @@ from splatproof.methods.dpgs.settings import RefinerName
 from splatproof.methods.priors.view_refiner import OwnRefiner, load_refiner
 from splatproof.reference.supervision.side_views import (
     EVIDENCE,
+    HOLE,
     SOLID,
     SeenView,
     ViewRefiner,
@@ -46,6 +47,8 @@ class SideViews:
         refiner: RefinerName,
         folder: Path | None,
         told: Callable[[int, float], None],
+        *,
+        holes: bool = True,
     ) -> None:
         """Nothing is rendered yet.
 
@@ -55,11 +58,13 @@ class SideViews:
             draw: Renders a view.
             refiner: What makes a target of a render.
             folder: Where rounds are kept; it belongs to this run alone. None: in memory.
-            told: Called with the number of a round and the share of its pixels without evidence.
+            told: Called with the number of a round and the share of its pixels that are trained on.
+            holes: Whether pixels without a surface are trained on too.
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
         self.folder, self.told = folder, told
         self.refiner: RefinerName = refiner
+        self.holes = holes
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -85,7 +90,7 @@ class SideViews:
         return self.round(number)["unproven"][index]
 
     def round(self, number: int) -> dict[str, Tensor]:
-        """The targets (8 bits) and the pixels without evidence of a round, made if it is not there.
+        """The targets (8 bits) and the pixels of a round that are trained on, made if it is not there.
 
         Args:
             number: From 0.
@@ -111,7 +116,7 @@ class SideViews:
             side, proven, photo = guide.of(camera)
             target = refine(side, photo)
             targets.append((target.clamp(0, 1) * 255).round().byte())
-            unproven.append(~proven)
+            unproven.append(~proven & (self.holes | (side.alpha >= HOLE)))
         made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
         self.told(number, float(made["unproven"].float().mean()))
         return made

@@ -73,7 +73,7 @@ def test_side_views_change_the_model_and_the_record_says_how_many_there_were():
         for side in (SIDE, SideSettings(every=0), replace(SIDE, refiner="none"))
     ]
     assert facts["side views"] == "6 on 1 spirals, none"
-    assert 0 < float(facts["side pixels without evidence, round 1"]) <= 1
+    assert 0 < float(facts["side pixels trained on, round 1"]) <= 1
     assert facts["gradients by"] == "kernels"
     sh = [model.sh for model in models]
     assert not any(torch.equal(a, b) for a, b in ((sh[0], sh[1]), (sh[1], sh[2]), (sh[0], sh[2])))

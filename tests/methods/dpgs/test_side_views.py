@@ -164,6 +164,22 @@ def test_our_own_network_corrects_the_warp_and_leaves_what_is_proven_as_it_was()
     assert 0.5 / 255 < float((warped.load() - refined.load()).abs().mean()) < 0.3
 
 
+def test_holes_can_be_left_alone():
+    shares = {}
+    with_holes = side_views("warp")
+    without = SideViews(
+        with_holes.cameras, with_holes.photos, Wall(), "warp", None, shares.__setitem__, holes=False
+    )
+    (first, *_), (other, *_) = with_holes.views(1), without.views(1)
+    assert first.load_mask is not None
+    assert other.load_mask is not None
+    hole = torch.zeros_like(first.load_mask())
+    hole[:, : 24 // 4] = True
+    assert torch.equal(other.load_mask(), first.load_mask() & ~hole)
+    assert torch.equal(other.load(), first.load())
+    assert shares == {0: pytest.approx(float(other.load_mask().float().mean()))}
+
+
 def test_without_a_refiner_the_target_is_the_render():
     first, *_ = side_views("none").views(1)
     assert float((first.load()[:, 8:] - 0.5).abs().max()) <= 0.51 / 255
