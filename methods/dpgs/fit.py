@@ -81,9 +81,7 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
 
     name = hashlib.sha256(plan.key.encode()).hexdigest()[:16]
     folder = None if run.folder is None else run.folder / "checkpoint" / "side" / name
-    made = SideViews(
-        cameras, plan.views, draw, side.refiner, folder, told, holes=side.holes
-    )
+    made = SideViews(cameras, plan.views, draw, side.refiner, folder, told, holes=side.holes)
     order = SideOrder(
         len(plan.views), len(cameras), steps=plan.steps, every=side.every,
         refresh=max(1, round(side.refresh * shrink(plan.steps))),

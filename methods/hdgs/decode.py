@@ -41,7 +41,7 @@ def visible(
     pyramid: native.Pyramid,
     drift: Float[Tensor, "v 3"] | None = None,
 ) -> Bool[Tensor, " v"]:
-    """Of which of some anchors an image may show a Gaussian, without decoding them.
+    """Whether an image may show a Gaussian of each of some anchors, without decoding them.
 
     An anchor counts if a ball around one of its last descendants, which holds all that one's Gaussians
     with all their pixels, meets the pyramid.

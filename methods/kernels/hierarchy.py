@@ -125,7 +125,7 @@ def visible(
     index: Int[Tensor, " v"] | None = None,
     drift: Float[Tensor, "v 3"] | None = None,
 ) -> Bool[Tensor, " v"]:
-    """Of which anchors an image may show a Gaussian: of those that are not True it shows none.
+    """Whether an image may show a Gaussian of each anchor: of one that is not True it shows none.
 
     Args:
         anchors: The stored anchors.

@@ -8,6 +8,7 @@ valgrind. Each piece runs once unmeasured, which fills its buffers, and once bet
 On stdout goes one line of JSON a piece: its name and what it worked on.
 """
 
+import ctypes
 import importlib.util
 import json
 import os
@@ -41,6 +42,15 @@ def zeros_like(values: memoryview) -> memoryview:
     """Float32 zeros of another array's shape."""
     assert values.shape is not None
     return zeros(*values.shape)
+
+
+def address(values: memoryview) -> int:
+    """Where an array lies in memory.
+
+    Args:
+        values: One that outlives what is done with its address.
+    """
+    return ctypes.addressof(ctypes.c_char.from_buffer(values.cast("B")))
 
 
 def filled(values: memoryview, draw: Callable[[], float]) -> memoryview:
@@ -126,9 +136,12 @@ def pieces(ext: Any) -> Iterator[tuple[str, Callable[[], None], dict[str, int]]]
         ext.photometric(scene.image, scene.photo, None, 0.2, gradient)
 
     def adam() -> None:
-        values, by = list(scene.raw.values()), list(scene.gradients.values())
-        ext.adam(values, by, *scene.moments, [1e-3] * len(values), 1, 0.9, 0.999, 1e-15, None)
+        ext.adam(*places, lengths, sizes, rates, 1, 0.9, 0.999, 1e-15, None)
 
+    values, by = list(scene.raw.values()), list(scene.gradients.values())
+    places = [[address(one) for one in many] for many in (values, by, *scene.moments)]
+    lengths, sizes = [len(one) for one in values], [one.nbytes // 4 for one in values]
+    rates = [1e-3] * len(values)
     gradient = zeros(HEIGHT, WIDTH, 3)
     size = {"gaussians": GAUSSIANS, "pixels": WIDTH * HEIGHT}
     size["pairs"] = render().pairs
