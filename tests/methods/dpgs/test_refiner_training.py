@@ -87,3 +87,13 @@ def test_what_has_evidence_everywhere_or_is_too_small_is_not_trained_on():
     ):
         with pytest.raises(DataError, match="no side views of 16 pixels"):
             train([odd], steps=1)
+
+
+@pytest.mark.usefixtures("_small")
+def test_what_photos_prove_teaches_nothing():
+    samples = wrong(0)
+    spoilt = [replace(one, truth=torch.where(one.counted, one.truth, 0.0)) for one in samples]
+    pairs = zip(
+        train(samples, steps=4).parameters(), train(spoilt, steps=4).parameters(), strict=True
+    )
+    assert all(torch.equal(a, b) for a, b in pairs)
