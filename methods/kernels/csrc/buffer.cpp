@@ -69,8 +69,8 @@ void* take_memory(size_t bytes) {
     }
   }
   const bool large = bytes >= 2 * PAGE;
-  void* memory = std::aligned_alloc(large ? PAGE : 64, bytes);
-  if (!memory) throw std::bad_alloc();
+  void* memory = nullptr;  // aligned_alloc may refuse sizes that are no multiple of the alignment
+  if (posix_memalign(&memory, large ? PAGE : 64, bytes)) throw std::bad_alloc();
   if (large) madvise(memory, bytes / PAGE * PAGE, MADV_HUGEPAGE);  // a wish: nothing depends on it
   count_up(bytes);
   return memory;
