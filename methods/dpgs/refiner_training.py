@@ -10,14 +10,12 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.side_views import Guide
-from splatproof.methods.priors.unet import STRIDE
+from splatproof.methods.priors.unet import STRIDE, fitted
 from splatproof.methods.priors.view_refiner import WARPED, RefinerNetwork, refiner_input
 from splatproof.methods.threedgs.fit import fit
 from splatproof.methods.threedgs.settings import ThreeDGS
 from splatproof.reference.types.scene import Scene
 
-RATE = 1e-3
-"""Adam's rate at the start; it falls to 0 along half a cosine."""
 CROP = 96
 """Sides in pixels of what is trained on at a time."""
 SHORT, LONG = 1, 3
@@ -112,25 +110,16 @@ def train(
     fit_for = [one for one in samples if min(one.counted.shape) >= CROP and one.counted.any()]
     if not fit_for:
         raise DataError(f"no side views of {CROP} pixels and more to train the refiner on")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = RefinerNetwork()
-    draw = torch.Generator().manual_seed(seed)
-    adam = torch.optim.Adam(network.parameters(), lr=RATE)
-    rates = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
-    for step in range(steps):
+
+    def loss(network: RefinerNetwork, draw: torch.Generator) -> Float[Tensor, ""]:
         crops = [_crop(fit_for, draw) for _ in range(batch)]
         given, truth, counted = (torch.stack(parts) for parts in zip(*crops, strict=True))
         if torch.rand((), generator=draw) < 0.5:
             given, truth, counted = (maps.flip(-1) for maps in (given, truth, counted))
         weight = counted[:, None].to(given)
-        loss = ((network(given) - truth).abs() * weight).sum() / (3 * weight.sum()).clamp(min=1)
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-        rates.step()
-        report(step + 1, steps, float(loss.detach()))
-    return network.eval()
+        return ((network(given) - truth).abs() * weight).sum() / (3 * weight.sum()).clamp(min=1)
+
+    return fitted(RefinerNetwork, loss, steps=steps, seed=seed, report=report)
 
 
 def _crop(

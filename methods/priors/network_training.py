@@ -10,11 +10,10 @@ from torch.nn import functional
 
 from splatproof.base.errors import DataError
 from splatproof.methods.priors.network import DepthNetwork, network_input
+from splatproof.methods.priors.unet import fitted
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.scene import Scene
 
-RATE = 1e-3
-"""Adam's rate at the start; it falls to 0 along half a cosine."""
 WITHOUT_POINTS = 0.2
 """Share of samples whose sparse points are hidden: scenes may have none."""
 FEWEST_POINTS = 0.02
@@ -99,13 +98,8 @@ def train(
     """
     if not samples:
         raise DataError("no views to train the depth network on")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        network = DepthNetwork()
-    draw = torch.Generator().manual_seed(seed)
-    adam = torch.optim.Adam(network.parameters(), lr=RATE)
-    rates = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
-    for step in range(steps):
+
+    def loss(network: DepthNetwork, draw: torch.Generator) -> Float[Tensor, ""]:
         first = samples[int(torch.randint(len(samples), (), generator=draw))]
         alike = [one for one in samples if one.truth.shape == first.truth.shape]
         rows = torch.randint(len(alike), (batch,), generator=draw).tolist()
@@ -118,10 +112,6 @@ def train(
         given[:, 3:] *= torch.rand(batch, 1, *given.shape[2:], generator=draw) < kept
         if torch.rand((), generator=draw) < 0.5:
             given, truth, known = (maps.flip(-1) for maps in (given, truth, known))
-        loss = affine_loss(network(given), truth, known)
-        adam.zero_grad()
-        loss.backward()
-        adam.step()
-        rates.step()
-        report(step + 1, steps, float(loss.detach()))
-    return network.eval()
+        return affine_loss(network(given), truth, known)
+
+    return fitted(DepthNetwork, loss, steps=steps, seed=seed, report=report)
