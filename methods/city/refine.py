@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.methods.contracts.density_strategy import Frozen
@@ -23,7 +23,7 @@ from splatproof.methods.training.optimizer import Adam, Momentum
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.methods.training.session import run_key
-from splatproof.reference.compression.affine_codes import fake_quantise, lattice
+from splatproof.reference.compression.affine_codes import STEPS, lattice
 from splatproof.reference.compression.spectral import open_gate
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians
@@ -178,8 +178,10 @@ class QuantisedModel(GaussianModel):
         super().__init__(start, rates, extent=0.0, mode=base.mode, dropout=base.dropout)
         self.quantise_from, self.pack = quantise_from, pack
 
-    def drawn_rows(self, moment: Moment) -> dict[str, Tensor]:
-        """The rows, their residual harmonics gated and on the lattice of 256 values that they will have.
+    def stored_harmonics(
+        self, moment: Moment
+    ) -> tuple[Float[Tensor, "n r 3"], Bool[Tensor, "n 1 1"]] | None:
+        """Residual harmonics, gated and on the lattice of 256 values that they will have.
 
         What the gate drops is 0 and gets no gradient: it is not stored, and the colour that is the same
         from all sides learns to do without it.
@@ -187,14 +189,14 @@ class QuantisedModel(GaussianModel):
         Args:
             moment: Says whether it is time for that.
         """
-        rows = super().drawn_rows(moment)
-        if moment.step > self.quantise_from * moment.total:
-            whole = rows["sh_rest"]
-            kept = torch.ones(len(whole), 1, dtype=torch.bool, device=whole.device)
-            if self.pack is not None:
-                kept = open_gate(whole.detach(), self.pack.gate, self.pack.weighting)[:, None]
-            rest = torch.where(kept, whole.flatten(start_dim=1), 0)
-            low, reach = lattice(rest.detach())
-            stored = torch.where(kept, fake_quantise(rest, low, reach), 0)
-            rows["sh_rest"] = stored.reshape_as(whole)
-        return rows
+        if moment.step <= self.quantise_from * moment.total:
+            return None
+        whole = self.parameters.rows["sh_rest"].detach()
+        kept = torch.ones(len(whole), dtype=torch.bool, device=whole.device)
+        if self.pack is not None:
+            kept = open_gate(whole, self.pack.gate, self.pack.weighting)
+        shown = kept[:, None, None]
+        rest = torch.where(shown, whole, 0).flatten(start_dim=1)
+        low, reach = lattice(rest)
+        rest.sub_(low).mul_(torch.where(reach > 0, STEPS / reach, 0)).round_()
+        return rest.mul_(reach / STEPS).add_(low).reshape_as(whole).mul_(shown), shown

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import torch
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
@@ -79,8 +80,26 @@ class GaussianModel(Model):
         Args:
             moment: Step of training, or TRAINED.
         """
+        rows = dict(self.parameters.rows)
+        if (found := self.stored_harmonics(moment)) is not None:
+            values, kept = found
+            rest = rows["sh_rest"]
+            rows["sh_rest"] = values + torch.where(kept, rest - rest.detach(), 0)
+        return rows
+
+    def stored_harmonics(
+        self, moment: Moment
+    ) -> tuple[Float[Tensor, "n r 3"], Bool[Tensor, "n 1 1"]] | None:
+        """View-dependent colour as a file gives it back, where a model is trained through that.
+
+        Args:
+            moment: Step of training, or TRAINED.
+
+        Returns: The values, without gradient, and of which rows they are the rounded ones: those get the
+            gradient by their values, the others none. None: what is trained is drawn.
+        """
         del moment
-        return dict(self.parameters.rows)
+        return None
 
     def splats(self, view: View, moment: Moment) -> Splats:
         """The Gaussians, activated; a share of them is hidden while training, if so set.
@@ -95,7 +114,7 @@ class GaussianModel(Model):
         return activated(assemble(rows, self.drawn_degree(moment)))
 
     def native(self, view: View, moment: Moment) -> NativeTensors | None:
-        """The trained tensors themselves, where they are on the CPU and drawn as they are.
+        """The trained tensors, where they are on the CPU and drawn as they are but for stored harmonics.
 
         Args:
             view: Not looked at.
@@ -111,19 +130,21 @@ class GaussianModel(Model):
             return None
         own = rows["opacity_logits"].detach().requires_grad_()
         drawn = self._thin(own, moment)
+        stored = self.stored_harmonics(moment)
+        seen = rows | {"opacity_logits": drawn} | ({"sh_rest": stored[0]} if stored else {})
 
         def leave(gradients: Mapping[str, Tensor]) -> None:
             for name, gradient in gradients.items():
                 if name in self.schedules:
                     rows[name].grad = gradient
+            if stored and rows["sh_rest"].grad is not None:
+                rows["sh_rest"].grad.mul_(stored[1])
             if drawn is not own and "opacity_logits" in self.schedules:
                 # as grad(drawn, own, given), for which torch imports a whole algebra system: a second
                 total = (drawn * gradients["opacity_logits"]).sum()
                 rows["opacity_logits"].grad = torch.autograd.grad(total, own)[0]
 
-        return NativeTensors(
-            tensors=rows | {"opacity_logits": drawn}, degree=self.drawn_degree(moment), leave=leave
-        )
+        return NativeTensors(tensors=seen, degree=self.drawn_degree(moment), leave=leave)
 
     def _thin(self, logits: Tensor, moment: Moment) -> Tensor:
         """The opacity logits that one step draws."""

@@ -32,13 +32,14 @@ def lattice(values: Float[Tensor, "n d"]) -> tuple[Float32[Tensor, " d"], Float3
 
     Source: StitchGS, Sec. 3.3.2.
     """
-    if not bool(values.isfinite().all()):
-        bad = int((~values.isfinite()).sum())
-        raise DataError(f"{bad} of {values.numel()} values to quantise are not finite: clean first")
     if len(values) == 0:
         return torch.zeros(values.shape[1]), torch.zeros(values.shape[1])
-    low = values.amin(dim=0).float()
-    reach = (values.amax(dim=0).double() - low.double()).clamp(min=0).float()
+    low, high = values.amin(dim=0), values.amax(dim=0)  # a value that is not finite shows in one of them
+    if not bool((low.isfinite() & high.isfinite()).all()):
+        bad = int((~values.isfinite()).sum())
+        raise DataError(f"{bad} of {values.numel()} values to quantise are not finite: clean first")
+    low = low.float()
+    reach = (high.double() - low.double()).clamp(min=0).float()
     if not bool((low.isfinite() & reach.isfinite()).all()):
         raise DataError("values to quantise span more than float32 holds: clean the model first")
     return low, reach
