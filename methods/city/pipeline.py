@@ -27,17 +27,20 @@ from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition, partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
-from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, stitch
+from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.storage.packed.coded_writer import chosen_steps, file_order, write_coded
 from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
 from splatproof.methods.threedgs.fit import started
 from splatproof.methods.training.session import run_key
 from splatproof.methods.training.threads import threads
+from splatproof.reference.compression.quantisers import Steps
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
@@ -105,16 +108,18 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         for one in facts:
             if one.primitives and not one.kept:
                 run.say(f"block {one.block}: lost all {one.primitives} Gaussians in the merge")
-        merged, packed, parts = _read_merged(folder / "merged"), None, {}
+        merged, packed, parts, steps = _read_merged(folder / "merged"), None, {}, None
         if settings.gcr:
             path = folder / "refined.safetensors"
-            stages.run("refine", partial(_refine, merged, scene, settings, run, path, progress))
-            merged = _read_refined(merged, path)
+            refined = stages.run(
+                "refine", partial(_refine, merged, scene, settings, run, path, progress, found)
+            )
+            merged, steps = _read_refined(merged, path), refined["steps"]
         if settings.quantise:
             path = folder / "model.spgs"
-            if settings.pack.sort:
-                merged = merged.take(morton_order(merged.model.means))
-            small = stages.run("compress", partial(_compress, merged, settings, path, scene))
+            chosen = _steps(merged.model, settings, steps)
+            merged = merged.take(_file_order(merged.model, settings, chosen))
+            small = stages.run("compress", partial(_compress, merged, settings, path, scene, chosen))
             packed, parts = read_bytes(path), small["parts"]
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
@@ -291,18 +296,28 @@ def _read_merged(folder: Path) -> Merged:
 
 
 def _refine(
-    merged: Merged, scene: Scene, settings: CitySettings, run: Run, path: Path, progress: Progress
+    merged: Merged, scene: Scene, settings: CitySettings, run: Run, path: Path, progress: Progress,
+    found: Partition,
 ) -> dict[str, Any]:
     """Clean the merged model and fit its appearance over all training views."""
     rows = refinement.clean(merged.model, settings.refine.clean)
+    cleaned = select(merged.model, rows)
+    moving = None
+    if settings.refine.walls:
+        moving = near_walls(cleaned.means.double(), found.regions, settings.refine.walls)
+    steps = _steps(cleaned, settings, None)
     model, seconds = refinement.refine(
-        select(merged.model, rows), scene, settings.refine, settings.training,
+        cleaned, scene, settings.refine, settings.training,
         replace(run, report=progress.refine), path.parent / "refine",
-        settings.pack if settings.quantise else None,
+        steps or (settings.pack if settings.quantise else None), moving,
     )  # fmt: skip
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
     shutil.rmtree(path.parent / "refine", ignore_errors=True)
-    return {"seconds": seconds, "cleaned": int((~rows).sum())}
+    return {
+        "seconds": seconds,
+        "cleaned": int((~rows).sum()),
+        "steps": None if steps is None else asdict(steps),
+    }
 
 
 def _read_refined(merged: Merged, path: Path) -> Merged:
@@ -310,11 +325,37 @@ def _read_refined(merged: Merged, path: Path) -> Merged:
     return replace(merged.take(tensors["rows"]), model=read_gaussians(path))
 
 
-def _compress(merged: Merged, settings: CitySettings, path: Path, scene: Scene) -> dict[str, Any]:
+def _steps(model: Gaussians, settings: CitySettings, refined: dict[str, Any] | None) -> Steps | None:
+    """Steps of our small file, those that the refinement was trained through; None: there is no such file."""
+    if not settings.quantise or settings.coder == "paper":
+        return None
+    if refined is not None:
+        return Steps(**refined | {"weights": tuple(refined["weights"])})
+    return chosen_steps(MemoryRows(model), settings.code)
+
+
+def _file_order(
+    model: Gaussians, settings: CitySettings, steps: Steps | None
+) -> Int64[Tensor, " n"]:
+    """The Gaussians in the order of the file that they will be read from."""
+    if steps is not None:
+        return file_order(MemoryRows(model), steps)[1]
+    return morton_order(model.means) if settings.pack.sort else torch.arange(len(model))
+
+
+def _compress(
+    merged: Merged, settings: CitySettings, path: Path, scene: Scene, steps: Steps | None
+) -> dict[str, Any]:
     """Write the small file, in the order that the Gaussians have already."""
     facts = PackedFacts(mode=settings.mode, shift=scene.shift, units=scene.units)
-    report = write_packed(
-        path, merged.model, settings=replace(settings.pack, sort=False), facts=facts,
-        threads=torch.get_num_threads(),
-    )  # fmt: skip
+    threads = torch.get_num_threads()
+    if steps is None:
+        report = write_packed(
+            path, merged.model, settings=replace(settings.pack, sort=False), facts=facts,
+            threads=threads,
+        )  # fmt: skip
+    else:
+        report = write_coded(
+            path, merged.model, settings=settings.code, steps=steps, facts=facts, threads=threads
+        )
     return {"parts": dict(report.bytes_by_part)}

@@ -1,4 +1,4 @@
-"""Global consistency refinement: one look for all blocks, trained through the 8 bits it is stored in."""
+"""Global consistency refinement: one look for all blocks, trained through the file that it is stored in."""
 
 import hashlib
 from dataclasses import dataclass, field, replace
@@ -15,15 +15,18 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.models.exposure import exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
+from splatproof.methods.storage.packed.straight_through import stored_harmonics
 from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.initialise import extent
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.optimizer import Adam, Momentum
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates, require
 from splatproof.methods.training.session import run_key
 from splatproof.reference.compression.affine_codes import STEPS, lattice
+from splatproof.reference.compression.quantisers import Steps
 from splatproof.reference.compression.spectral import open_gate
 from splatproof.reference.stitching.preclean import CleanSettings, preclean
 from splatproof.reference.types.gaussians import Gaussians
@@ -31,6 +34,9 @@ from splatproof.reference.types.scene import Scene
 
 PAPER_SHARE = 7_000 / 40_000
 """Number of refinement steps for each step of block training in the paper."""
+FIRST = 0.1
+"""First rate of positions that move in the refinement, as a share of that in the blocks' training."""
+GEOMETRY = ("means", "log_scales", "quaternions")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +49,8 @@ class RefineSettings:
     visits: int = 4
     """Fewest times that every training view is visited where `iterations` is None."""
     quantise_from: float = 0.1
-    """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits that
-    it will be stored in; 1: never."""
+    """Share of the steps, 0 to 1, after which view-dependent colour is seen through the 8 bits (or on
+    the steps of our file) that it will be stored in; 1: never."""
     optimizer: Literal["adam", "sgd"] = "adam"
     """What follows the gradients. adam: ours; sgd: gradient descent with momentum 0.9, as
     released."""
@@ -55,6 +61,10 @@ class RefineSettings:
     SGD)."""
     opacity: float = 0.025
     """Learning rate of opacity logits (the release: 0.05, with SGD)."""
+    walls: float = 0.0
+    """Half the width of the strip along the walls of blocks, in normalised distance, in which positions,
+    scales and rotations are fitted too: what two blocks have put on one place sorts itself out there.
+    0: nowhere, as in the paper; infinity: everywhere, walls or not."""
     settle: float = 0.1
     """Factor on these rates at the last step, reached log-linearly from the middle of the
     refinement on; 1: constant."""
@@ -69,7 +79,7 @@ class RefineSettings:
         require(steps is None or steps >= 1, "refine.iterations", steps, ">= 1 or None")
         require(self.visits >= 0, "refine.visits", self.visits, ">= 0")
         require(0 <= self.quantise_from <= 1, "refine.quantise_from", self.quantise_from, "0 to 1")
-        for name in ("sh_dc", "sh_rest", "opacity", "settle"):
+        for name in ("sh_dc", "sh_rest", "opacity", "settle", "walls"):
             value = getattr(self, name)
             require(value >= 0, f"refine.{name}", value, ">= 0")
 
@@ -106,9 +116,10 @@ def refine(
     base: Settings,
     run: Run,
     folder: Path | None,
-    pack: FileSettings | None = None,
+    pack: FileSettings | Steps | None = None,
+    moving: Bool[Tensor, " n"] | None = None,
 ) -> tuple[Gaussians, float]:
-    """Fit opacity and colour of a merged model to all training views; geometry stays as it is.
+    """Fit opacity and colour of a merged model to all training views; elsewhere geometry stays as it is.
 
     Args:
         model: The merged model, already cleaned.
@@ -118,28 +129,39 @@ def refine(
             exposure, mode and dropout count.
         run: Seed, backend and reports.
         folder: Where its checkpoint goes; None: none is kept.
-        pack: How the model will be stored: what its gate drops is not seen in training either; None:
-            nothing is dropped.
+        pack: How the model will be stored: what the gate of the paper's file drops is not seen in
+            training either, and of our file the steps are. None: nothing is dropped, and harmonics are
+            seen as the paper's file has them.
+        moving: Gaussians whose positions, scales and rotations are fitted too; None: none are. Positions
+            start at a tenth of the blocks' first rate and end at their last, the others have the blocks'.
 
     Returns: The refined model and the seconds it took, those before an interruption included.
 
-    Source: StitchGS, Sec. 3.2.4; Adam instead of SGD: ours.
+    Source: StitchGS, Sec. 3.2.4; Adam instead of SGD, and what moves: ours.
     """
+    of_blocks, any_moves = base.rates, moving is not None and bool(moving.any())
     rates = Rates(
-        means=0.0, means_final=0.0, log_scales=0.0, quaternions=0.0, sh_dc=settings.sh_dc,
-        sh_rest=settings.sh_rest, opacity_logits=settings.opacity, settle=settings.settle,
+        means=of_blocks.means * FIRST if any_moves else 0.0,
+        means_final=of_blocks.means_final if any_moves else 0.0,
+        log_scales=of_blocks.log_scales if any_moves else 0.0,
+        quaternions=of_blocks.quaternions if any_moves else 0.0,
+        sh_dc=settings.sh_dc, sh_rest=settings.sh_rest, opacity_logits=settings.opacity,
+        settle=settings.settle,
     )  # fmt: skip
     steps = settings.steps(base, len(scene.train))
-    fitted = QuantisedModel(model, rates, settings.quantise_from, base, pack)
+    size = extent(scene) if any_moves else 0.0
+    fitted = QuantisedModel(model, rates, settings.quantise_from, base, pack, extent=size)
+    still = None if moving is None or not any_moves else (~moving).nonzero()[:, 0]
     plan = Plan(
         steps=steps,
         views=scene.train_views,
         terms=terms(base),
         density=Frozen(),
-        key=run_key(scene, base, run, f"{settings} {pack} {_digest(model)}"),
+        key=run_key(scene, base, run, f"{settings} {pack} {_digest(model, moving)}"),
         views_per_step=base.views_per_step,
         random_background=base.random_background,
         optimizer=Momentum if settings.optimizer == "sgd" else Adam,
+        held=None if still is None else lambda _: dict.fromkeys(GEOMETRY, still),
     )
     shown = exposed(fitted, base.exposure, plan.views)
     trainer = Trainer(shown, plan, replace(run, folder=folder))
@@ -148,15 +170,15 @@ def refine(
     return fitted.gaussians(), trainer.seconds
 
 
-def _digest(model: Gaussians) -> str:
-    digest = hashlib.sha256()
+def _digest(model: Gaussians, moving: Bool[Tensor, " n"] | None) -> str:
+    digest = hashlib.sha256(b"" if moving is None else moving.numpy())
     for name in FIELDS:
         digest.update(getattr(model, name).detach().contiguous().numpy())
     return digest.hexdigest()
 
 
 class QuantisedModel(GaussianModel):
-    """Gaussians of which only the appearance moves, seen as they will be stored in 8 bits."""
+    """Merged Gaussians, their view-dependent colour seen as it will be stored."""
 
     def __init__(
         self,
@@ -164,24 +186,27 @@ class QuantisedModel(GaussianModel):
         rates: Rates,
         quantise_from: float,
         base: Settings,
-        pack: FileSettings | None = None,
+        pack: FileSettings | Steps | None = None,
+        *,
+        extent: float = 0.0,
     ) -> None:
         """Start from a merged model.
 
         Args:
             start: The merged model, already cleaned.
-            rates: Learning rates; those of geometry are 0.
-            quantise_from: Share of the steps after which harmonics are seen through 8 bits.
+            rates: Learning rates; those of geometry are 0 where none moves.
+            quantise_from: Share of the steps after which harmonics are seen as they will be stored.
             base: Settings that the blocks were trained with; mode and dropout count.
-            pack: Gate of the file that the model will be stored in; None: none.
+            pack: Gate of the paper's file or steps of ours; None: the paper's without a gate.
+            extent: Size of the scene in scene units, which positions move in proportion to.
         """
-        super().__init__(start, rates, extent=0.0, mode=base.mode, dropout=base.dropout)
+        super().__init__(start, rates, extent=extent, mode=base.mode, dropout=base.dropout)
         self.quantise_from, self.pack = quantise_from, pack
 
     def stored_harmonics(
         self, moment: Moment
     ) -> tuple[Float[Tensor, "n r 3"], Bool[Tensor, "n 1 1"]] | None:
-        """Residual harmonics, gated and on the lattice of 256 values that they will have.
+        """Residual harmonics, gated and on the lattice of 256 values that they will have, or on our steps.
 
         What the gate drops is 0 and gets no gradient: it is not stored, and the colour that is the same
         from all sides learns to do without it.
@@ -191,7 +216,12 @@ class QuantisedModel(GaussianModel):
         """
         if moment.step <= self.quantise_from * moment.total:
             return None
-        whole = self.parameters.rows["sh_rest"].detach()
+        rows = self.parameters.rows
+        whole = rows["sh_rest"].detach()
+        if isinstance(self.pack, Steps):
+            scales, logits = (rows[n].detach() for n in ("log_scales", "opacity_logits"))
+            shown = torch.ones(len(whole), 1, 1, dtype=torch.bool, device=whole.device)
+            return stored_harmonics(whole, scales, logits, self.pack), shown
         kept = torch.ones(len(whole), dtype=torch.bool, device=whole.device)
         if self.pack is not None:
             kept = open_gate(whole, self.pack.gate, self.pack.weighting)

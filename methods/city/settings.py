@@ -8,12 +8,15 @@ from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.models.exposure import Exposure
+from splatproof.methods.storage.packed.coded_writer import CodeSettings
 from splatproof.methods.storage.packed.writer import FileSettings
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import require
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.stitching.stochastic import StitchSettings
 
+Coder = Literal["paper", "small"]
+"""What writes the small file, see `CitySettings.coder`."""
 Merge = Literal["hard", "sis", "shares", "fade"]
 """How blocks become one model, see `CitySettings.merge`."""
 GRID = PartitionSettings(method="citygaussian")
@@ -82,8 +85,14 @@ class CitySettings(Settings):
     quantise: bool = False
     """Whether the model is stored as a small file: view-dependent colour of little energy dropped
     and the rest of it in 8 bits, positions in single and all else in half precision, compressed."""
+    coder: Coder = "paper"
+    """What writes that file. paper: as `quantise` says, by `pack`; small: ours, all parts in steps of
+    `code`, entropy-coded, as `bench export --packed` does; nothing is dropped, and the refinement sees
+    view-dependent colour on those steps."""
     pack: FileSettings = field(default_factory=FileSettings)
-    """What that file keeps and how it is laid out where `quantise` is on."""
+    """What the paper's file keeps and how it is laid out."""
+    code: CodeSettings = field(default_factory=CodeSettings)
+    """How fine the steps of our file are."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""

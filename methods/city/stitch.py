@@ -201,6 +201,33 @@ def _zones_and_rim(block: BlockModel, settings: StitchSettings) -> tuple[UInt8[T
     return torch.cat(zone), _Rim(rows=rows, means=means, distance=away, quality=scored)
 
 
+def near_walls(
+    places: Float64[Tensor, "n 3"], regions: Sequence[Region], reach: float
+) -> Bool[Tensor, " n"]:
+    """Places that lie within a normalised distance of 1 + reach of two regions or more.
+
+    Where regions tile the scene, that is a strip on both sides of each wall between two of them; at the
+    scene's own border there is no wall.
+
+    Args:
+        places: Positions in the scene's frame.
+        regions: Regions of the blocks.
+        reach: Half the width of the strip, > 0; infinity: every place, however many regions there are.
+
+    Source: ours; the band is that of metrics.seam_partition at a reach of 0.1.
+    """
+    if reach == float("inf"):
+        return torch.ones(len(places), dtype=torch.bool)
+    held = torch.zeros(len(places), dtype=torch.int64)
+    for region in regions:
+        if isinstance(region, VoxelRegion):
+            away = region.clipped(places, 1.0, 1 + 2 * reach)
+        else:
+            away = region.distance(places)
+        held += away <= 1 + reach
+    return held >= 2
+
+
 def _clipped(region: Region, points: Float64[Tensor, "n 3"], low: float) -> Float64[Tensor, " n"]:
     """Distances between `low` and a little beyond the rim: nothing here asks for others."""
     if isinstance(region, VoxelRegion):

@@ -123,7 +123,7 @@ def write_coded(
     settings, facts = settings or CodeSettings(), facts or PackedFacts()
     rows = MemoryRows(source) if isinstance(source, Gaussians) else source
     steps = steps or chosen_steps(rows, settings)
-    corner, order = _order(rows, steps)
+    corner, order = file_order(rows, steps)
     size = chunk_size(len(rows), settings.profile)
     header = {
         "format": FORMAT,
@@ -215,8 +215,13 @@ def chosen_steps(rows: Rows, settings: CodeSettings) -> Steps:
     )  # fmt: skip
 
 
-def _order(rows: Rows, steps: Steps) -> tuple[Int64[np.ndarray, "3"], Int64[Tensor, " n"]]:
-    """Lowest cell of each axis, and the Gaussians in the order of the file."""
+def file_order(rows: Rows, steps: Steps) -> tuple[Int64[np.ndarray, "3"], Int64[Tensor, " n"]]:
+    """Lowest cell of each axis, and the Gaussians in the order of the file; in that order they keep it.
+
+    Args:
+        rows: The model.
+        steps: The file's.
+    """
     found = np.empty((len(rows), 3), dtype=np.int32)
     for first in range(0, len(rows), LOOKED):
         means = rows.take(slice(first, first + LOOKED), ("means",))["means"].double().numpy()

@@ -34,10 +34,7 @@ def stored(rows: Mapping[str, Tensor], steps: Steps) -> dict[str, Tensor]:
     """
     log_scales = rounded(rows["log_scales"], steps.log_scale)
     logits = rounded(rows["opacity_logits"].clamp(-MOST_LOGIT, MOST_LOGIT), steps.opacity)
-    step = harmonic_steps(log_scales, logits, steps)
-    opponent = torch.from_numpy(OPPONENT).to(rows["sh_rest"])
-    channels = rows["sh_rest"] @ opponent.T
-    codes = (channels.detach() / step).round() * step
+    rest = stored_harmonics(rows["sh_rest"], log_scales, logits, steps)
     found = dict(rows)
     found |= {
         "means": rounded(rows["means"], steps.position),
@@ -45,9 +42,32 @@ def stored(rows: Mapping[str, Tensor], steps: Steps) -> dict[str, Tensor]:
         "opacity_logits": logits,
         "quaternions": _turned(rows["quaternions"], steps.rotation_bits),
         "sh_dc": rounded(rows["sh_dc"], steps.dc),
-        "sh_rest": (channels + (codes - channels).detach()) @ opponent,
+        "sh_rest": rest,
     }
     return found
+
+
+def stored_harmonics(
+    rest: Float[Tensor, "n r 3"],
+    log_scales: Float[Tensor, "n 3"],
+    logits: Float[Tensor, " n"],
+    steps: Steps,
+) -> Float[Tensor, "n r 3"]:
+    """View-dependent colour on the steps of each Gaussian's class, with the gradient of the values themselves.
+
+    Args:
+        rest: SH coefficients without DC.
+        log_scales: Logarithms of scales, on their steps.
+        logits: Opacity logits, on their steps.
+        steps: The file's.
+
+    Source: see `stored`; OPPONENT is orthonormal, so gradients come back as they were.
+    """
+    step = harmonic_steps(log_scales, logits, steps)
+    opponent = torch.from_numpy(OPPONENT).to(rest)
+    channels = rest @ opponent.T
+    codes = (channels.detach() / step).round() * step
+    return (channels + (codes - channels).detach()) @ opponent
 
 
 def rounded(values: Float[Tensor, "*shape"], step: float) -> Float[Tensor, "*shape"]:

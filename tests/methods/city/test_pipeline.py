@@ -11,6 +11,7 @@ from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.methods.city.model import CONTAINER, CityModel
+from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
@@ -95,6 +96,36 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     image = back.render(SCENE.views[0]).colour
     assert image.isfinite().all()
     assert image.max() > 0.1
+
+
+def test_our_small_file_is_what_the_refinement_saw_and_keeps_whose_is_whose(tmp_path):
+    cache = tmp_path / "cache"
+    of = {"refine": RefineSettings(iterations=40)}
+    plain, paper, small = (
+        fit("stitchgs", run(tmp_path / name, cache=cache), **of | more)
+        for name, more in (
+            ("plain", {"quantise": False}), ("paper", {}), ("small", {"coder": "small"}),
+        )
+    )  # fmt: skip
+    assert small.packed is not None
+    assert paper.packed is not None
+    assert len(small.packed) < 0.75 * len(paper.packed)
+    assert len(small.model) == len(plain.model)
+    regions = small.regions
+    for block in small.blocks.unique().tolist():
+        rows = small.blocks == block
+        away = regions[block].distance(small.model.means[rows].double())
+        # a cell is a twentieth of the median Gaussian's scale
+        assert float((away - small.distances[rows]).abs().max()) < 0.02
+    save_model(small, tmp_path / "model", Origin(method="stitchgs"))
+    back = load_reconstruction(tmp_path / "model", backend="cpu")
+    assert isinstance(back, CityModel)
+    assert same(small, back)
+    assert sum(back.packed_parts.values()) == len(small.packed)
+    view = SCENE.views[0]
+    apart = [float((m.render(view).colour - plain.render(view).colour).square().mean())
+             for m in (small, paper)]  # fmt: skip
+    assert apart[0] < 1e-3
 
 
 @pytest.mark.parametrize("row", ["blockgaussian", "stitchgs", "odbp+stitch"])

@@ -10,11 +10,22 @@ from torch.testing import assert_close
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.refine import QuantisedModel, RefineSettings, clean, refine
+from splatproof.methods.contracts.density_strategy import Frozen
 from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.storage.packed.coded_writer import (
+    CodeSettings,
+    chosen_steps,
+    file_order,
+    write_coded,
+)
 from splatproof.methods.storage.packed.reader import read_packed
+from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
+from splatproof.methods.threedgs.fit import terms
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.loop import Trainer
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import Rates
 from splatproof.reference.compression.spectral import open_gate
 from splatproof.reference.stitching.preclean import CleanSettings
@@ -50,6 +61,46 @@ def test_the_loss_falls_and_only_the_appearance_moves(more):
         assert torch.equal(getattr(model, name), getattr(before, name))
     for name in ("opacity_logits", "sh"):
         assert not torch.equal(getattr(model, name), getattr(before, name))
+
+
+def test_what_lies_near_walls_moves_and_nothing_else_does():
+    moving = torch.zeros(40, dtype=torch.bool)
+    moving[::3] = True
+    truth = random_gaussians(40)
+    shift = torch.where(moving[:, None], 0.05, 0.0)
+    start = replace(spoilt(), means=truth.means + shift)
+    base = replace(BASE, rates=Rates(means=0.05, means_final=1e-4))  # the tiny scene is small
+    of, ends = (SCENE, RefineSettings(iterations=200), base, RUN, None), []
+    for mask in (None, ~moving & moving, moving):
+        model, _ = refine(start, *of, moving=mask)
+        ends.append(model)
+        for name in ("means", "quaternions", "log_scales"):
+            same = (getattr(model, name) == getattr(start, name)).all(dim=1)
+            assert bool(same[~moving].all())
+            assert bool(same[moving].all()) is (mask is not moving)
+    assert torch.equal(ends[0].sh, ends[1].sh)
+    off = [float((m.means - truth.means)[moving].norm(dim=1).mean()) for m in ends]
+    assert off[2] < 0.8 * off[0]
+
+
+def test_the_kernels_and_autograd_refine_alike():
+    """Stored harmonics are handed to the kernels' step as autograd sees them."""
+    start, pack = spoilt(), FileSettings(gate=0.3)
+    rates, ends = Rates(means=0.0, means_final=0.0), []
+    for native in (True, False):
+        model = QuantisedModel(start, rates, 0.2, BASE, pack)
+        plan = Plan(steps=20, views=SCENE.train_views, terms=terms(BASE), density=Frozen(), key="",
+                    native=native)  # fmt: skip
+        trainer = Trainer(model, plan, RUN)
+        assert trainer.path == ("kernels" if native else "autograd")
+        trainer.train()
+        ends.append(model.gaussians())
+    assert 0 < int(open_gate(start.sh[:, 1:], 0.3).sum()) < 40
+    for name in ("opacity_logits", "sh"):
+        moved = getattr(ends[0], name) - getattr(start, name)
+        # rates of 0.05 and 2.5e-3 times 20 steps of Adam, whose first ones go by the sign alone
+        assert_close(getattr(ends[0], name), getattr(ends[1], name), rtol=0, atol=2e-3)
+        assert float(moved.abs().max()) > 0.01
 
 
 def test_what_is_rendered_lies_on_256_values_from_the_set_share_on():
@@ -132,6 +183,22 @@ def test_what_the_gate_drops_is_not_seen_and_what_is_seen_is_what_is_stored(tmp_
     gradient = model.parameters.rows["sh_rest"].grad
     assert gradient is not None
     assert torch.equal((gradient != 0).flatten(start_dim=1).any(dim=1), ~dropped)
+
+
+def test_of_our_file_the_refinement_sees_the_steps(tmp_path):
+    start = random_gaussians(500)
+    steps = chosen_steps(MemoryRows(start), CodeSettings(harmonics=0.2))
+    model = QuantisedModel(start, Rates(), 0.5, BASE, steps)
+    assert model.stored_harmonics(Moment(step=5, total=10)) is None
+    found = model.stored_harmonics(Moment(step=6, total=10))
+    assert found is not None
+    path = tmp_path / "model.spgs"
+    order = file_order(MemoryRows(start), steps)[1]
+    write_coded(path, start, steps=steps, threads=1)
+    stored = read_packed(path)[0].sh[:, 1:]
+    assert_close(found[0][order], stored, rtol=0, atol=1e-5)
+    assert float((found[0] - start.sh[:, 1:]).abs().max()) > 0.05
+    assert bool(found[1].all())
 
 
 def test_exposures_of_photos_stay_out_of_the_refined_colours():

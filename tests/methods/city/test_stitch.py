@@ -223,6 +223,17 @@ def test_a_million_and_a_half_compete_within_thirty_seconds_of_two_cores():
     assert time.process_time() - start < 60  # CPU seconds: others may use the machine
 
 
+@pytest.mark.parametrize("kind", ["cube", "rough"])
+def test_near_walls_is_a_strip_between_blocks_and_not_the_rim_of_the_scene(kind):
+    made = [block.region for block in blocks(3, 4, 0, kind)]
+    places = torch.tensor([[1.0, 0, 0], [0.9, 0, 0], [1.12, 0, 0], [0.8, 0, 0], [0, 0, 0], [-1.0, 0, 0],
+                           [3.05, 0.2, -0.9], [5.0, 0, 0]], dtype=D)  # fmt: skip
+    expected = torch.tensor([True, True, True, False, False, False, True, False])
+    assert torch.equal(fast.near_walls(places, made, 0.15), expected)
+    assert not fast.near_walls(places, made[:1], 0.15).any()
+    assert fast.near_walls(places, made[:1], float("inf")).all()
+
+
 @given(count=st.integers(1, 4), seed=SEEDS)
 def test_shares_sum_to_one_and_are_the_same_from_both_sides(count, seed):
     away = 1.3 * torch.rand(count, 200, generator=generator(seed), dtype=D)
