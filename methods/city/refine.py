@@ -64,7 +64,7 @@ class RefineSettings:
     walls: float = 0.0
     """Half the width of the strip along the walls of blocks, in normalised distance, in which positions,
     scales and rotations are fitted too: what two blocks have put on one place sorts itself out there.
-    0: nowhere, as in the paper; infinity: everywhere, walls or not."""
+    0: nowhere, as in the paper."""
     settle: float = 0.1
     """Factor on these rates at the last step, reached log-linearly from the middle of the
     refinement on; 1: constant."""

@@ -212,12 +212,10 @@ def near_walls(
     Args:
         places: Positions in the scene's frame.
         regions: Regions of the blocks.
-        reach: Half the width of the strip, > 0; infinity: every place, however many regions there are.
+        reach: Half the width of the strip, > 0.
 
     Source: ours; the band is that of metrics.seam_partition at a reach of 0.1.
     """
-    if reach == float("inf"):
-        return torch.ones(len(places), dtype=torch.bool)
     held = torch.zeros(len(places), dtype=torch.int64)
     for region in regions:
         if isinstance(region, VoxelRegion):
