@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from city_expectations import Verdict, expectations
 
 from splatproof.reference.types.result import Result
+from splatproof.reports.measured import measured
 from splatproof.reports.statistics import summarise
 
 PLY_NUMBERS = 62
@@ -19,6 +20,7 @@ QUALITY: tuple[Cell, ...] = (
     ("seam_psnr", "Seam PSNR ↑", 2, 1.0), ("bpd_l1", "BPD L1 ↓", 4, 1.0), ("nbgj", "nBGJ ↓", 2, 1.0),
     ("seam_coverage", "seam %", 1, 100.0), ("primitives", "Gaussians", 0, 1.0),
     ("fps", "FPS ↑", 1, 1.0), ("disk_mb", "disk MB ↓", 2, 1.0),
+    ("bytes_each", "bytes a Gaussian ↓", 1, 1.0),
 )  # fmt: skip
 BALANCE: tuple[Cell, ...] = (
     ("block_densifications", "densified ≥", 0, 1.0), ("retention", "kept %", 1, 100.0),
@@ -51,30 +53,17 @@ class Picture:
 
 
 def row_of(result: Result) -> dict[str, Any]:
-    """What the page needs of a result, as plain JSON; what is undefined is left out."""
-    values = dict(result.metrics) | {
-        "primitives": float(result.primitives),
-        "disk_mb": result.bytes_on_disk / 2**20,
+    """What the page and verdicts need of a result, as plain JSON; what is undefined is left out."""
+    row = asdict(measured(result))
+    more = {
         "ply_bytes": 4.0 * PLY_NUMBERS * result.primitives,
+        "bytes_each": result.bytes_on_disk / max(result.primitives, 1),
         "fps": 1000 / result.render_ms if result.render_ms > 0 else math.nan,
-        "peak_memory_mb": result.peak_memory_mb,
         "training_seconds": result.training_seconds,
         **{f"stage_{name}": seconds for name, seconds in result.stages.items()},
     }
-    return {
-        "scene": result.scene,
-        "row": result.row,
-        "protocol": result.protocol,
-        "seed": result.seed,
-        "blocks": int(str(result.settings.get("blocks", 1))),
-        "iterations": int(str(result.settings["iterations"])),
-        "error": result.error,
-        "machine": ", ".join(
-            f"{key} {result.environment[key]}"
-            for key in ("cores", "simd", "backend") if key in result.environment
-        ),
-        "values": {k: float(f"{v:.6g}") for k, v in sorted(values.items()) if math.isfinite(v)},
-    }  # fmt: skip
+    row["values"] |= {k: float(f"{v:.6g}") for k, v in sorted(more.items()) if math.isfinite(v)}
+    return row | {"blocks": int(str(result.settings.get("blocks", 1)))}
 
 
 def render_city(
@@ -180,12 +169,16 @@ def _text(values: Sequence[float | None], digits: int, factor: float) -> str:
 HEAD = """# The city suite
 
 Made by `python docs/tools/make_city_page.py RUNS` from the records of `bench run city --out RUNS` (here in
-[city.json](city.json)); a test compares. Measured on {machines}; seeds {seeds}. With one seed there are no
-intervals, and no difference below says more than that run.
+[city.json](city.json)); a test compares. Measured on {machines}; seeds {seeds}. Numbers are means over seeds and half
+their 95 % intervals; differences of rows are judged, image by image, on the [claims page](claims.md).
 
 - `3dgs` is one block, with as many steps as all blocks of the other rows together.
 - `stitchgs@hard`, `@merge`, `@gcr` and `stitchgs` are one training, merged by a hard cut, by SIS, refined (GCR),
   and compressed; `odbp+stitch@hard` and `odbp+stitch` likewise. `@k8` has eight blocks.
+- `stitchgs@hard-gcr` is refined without stitching, `@one-gcr` without blocks. `@shares` and `@fade` merge from both
+  sides of a wall and are refined; `@walls` is `@shares` whose refinement moves what lies near walls too, and
+  `odbp+stitch@small` the same of `odbp+stitch`, stored in our own small file in place of the paper's.
+- `@coarse` rows start their blocks from a coarse model, as `citygaussian` and all of `stitchgs` and `odbp+stitch` do.
 - Seams are scored on the pixels whose surface lies within a normalised distance of 1.1 of two regions or more of the
   row's partition (`metrics/seam_partition.py`), whatever the merge kept: rows of one partition are compared on the
   same pixels, rows of different partitions are not. `3dgs` has no partition and no seam.

@@ -17,7 +17,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def row(name: str, seed: int = 0, blocks: int = 4, error: str = "", **values: float) -> dict:
     return {
         "scene": "town", "row": name, "protocol": "p", "seed": seed, "blocks": blocks,
-        "iterations": 10, "error": error, "machine": "cores 2", "values": values,
+        "steps": 10, "error": error, "machine": "cores 2", "values": values,
     }  # fmt: skip
 
 
@@ -114,7 +114,7 @@ def test_a_row_of_a_result():
         split_sha256="", model_sha256="",
     )  # fmt: skip
     found = row_of(result)
-    assert (found["row"], found["blocks"], found["iterations"]) == ("stitchgs@hard", 4, 7)
+    assert (found["row"], found["blocks"], found["steps"]) == ("stitchgs@hard", 4, 7)
     values = found["values"]
     assert (values["fps"], values["disk_mb"], values["training_seconds"]) == (50.0, 1.0, 3.0)
     assert values["ply_bytes"] == 40 * PLY_NUMBERS
