@@ -25,6 +25,8 @@ CONTAINER = "model.spgs"
 REGIONS = "regions.safetensors"
 """Where the blocks of the partition lie."""
 
+NARROW = 256
+"""Blocks whose numbers fit into a byte."""
 MEASURED = ("seconds", "cpu_seconds", "peak_mb")
 """Fields of BlockFacts that no two runs share."""
 
@@ -58,7 +60,8 @@ class CityModel(ExplicitModel):
         Args:
             folder: Where those files are written.
         """
-        mine = {"blocks": self.blocks.int(), "distances": self.distances.float()}
+        narrow = torch.uint8 if len(self.block_facts) <= NARROW else torch.int32
+        mine = {"blocks": self.blocks.to(narrow), "distances": self.distances.float()}
         arrays = mine if self.packed is not None else dict(super().store(folder).tensors) | mine
         path = folder / CONTAINER
         path.unlink(missing_ok=True)
