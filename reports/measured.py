@@ -45,7 +45,7 @@ class Measured:
     """Hash of the split and of the pixels of all truth images: cases that differ in it are not compared."""
     grown: int = 0
     """How often the number of primitives went up between two points of the curve; of a scene trained in
-    blocks not counting where a block began. -1: not known."""
+    blocks how often the block was densified that was so least. -1: not known."""
     late_gain: float = 0.0
     """What the end of the run still gained in training: 20 log10 of the mean loss of the fifth before
     the last over that of the last, dB. Infinite where the curve is too short to say."""
@@ -91,8 +91,7 @@ def measured(result: Result) -> Measured:
         error=result.error,
         machine=", ".join(machine),
         data=data_digest(result),
-        # the count of a scene in blocks is the sum of those begun, and goes up with each
-        grown=max(0, times_grown(result.curve) - int(str(result.settings.get("blocks", 0)))),
+        grown=_grown(result),
         late_gain=_rounded(late_gain(result.curve)),
         counters=dict(sorted(result.counters.items())),
         values=_finite(values),
@@ -109,9 +108,8 @@ def measured_row(row: Mapping[str, Any]) -> Measured:
     """
     names = {one.name for one in fields(Measured)}
     try:
-        plain = {"steps": row.get("iterations", 0), "grown": -1} | {
-            name: value for name, value in row.items() if name in names
-        }
+        old = {"steps": row.get("iterations", 0), "grown": -1, "late_gain": math.inf}
+        plain = old | {name: value for name, value in row.items() if name in names}
         return Measured(**plain)
     except (AttributeError, TypeError) as error:
         raise DataError(f"not a row of measured values ({error}): {str(row)[:80]}") from None
@@ -161,6 +159,14 @@ def late_gain(curve: Curve) -> float:
     if not before or not last or fmean(last) <= 0:
         return math.inf
     return 20 * math.log10(fmean(before) / fmean(last))
+
+
+def _grown(result: Result) -> int:
+    """How often the model grew; of blocks, which may have been trained for another row, that grown least."""
+    if "block_densifications" in result.metrics:
+        return int(result.metrics["block_densifications"])
+    # the count of a scene in blocks is the sum of those begun, and goes up with each
+    return max(0, times_grown(result.curve) - int(str(result.settings.get("blocks", 0))))
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

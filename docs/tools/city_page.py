@@ -55,6 +55,10 @@ class Picture:
 def row_of(result: Result) -> dict[str, Any]:
     """What the page and verdicts need of a result, as plain JSON; what is undefined is left out."""
     row = asdict(measured(result))
+    if math.isinf(
+        row["late_gain"]
+    ):  # JSON has no such number; blocks of another row leave no curve
+        del row["late_gain"]
     more = {
         "ply_bytes": 4.0 * PLY_NUMBERS * result.primitives,
         "bytes_each": result.bytes_on_disk / max(result.primitives, 1),

@@ -34,7 +34,7 @@ HEIGHT = 300
 """Pixels that pictures are enlarged to."""
 ZOOM = 72
 """Side of the part of a view that is shown enlarged at a seam, in pixels."""
-MERGES = ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs")
+MERGES = ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs")
 SHORT_ROWS = (
     "3dgs", "citygaussian", "stitchgs@hard", "stitchgs@merge", "stitchgs@hard-gcr", "stitchgs@gcr",
 )  # fmt: skip
@@ -157,7 +157,7 @@ def pictures(runs: Path) -> list[Picture]:
         tiles = [labelled(load(hard / "truth" / view)[part], "photo")]
         tiles += [labelled(load(found[scene, r][1] / "renders" / view)[part], r) for r in rows]
         shown.append(Picture(path=save(f"{name}_seam.jpg", tiles), caption=f"{scene}, test view {best}, "
-                             "enlarged at a seam: hard merge, then stitched, refined, compressed."))  # fmt: skip
+                             "enlarged at a seam: hard merge, then stitched, refined, walls moved, compressed."))  # fmt: skip
     return shown
 
 

@@ -119,7 +119,9 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             path = folder / "model.spgs"
             chosen = _steps(merged.model, settings, steps)
             merged = merged.take(_file_order(merged.model, settings, chosen))
-            small = stages.run("compress", partial(_compress, merged, settings, path, scene, chosen))
+            small = stages.run(
+                "compress", partial(_compress, merged, settings, path, scene, chosen)
+            )
             packed, parts = read_bytes(path), small["parts"]
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
@@ -296,7 +298,12 @@ def _read_merged(folder: Path) -> Merged:
 
 
 def _refine(
-    merged: Merged, scene: Scene, settings: CitySettings, run: Run, path: Path, progress: Progress,
+    merged: Merged,
+    scene: Scene,
+    settings: CitySettings,
+    run: Run,
+    path: Path,
+    progress: Progress,
     found: Partition,
 ) -> dict[str, Any]:
     """Clean the merged model and fit its appearance over all training views."""
@@ -325,7 +332,9 @@ def _read_refined(merged: Merged, path: Path) -> Merged:
     return replace(merged.take(tensors["rows"]), model=read_gaussians(path))
 
 
-def _steps(model: Gaussians, settings: CitySettings, refined: dict[str, Any] | None) -> Steps | None:
+def _steps(
+    model: Gaussians, settings: CitySettings, refined: dict[str, Any] | None
+) -> Steps | None:
     """Steps of our small file, those that the refinement was trained through; None: there is no such file."""
     if not settings.quantise or settings.coder == "paper":
         return None

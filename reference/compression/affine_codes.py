@@ -34,7 +34,10 @@ def lattice(values: Float[Tensor, "n d"]) -> tuple[Float32[Tensor, " d"], Float3
     """
     if len(values) == 0:
         return torch.zeros(values.shape[1]), torch.zeros(values.shape[1])
-    low, high = values.amin(dim=0), values.amax(dim=0)  # a value that is not finite shows in one of them
+    low, high = (
+        values.amin(dim=0),
+        values.amax(dim=0),
+    )  # a value that is not finite shows in one of them
     if not bool((low.isfinite() & high.isfinite()).all()):
         bad = int((~values.isfinite()).sum())
         raise DataError(f"{bad} of {values.numel()} values to quantise are not finite: clean first")
