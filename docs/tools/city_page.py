@@ -13,6 +13,8 @@ from splatproof.reports.statistics import summarise
 
 PLY_NUMBERS = 62
 """float32 numbers of a Gaussian of degree 3 in the .ply of the 3DGS release."""
+JUDGED = ("psnr", "ssim_3dgs", "flip", "seam_psnr", "bpd_l1", "nbgj")
+"""Metrics of single images that claims are about."""
 Cell = tuple[str, str, int, float]
 """Key of a row, heading, digits after the point, factor."""
 QUALITY: tuple[Cell, ...] = (
@@ -59,6 +61,10 @@ def row_of(result: Result) -> dict[str, Any]:
         row["late_gain"]
     ):  # JSON has no such number; blocks of another row leave no curve
         del row["late_gain"]
+    row["images"] = {
+        name: {metric: value for metric, value in scores.items() if metric in JUDGED}
+        for name, scores in row["images"].items()
+    }
     more = {
         "ply_bytes": 4.0 * PLY_NUMBERS * result.primitives,
         "bytes_each": result.bytes_on_disk / max(result.primitives, 1),

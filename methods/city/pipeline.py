@@ -339,7 +339,8 @@ def _steps(
     if not settings.quantise or settings.coder == "paper":
         return None
     if refined is not None:
-        return Steps(**refined | {"weights": tuple(refined["weights"])})
+        known: dict[str, Any] = refined | {"weights": tuple(refined["weights"])}
+        return Steps(**known)
     return chosen_steps(MemoryRows(model), settings.code)
 
 

@@ -171,7 +171,7 @@ def refine(
 
 
 def _digest(model: Gaussians, moving: Bool[Tensor, " n"] | None) -> str:
-    digest = hashlib.sha256(b"" if moving is None else moving.numpy())
+    digest = hashlib.sha256(b"" if moving is None else moving.numpy().tobytes())
     for name in FIELDS:
         digest.update(getattr(model, name).detach().contiguous().numpy())
     return digest.hexdigest()
