@@ -57,9 +57,8 @@ class Picture:
 def row_of(result: Result) -> dict[str, Any]:
     """What the page and verdicts need of a result, as plain JSON; what is undefined is left out."""
     row = asdict(measured(result))
-    if math.isinf(
-        row["late_gain"]
-    ):  # JSON has no such number; blocks of another row leave no curve
+    # JSON has no such number; blocks that were trained for another row leave no curve
+    if math.isinf(row["late_gain"]):
         del row["late_gain"]
     row["images"] = {
         name: {metric: value for metric, value in scores.items() if metric in JUDGED}
