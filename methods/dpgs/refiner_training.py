@@ -54,10 +54,10 @@ def samples_of(scene: Scene, *, steps: int, seed: int = 0) -> list[Sample]:
         model = fit(scene.for_training(), settings, Run(seed=seed, threads=1))
         guide = Guide(scene.train_views, model.render)
         for view in scene.test_views:
-            side, proven, photo = guide.of(view.camera)
+            side, proven, best = guide.of(view.camera)
             found.append(
                 Sample(
-                    given=refiner_input(side, photo), truth=view.load().permute(2, 0, 1),
+                    given=refiner_input(side, guide.texture(best)), truth=view.load().permute(2, 0, 1),
                     counted=~proven,
                 )
             )  # fmt: skip

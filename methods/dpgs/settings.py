@@ -23,9 +23,10 @@ class SideSettings:
     photo sees the surface, holes inpainted; own: that, corrected by our small network, whose weights
     come with the package; none: the render as it was, a control that says what
     training on one's own renders does."""
-    holes: bool = True
+    holes: bool = False
     """Whether side views are trained on where the render has no surface (alpha below one half), and the refiner's
-    word is all there is; off: there they are masked."""
+    word is all there is. DPGS's diffusion model may know what stands there; what warping or our network puts
+    there hangs in front of the scene as fog (docs/unseen.md), so those pixels are masked unless this is on."""
     refresh: int = 5000
     """Steps, of a 30,000 step run, after which targets are made anew by the model as it is then."""
     spirals: int = 1

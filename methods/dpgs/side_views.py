@@ -1,6 +1,7 @@
 """Side views as views to train on: rendered, z-tested, refined and kept in rounds."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -48,7 +49,7 @@ class SideViews:
         folder: Path | None,
         told: Callable[[int, float], None],
         *,
-        holes: bool = True,
+        holes: bool,
     ) -> None:
         """Nothing is rendered yet.
 
@@ -113,8 +114,8 @@ class SideViews:
         guide, refine = Guide(self.photos, self.draw), refiner_of(self.refiner)
         targets, unproven = [], []
         for camera in self.cameras:
-            side, proven, photo = guide.of(camera)
-            target = refine(side, photo)
+            side, proven, best = guide.of(camera)
+            target = side.image if refine is None else refine(side, guide.texture(best))
             targets.append((target.clamp(0, 1) * 255).round().byte())
             unproven.append(~proven & (self.holes | (side.alpha >= HOLE)))
         made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
@@ -138,8 +139,8 @@ class Guide:
         self.forward = torch.stack([photo.camera.rotation[2] for photo in photos]).double()
 
     @torch.no_grad()
-    def of(self, camera: Camera) -> tuple[SeenView, Bool[Tensor, "h w"], SeenView]:
-        """The render at a camera, the pixels that have evidence, and the photo that sees most of it.
+    def of(self, camera: Camera) -> tuple[SeenView, Bool[Tensor, "h w"], int]:
+        """The render at a camera, the pixels that have evidence, and which photo sees most of it.
 
         Args:
             camera: Where the side view is taken from.
@@ -152,13 +153,15 @@ class Guide:
         seen = torch.stack([sees(view, side) for view in self.training])
         proven = (side.alpha >= SOLID) & (seen.sum(dim=0) >= EVIDENCE)
         shared = seen.flatten(1).sum(dim=1).double()
-        best = nearest_photo(shared, self.forward, side.camera.rotation[2].double())
-        photo = self.training[best]
-        texture = SeenView(
-            camera=photo.camera, image=self.photos[best].load(), alpha=photo.alpha,
-            depth=photo.depth,
-        )  # fmt: skip
-        return side, proven, texture
+        return side, proven, nearest_photo(shared, self.forward, camera.rotation[2].double())
+
+    def texture(self, index: int) -> SeenView:
+        """A photo, which is read now, with what the model has at its camera.
+
+        Args:
+            index: Which of the photos.
+        """
+        return replace(self.training[index], image=self.photos[index].load())
 
     def _seen(self, photo: View) -> SeenView:
         """What the model has at a photo's camera, in half precision; the photo is read when needed."""
@@ -169,16 +172,16 @@ class Guide:
         )  # fmt: skip
 
 
-def refiner_of(name: RefinerName) -> ViewRefiner:
+def refiner_of(name: RefinerName) -> ViewRefiner | None:
     """What makes a target of a side view's render.
 
     Args:
-        name: none: the render itself; warp: `warp_and_fill`; own: our network, with the weights that come with
-            the package.
+        name: none: nothing, the target is the render itself; warp: `warp_and_fill`; own: our network, with the
+            weights that come with the package.
     """
     if name == "own":
         return OwnRefiner(load_refiner())
-    return warp_and_fill if name == "warp" else lambda side, photo: side.image
+    return warp_and_fill if name == "warp" else None
 
 
 class SideOrder:

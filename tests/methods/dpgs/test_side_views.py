@@ -132,10 +132,12 @@ class Wall:
         )  # fmt: skip
 
 
-def side_views(refiner, folder=None, told=lambda number, share: None, photos=None) -> SideViews:
+def side_views(
+    refiner, folder=None, told=lambda number, share: None, photos=None, *, holes=True
+) -> SideViews:
     middle: Camera = camera(2)
     views = tiny_scene().train_views if photos is None else photos
-    return SideViews([middle, middle], views, Wall(), refiner, folder, told)
+    return SideViews([middle, middle], views, Wall(), refiner, folder, told, holes=holes)
 
 
 def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():
@@ -164,24 +166,29 @@ def test_our_own_network_corrects_the_warp_and_leaves_what_is_proven_as_it_was()
     assert 0.5 / 255 < float((warped.load() - refined.load()).abs().mean()) < 0.3
 
 
-def test_holes_can_be_left_alone():
+def test_holes_are_left_alone_unless_asked_for():
     shares = {}
-    with_holes = side_views("warp")
-    without = SideViews(
-        with_holes.cameras, with_holes.photos, Wall(), "warp", None, shares.__setitem__, holes=False
+    with_holes, without = (
+        side_views("warp", holes=True),
+        side_views("warp", told=shares.__setitem__, holes=SideSettings().holes),
     )
     (first, *_), (other, *_) = with_holes.views(1), without.views(1)
     assert first.load_mask is not None
     assert other.load_mask is not None
     hole = torch.zeros_like(first.load_mask())
     hole[:, : 24 // 4] = True
+    assert (first.load_mask() & hole).any()
     assert torch.equal(other.load_mask(), first.load_mask() & ~hole)
     assert torch.equal(other.load(), first.load())
     assert shares == {0: pytest.approx(float(other.load_mask().float().mean()))}
 
 
-def test_without_a_refiner_the_target_is_the_render():
-    first, *_ = side_views("none").views(1)
+def test_without_a_refiner_the_target_is_the_render_and_no_photo_is_read():
+    def unread() -> torch.Tensor:
+        raise AssertionError("a photo was read")
+
+    photos = [replace(view, load=unread) for view in tiny_scene().train_views]
+    first, *_ = side_views("none", photos=photos).views(1)
     assert float((first.load()[:, 8:] - 0.5).abs().max()) <= 0.51 / 255
 
 
