@@ -37,6 +37,8 @@ class Measured:
     seed: int
     steps: int
     """Training steps."""
+    settings: dict[str, Any] = field(default_factory=dict)
+    """The method's settings by name; empty: not known."""
     error: str = ""
     """One line saying why the case failed; empty for a finished one."""
     machine: str = ""
@@ -88,6 +90,7 @@ def measured(result: Result) -> Measured:
         protocol=result.protocol,
         seed=result.seed,
         steps=int(str(result.settings.get("iterations", 0))),
+        settings=json.loads(json.dumps(result.settings)),
         error=result.error,
         machine=", ".join(machine),
         data=data_digest(result),

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from city_expectations import Verdict, expectations
+from kept_rows import Picture
 
 from splatproof.reference.types.result import Result
 from splatproof.reports.measured import measured
@@ -43,15 +44,6 @@ GEOMETRY: tuple[Cell, ...] = (
     ("geometry_blind_completeness", "blind complete % ↑", 1, 100.0),
 )  # fmt: skip
 Row = Mapping[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A picture of the page and what is seen there."""
-
-    path: str
-    """Relative to the page."""
-    caption: str
 
 
 def row_of(result: Result) -> dict[str, Any]:

@@ -9,7 +9,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from comparison_page import Page, Picture, is_half, render_page
+from comparison_page import Page, is_half, render_page
+from kept_rows import Picture, committed, joined, pictures_of
 from matplotlib.axes import Axes
 from printed_tables import Printed
 from strips import crops, save_strips
@@ -83,8 +84,7 @@ def planned(cases: Sequence[Case]) -> Mapping[tuple[str, str, str], int]:
 def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     """Write the committed files of a page from the records and pictures of a suite's runs.
 
-    Rows and pictures of cases that the runs lack are kept as they were committed, as long as the suite plans
-    them: a suite of many hours is run in parts.
+    Rows and pictures of cases that the runs lack are kept as they were committed, see `joined`.
 
     Args:
         comparison: Which page.
@@ -100,7 +100,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     found = [(case, folder, read_record(folder)) for case, folder in cases]
     judged = {claim.metric for claim in load_claims(name, numbers())}
     new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
-    rows, kept = joined(new, _committed(docs / f"{name}.json"), load_suite(name).cases)
+    rows, kept = joined(new, committed(docs / f"{name}.json"), load_suite(name).cases)
     text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
@@ -111,52 +111,10 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     ]  # fmt: skip
     curves = _curves(shown, name, docs, "curves_later" if kept else "curves")
     listing = docs / f"{name}_pictures.json"
-    before = [Picture(**entry) for entry in _committed(listing)] if kept else []
-    pictures = pictures_of([*curves, *_strips(shown, comparison, docs)], before)
+    before = [Picture(**entry) for entry in committed(listing)] if kept else []
+    pictures = pictures_of([*curves, *_strips(shown, comparison, docs)], before, rows)
     text = json.dumps([asdict(one) for one in pictures], indent=1) + "\n"
     listing.write_text(text, encoding="utf-8")
-
-
-def _committed(path: Path) -> list[dict[str, Any]]:
-    """Entries of a committed file; none where it is not there yet."""
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
-
-
-def joined(
-    new: Sequence[Mapping[str, Any]], old: Sequence[Mapping[str, Any]], cases: Sequence[Case]
-) -> tuple[list[Mapping[str, Any]], int]:
-    """Rows of runs, and those committed before of planned cases that were not run again; in the suite's order.
-
-    Args:
-        new: Rows of the runs at hand.
-        old: Rows that are committed.
-        cases: What the suite plans.
-
-    Returns: The rows, and how many of them are old.
-    """
-    by_case = {_place(row): row for row in new}
-    kept = {_place(row): row for row in old if _place(row) not in by_case}
-    order = [(case.scene_name, case.protocol.name, case.row, case.seed) for case in cases]
-    every = kept | by_case
-    return [every[place] for place in order if place in every], sum(
-        place in kept for place in order
-    )
-
-
-def _place(row: Mapping[str, Any]) -> tuple[str, str, str, int]:
-    return row["scene"], row["protocol"], row["row"], row["seed"]
-
-
-def pictures_of(new: Sequence[Picture], old: Sequence[Picture]) -> list[Picture]:
-    """Pictures of before with those at hand in their places, and what is new at the end.
-
-    Args:
-        new: Pictures that were just made.
-        old: Those that the page showed.
-    """
-    made = {picture.path: picture for picture in new}
-    shown = [made.pop(picture.path, picture) for picture in old]
-    return [*shown, *made.values()]
 
 
 def _with_images_of(row: Measured, judged: set[str]) -> Measured:
@@ -183,7 +141,7 @@ def _strips(shown: Shown, comparison: Comparison, docs: Path) -> list[Picture]:
         for row, path in save_strips(folders, crops(views), images).items():
             caption = (f"{row}, {scene}: held-out {comparison.units} it never saw; photo, render, FLIP error "
                        "(black: none). Seed 0.")  # fmt: skip
-            made.append(Picture(path=path.relative_to(docs).as_posix(), caption=caption))
+            made.append(Picture(path=path.relative_to(docs).as_posix(), caption=caption, row=row))
     return made
 
 

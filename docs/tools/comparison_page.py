@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+from kept_rows import Picture
 from printed_tables import Printed, printed_tables
 
 from splatproof.reports.claims.claim import Claim
@@ -18,7 +19,7 @@ from splatproof.suites.suite_files import suite_names
 Cell = tuple[str, str, int]
 """Key of a value, heading, digits after the point."""
 QUALITY: tuple[Cell, ...] = (
-    ("psnr", "PSNR ↑", 2), ("moving_psnr", "moving ↑", 2), ("still_psnr", "still ↑", 2),
+    ("psnr", "PSNR ↑", 2), ("seen_psnr", "of what is seen ↑", 2), ("moving_psnr", "moving ↑", 2), ("still_psnr", "still ↑", 2),
     ("ssim_3dgs", "SSIM ↑", 4), ("flip", "FLIP ↓", 4), ("depth_abs_rel", "depth AbsRel ↓", 3),
     ("depth_delta1", "depth δ1 ↑", 3), ("disk_mb", "stored MB ↓", 2), ("render_ms", "ms a frame ↓", 1),
     ("primitives", "Gaussians", 0),
@@ -26,15 +27,6 @@ QUALITY: tuple[Cell, ...] = (
 COSTS: tuple[Cell, ...] = (
     ("train_seconds", "train s", 0), ("cpu_seconds", "CPU s", 0), ("peak_memory_mb", "peak MB", 0),
 )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A picture of the page and what is seen there."""
-
-    path: str
-    """Relative to the page."""
-    caption: str
 
 
 @dataclass(frozen=True, kw_only=True)

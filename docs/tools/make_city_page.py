@@ -3,7 +3,7 @@
 Reads the records of `bench run city --out RUNS` and of `bench run city-short --out RUNS`, whichever are
 there, and writes docs/city.json, docs/city_short.json, docs/images/city/*.jpg and the page, with
 docs/city_findings.md in it, which is written by hand. Without RUNS the page is made again from these
-files and the pictures that are there.
+files and the pictures that are there. Rows that RUNS lacks are kept as they were committed.
 """
 
 import json
@@ -13,7 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from city_page import Picture, render_city, row_of
+from city_page import render_city, row_of
+from kept_rows import Picture, committed, joined, pictures_of
 
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
@@ -62,12 +63,10 @@ def cases(runs: Path, suite: str = "city") -> dict[tuple[str, str], tuple[Case, 
     return found
 
 
-def records(runs: Path, suite: str = "city") -> list[dict]:
-    """One row a record, scenes and rows in the suite's order, further seeds behind."""
-    order = {case.folder.parent: i for i, case in enumerate(load_suite(suite).cases)}
+def records(runs: Path, suite: str) -> list[dict]:
+    """One row a record."""
     folders = [path.parent for path in (runs / suite).rglob("record.json")]
-    keyed = [(order.get(f.relative_to(runs / suite).parent, len(order)), f) for f in folders]
-    return [row_of(read_record(folder)) for _, folder in sorted(keyed)]
+    return [row_of(read_record(folder)) for folder in folders]
 
 
 def load(path: Path) -> np.ndarray:
@@ -186,8 +185,10 @@ def main() -> None:
     ):  # fmt: skip
         if runs is None or not (runs / suite).is_dir():
             continue
-        rows.write_text(json.dumps(records(runs, suite), indent=1) + "\n", encoding="utf-8")
-        drawn = [vars(picture) for picture in draw(runs)]
+        every, kept = joined(records(runs, suite), committed(rows), load_suite(suite).cases)
+        rows.write_text(json.dumps(every, indent=1) + "\n", encoding="utf-8")
+        before = [Picture(**entry) for entry in committed(list_)] if kept else []
+        drawn = [vars(picture) for picture in pictures_of(draw(runs), before, every)]
         list_.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
 

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from comparison_files import joined, page, pictures_of, planned
-from comparison_page import Page, Picture, render_page
+from comparison_files import page, planned
+from comparison_page import Page, render_page
+from kept_rows import Picture, contradicts, joined, pictures_of, plain
 from make_anchors_page import ANCHORS
 from make_sparse_page import SPARSE
 from make_street_page import STREET
@@ -93,11 +94,33 @@ def test_rows_that_were_run_in_parts_are_joined_in_the_order_of_the_suite(made):
     assert [{**one, "n": 0} for one in rows] == every
 
 
+def test_a_committed_row_of_other_settings_is_dropped():
+    case, *_ = (one for one in load_suite("unseen").cases if one.row == "dpgs")
+    place = {"scene": "city", "protocol": "unseen", "row": "dpgs", "seed": 0}
+    now = plain(case)
+    older = {name: value for name, value in now.items() if name != "dense_cell"}
+    for settings in (now, older, {}):  # what was not known then is no reason
+        row = {**place, "settings": settings}
+        assert joined([], [row], [case]) == ([row], 1)
+    filled = {**now, "side": {**now["side"], "holes": True}}
+    assert joined([], [{**place, "settings": filled}], [case]) == ([], 0)
+    assert joined([{**place, "settings": now}], [{**place, "settings": filled}], [case])[1] == 0
+
+
+def test_settings_differ_in_what_both_know():
+    assert not contradicts({"a": 1, "b": {"c": 2}}, {"b": {"c": 2, "d": 3}, "e": 4})
+    assert contradicts({"b": {"c": 2}}, {"b": {"c": 3}})
+    assert contradicts({"b": {"c": 2}}, {"b": None})
+
+
 def test_pictures_at_hand_take_the_places_of_those_before():
     a, b, c = (Picture(path=f"{name}.jpg", caption=name) for name in "abc")
     later = Picture(path="a.jpg", caption="later")
-    assert pictures_of([c, later], [a, b]) == [later, b, c]
-    assert pictures_of([a, b], []) == [a, b]
+    assert pictures_of([c, later], [a, b], []) == [later, b, c]
+    assert pictures_of([a, b], [], []) == [a, b]
+    own = replace(a, row="x")
+    assert pictures_of([b], [own], [{"row": "x"}]) == [own, b]
+    assert pictures_of([b], [own], [{"row": "y"}]) == [b]
 
 
 def row(name: str, seed: int = 0, **changed) -> Measured:
