@@ -4,10 +4,15 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.scene import DepthPrior
+
 ROUNDS = 20
 """Weighted fits; each gives less weight to what the one before did not meet."""
 FLOOR = 1e-3
 """Residuals below this share of the median target count alike."""
+LEAST_POINTS = 10
+"""SfM points of a view from which its scale and zero are fitted; with fewer they stay."""
 
 
 def aligned(
@@ -35,3 +40,25 @@ def aligned(
         solution = torch.linalg.lstsq(weighted.T @ design, weighted.T @ t).solution
         weights = 1 / (design @ solution - t).abs().clamp(min=floor)
     return float(solution[0]), float(solution[1])
+
+
+def in_scale(prior: DepthPrior, camera: Camera, points: Float[Tensor, "n 3"]) -> DepthPrior:
+    """The prior with the scale and zero that its SfM points say; as it is where they are too few.
+
+    Args:
+        prior: Disparity, near the scene's own scale: poses may be off.
+        camera: The view's camera.
+        points: Sparse points that the view sees.
+    """
+    at, z = project_points(camera, points)
+    column, row = at.floor().long().T
+    inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    column, row, z = column[inside], row[inside], z[inside]
+    known = prior.valid[row, column]
+    fit = None
+    if int(known.sum()) >= LEAST_POINTS:
+        fit = aligned(prior.disparity[row[known], column[known]], 1 / z[known])
+    if fit is None or fit[0] <= 0:
+        return prior
+    moved = torch.where(prior.valid, fit[0] * prior.disparity + fit[1], 0)
+    return DepthPrior(disparity=moved, valid=prior.valid)

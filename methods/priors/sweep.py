@@ -9,7 +9,7 @@ from torch import Tensor
 
 from splatproof.base.errors import UsageError
 from splatproof.datasets.image_cache import ImageCache
-from splatproof.methods.priors.alignment import aligned
+from splatproof.methods.priors.alignment import in_scale
 from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
     observations,
@@ -31,8 +31,6 @@ SHARP = 0.1
 """Most change of disparity, as a share of it, that moves a match by half a pixel."""
 AGREE = 0.05
 """Share of itself by which a disparity may differ in a neighbour that confirms it."""
-LEAST_POINTS = 10
-"""SfM points of a view from which its scale and zero are fitted; with fewer they stay."""
 IMAGE_BYTES = 2**28
 
 
@@ -150,25 +148,3 @@ def agreed(
     if view.load_mask is not None:
         valid &= view.load_mask()
     return DepthPrior(disparity=torch.where(valid, disparity, 0), valid=valid)
-
-
-def in_scale(prior: DepthPrior, camera: Camera, points: Float[Tensor, "n 3"]) -> DepthPrior:
-    """The prior with the scale and zero that its SfM points say; as it is where they are too few.
-
-    Args:
-        prior: Disparity, near the scene's own scale: poses may be off.
-        camera: The view's camera.
-        points: Sparse points that the view sees.
-    """
-    at, z = project_points(camera, points)
-    column, row = at.floor().long().T
-    inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    column, row, z = column[inside], row[inside], z[inside]
-    known = prior.valid[row, column]
-    fit = None
-    if int(known.sum()) >= LEAST_POINTS:
-        fit = aligned(prior.disparity[row[known], column[known]], 1 / z[known])
-    if fit is None or fit[0] <= 0:
-        return prior
-    moved = torch.where(prior.valid, fit[0] * prior.disparity + fit[1], 0)
-    return DepthPrior(disparity=moved, valid=prior.valid)

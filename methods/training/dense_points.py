@@ -1,4 +1,4 @@
-"""Points where structure from motion has none: training photos matched by flow, triangulated, merged."""
+"""Points where structure from motion has none: training photos matched, triangulated, merged."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.progress import bar
+from splatproof.methods.priors.matches import match_by_prior, require_priors
 from splatproof.methods.training.least_vectors import least_vectors
 from splatproof.reference.supervision.dense_initialisation import (
     DensePoints,
@@ -52,10 +53,14 @@ def with_dense_points(
         cell: Edge of a voxel in pixels of the training images at the median depth of the sparse
             points, > 0.
         image_bytes: Most bytes of images kept while pairs are matched.
-        settings: Which images form pairs, and which matches become points.
+        settings: Which images form pairs, who matches them, and which matches become points.
+
+    Raises: UsageError where depth priors are to match and a training view has none.
 
     Source: DPGS, Sec. 3.1, and its spec, step 5; voxel size and least number of matches: ours.
     """
+    if settings.matcher == "prior":
+        require_priors(scene)
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
     if not seen.nnz:
         return scene
@@ -137,19 +142,22 @@ def match(
     Args:
         first: The view whose pixels are followed.
         second: The view they are found in.
-        shared: Sparse points that both see, for the plane that brings the photos together.
+        shared: Sparse points that both see, for the plane that brings the photos together or the priors' scale.
         images: Where photos of the views are kept once they are read.
-        settings: Which matches become points.
+        settings: Who matches, and which matches become points.
     """
     image = images.load(first)
-    plane = plane_between(
-        project_points(first.camera, shared)[0], project_points(second.camera, shared)[0]
-    )
-    other = images.load(second)
-    if plane is None and image.shape != other.shape:
-        nothing = shared.new_zeros(0, 3)
-        return DensePoints(positions=nothing, colours=nothing, scores=nothing[:, 0])
-    warp, certainty = match_by_flow(image, other, plane)
+    if settings.matcher == "prior":
+        warp, certainty = match_by_prior(first, second, shared)
+    else:
+        plane = plane_between(
+            project_points(first.camera, shared)[0], project_points(second.camera, shared)[0]
+        )
+        other = images.load(second)
+        if plane is None and image.shape != other.shape:
+            nothing = shared.new_zeros(0, 3)
+            return DensePoints(positions=nothing, colours=nothing, scores=nothing[:, 0])
+        warp, certainty = match_by_flow(image, other, plane)
     if first.load_mask is not None:
         certainty = certainty * first.load_mask()
     return points_of_pair(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from splatproof.reference.types.scene import SparsePoints
 
 Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
 """The unit vectors that make |A h| least, of either sign."""
+Matcher = Literal["flow", "prior"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +39,9 @@ class DenseSettings:
     cameras of a pair."""
     ray_angle: float = 1.5
     """Least angle between the two rays of a match, degrees in [0, 180]."""
+    matcher: Matcher = "flow"
+    """Who says where a photo's pixels lie in the other. flow: optical flow both ways; prior: the depth priors
+    of both, a bound on all matchers where they are the true depth."""
 
     def __post_init__(self) -> None:
         """Refuse thresholds that mean nothing."""

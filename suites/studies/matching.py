@@ -1,6 +1,6 @@
-"""`bench study matching`: what each threshold of the dense initialisation gives on a world of known depth.
+"""`bench study matching`: what each matcher and threshold of the dense initialisation gives on a world of known depth.
 
-One threshold is moved at a time, the others stay at their defaults. An added point's error is how far
+One of them is changed at a time, the others stay at their defaults. An added point's error is how far
 its depth lies from the true one, in each training view of its track, over the true one.
 """
 
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.priors.attach import with_priors
 from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.supervision.dense_initialisation import (
@@ -39,11 +40,13 @@ SWEEP: dict[str, tuple[float, ...]] = {
     "partners": (1, 2, 4, 8),
 }
 """Values of each threshold; the defaults are among them."""
+PRIORS = ("own", "sweep", "oracle")
+"""Depth priors that match in place of optical flow; the last is a bound on all matchers."""
 Row = dict[str, Any]
 
 
 def rows(*, quick: bool) -> Iterator[Row]:
-    """The defaults, then each other value of each threshold.
+    """The defaults, then other matchers, then each other value of each threshold.
 
     Args:
         quick: Few views, and the two ends of each sweep.
@@ -52,6 +55,9 @@ def rows(*, quick: bool) -> Iterator[Row]:
     if quick:
         scene = replace(scene, train=scene.train[:QUICK_VIEWS])
     yield {"scene": SCENE, "threshold": "defaults"} | quality(scene, DenseSettings())
+    for prior in PRIORS:
+        row = {"scene": SCENE, "threshold": "matcher", "value": f"prior {prior}"}
+        yield row | quality(with_priors(scene, prior, seed=0), DenseSettings(matcher="prior"))
     for name, values in SWEEP.items():
         for value in (values[0], values[-1]) if quick else values:
             if value != getattr(DenseSettings(), name):

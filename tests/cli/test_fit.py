@@ -204,7 +204,7 @@ def test_options_of_blocks_are_refused_where_no_method_has_blocks(town, capsys):
     assert "--engine" not in capsys.readouterr().out
     for options in (["--engine", "inline"], ["--workers", "2"]):
         assert main(["run", "mine.toml", *options]) == 2
-        assert "no method of suite mine does" in capsys.readouterr().err
+        assert "none does (fake)" in capsys.readouterr().err
     assert tree(town) == before
 
 

@@ -73,11 +73,11 @@ def check_options(suite: "Suite", running: Running, blocks: BlockRunning) -> Non
     from splatproof.methods.registry import get_method
 
     get_backend(running.backend)
-    in_blocks = any(get_method(name).blocks for name in {case.method for case in suite.cases})
-    if blocks != USUAL_BLOCKS and not in_blocks:
+    names = sorted({case.method for case in suite.cases})
+    if blocks != USUAL_BLOCKS and not any(get_method(name).blocks for name in names):
         raise UsageError(
-            "--workers and --engine are for methods that train a scene in blocks, and no method of "
-            f"suite {suite.name} does; leave them out"
+            "--workers and --engine are for methods that train a scene in blocks, and of the cases of suite "
+            f"{suite.name} that are to run none does ({', '.join(names)}); leave them out"
         )
 
 

@@ -10,7 +10,7 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.methods.priors import sweep
-from splatproof.methods.priors.alignment import aligned
+from splatproof.methods.priors.alignment import aligned, in_scale
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import DepthPrior, Scene, SparsePoints, View
 
@@ -126,12 +126,12 @@ def test_scale_and_zero_are_those_of_the_points_though_some_are_wrong():
     prior = DepthPrior(disparity=wrong, valid=wrong > 0)
     spoilt = positions.clone()
     spoilt[::4, 2] += 3
-    moved = sweep.in_scale(prior, FIRST, spoilt)
+    moved = in_scale(prior, FIRST, spoilt)
     good = torch.arange(len(positions))[inside] % 4 != 0
     want = 1 / z[inside][good]
     found = moved.disparity[row[inside][good], column[inside][good]].double()
     assert float(((found - want).abs() / want).median()) < 0.01
-    few = sweep.in_scale(prior, FIRST, positions[:5])
+    few = in_scale(prior, FIRST, positions[:5])
     assert few is prior
 
 

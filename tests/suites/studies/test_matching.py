@@ -47,9 +47,9 @@ def test_what_no_view_sees_has_no_error():
     assert len(matching.errors(replace(scene, train=()))) == 0
 
 
-@pytest.mark.parametrize(("quick", "count"), [(True, 1 + 8), (False, 1 + 12)])
-def test_each_threshold_is_moved_alone(monkeypatch, quick, count):
-    asked = []
+@pytest.mark.parametrize(("quick", "count"), [(True, 1 + 3 + 8), (False, 1 + 3 + 12)])
+def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count):
+    asked, priors = [], []
 
     def dense(scene, cell, image_bytes, settings):
         asked.append((len(scene.train), settings))
@@ -58,13 +58,23 @@ def test_each_threshold_is_moved_alone(monkeypatch, quick, count):
     monkeypatch.setattr(matching, "open_scene", lambda name, protocol: with_points([1.0]))
     monkeypatch.setattr(matching, "QUICK_VIEWS", 2)
     monkeypatch.setattr(matching, "with_dense_points", dense)
+    monkeypatch.setattr(
+        matching, "with_priors", lambda scene, prior, seed: priors.append(prior) or scene
+    )
     rows = list(matching.rows(quick=quick))
     assert len(rows) == len(asked) == count
     usual = matching.DenseSettings()
     for row, (views, settings) in zip(rows, asked, strict=True):
         assert views == (2 if quick else 4)
         moved = {n: v for n, v in vars(settings).items() if v != getattr(usual, n)}
-        assert moved == ({} if row["threshold"] == "defaults" else {row["threshold"]: row["value"]})
+        if row["threshold"] == "matcher":
+            assert moved == {"matcher": "prior"}
+        else:
+            assert moved == (
+                {} if row["threshold"] == "defaults" else {row["threshold"]: row["value"]}
+            )
         assert row["points"] == 3
         assert row["median_error"] == pytest.approx(20, abs=1e-4)
         assert row["wrong"] == 100
+    assert [row["value"] for row in rows[1:4]] == [f"prior {prior}" for prior in priors]
+    assert priors == ["own", "sweep", "oracle"]
