@@ -53,16 +53,15 @@ def match_by_prior(
     depth = 1 / torch.where(solid, here.disparity, 1).double()
     at, z = project_points(second.camera, unproject(first.camera, depth))
     size = at.new_tensor([second.camera.width, second.camera.height])
-    inside = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > second.camera.near)
-    known = there.valid & (there.disparity > 0)
-    maps = torch.stack([torch.where(known, there.disparity, 0), known.float()])
-    other, whole = functional.grid_sample(
-        maps[None].double(), (2 * at / size - 1)[None, :, None], padding_mode="border",
+    inside = (at >= 0).all(dim=1) & (at < size).all(dim=1)
+    known = torch.where(there.valid, there.disparity, 0).double()
+    other = functional.grid_sample(
+        known[None, None], (2 * at / size - 1)[None, :, None], padding_mode="border",
         align_corners=False,
-    )[0, :, :, 0]  # fmt: skip
+    )[0, 0, :, 0]  # fmt: skip
+    # what lies behind B, or where B knows nothing, is off by 1 at least
     off = (z * other - 1) / AGREE
-    # a pixel on the rim of what B knows is read with what it does not
-    sure = torch.exp(-off.square() / 2) * (inside & (whole > 1 - 1e-6))
+    sure = torch.exp(-off.square() / 2) * inside
     row, column = torch.meshgrid(
         torch.arange(first.camera.height), torch.arange(first.camera.width), indexing="ij"
     )

@@ -97,6 +97,8 @@ def test_what_a_prior_does_not_say_or_calls_sky_is_not_matched():
         got = match_by_prior(one, view(SECOND, plane), NOTHING_SHARED)[1]
         assert not got[:, :20].any()
         assert torch.equal(got[:, 20:], whole[:, 20:])
+    here = match_by_prior(view(FIRST, plane, silent), view(FIRST, 1.0), NOTHING_SHARED)[1]
+    assert not here.any()  # nothing stands in for a depth that is not known
     at, _ = project_points(SECOND, on_plane(FIRST))
     for one in (view(SECOND, plane, silent), view(SECOND, sky)):
         got = match_by_prior(view(FIRST, plane), one, NOTHING_SHARED)[1].reshape(-1)
@@ -108,10 +110,13 @@ def test_what_a_prior_does_not_say_or_calls_sky_is_not_matched():
 
 
 def test_what_lies_behind_the_other_photo_is_not_matched():
-    behind = replace(SECOND, world_to_camera=SECOND.world_to_camera.clone())
-    behind.world_to_camera[2, 3] -= 3 * DEPTH
-    _, certainty = match_by_prior(view(FIRST, 1 / DEPTH), view(behind, 1 / DEPTH), NOTHING_SHARED)
-    assert not certainty.any()
+    """Mirrored in the plane z = 0 of its own camera, every pixel would land in the image at the depth it knows."""
+    behind = replace(FIRST, world_to_camera=FIRST.world_to_camera.clone())
+    behind.world_to_camera[2, 3] -= 2 * DEPTH
+    first, second = view(FIRST, 1 / DEPTH), view(behind, 1 / DEPTH)
+    _, z = project_points(behind, on_plane(FIRST))
+    assert_close(z, torch.full_like(z, -DEPTH))
+    assert not match_by_prior(first, second, NOTHING_SHARED)[1].any()
 
 
 @pytest.fixture(scope="module")
