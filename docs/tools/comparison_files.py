@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
-from typing import Any
 
 from comparison_page import Page, is_half, render_page
 from kept_rows import Picture, committed, joined, pictures_of

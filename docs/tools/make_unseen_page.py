@@ -23,6 +23,7 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
   photo that sees most of them; `@own` by our small network, trained on cities and farms of other seeds (**in domain**:
   the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
+  `@di-true` is `@di` with the true depth for matches: a bound on all matchers.
 - `citygaussian`, `vastgaussian` and `blockgaussian`: four blocks after a coarse model.
 """,
     printed=(
