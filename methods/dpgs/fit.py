@@ -2,16 +2,17 @@
 
 import hashlib
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 
-from splatproof.base.files import sha256
+from splatproof.base.files import sha256, tree_sha256
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import Dpgs
-from splatproof.methods.dpgs.side_views import SideOrder, SideViews
+from splatproof.methods.dpgs.side_views import SideOrder, SideViews, refiner_of
 from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import explicit, exposed
@@ -66,6 +67,9 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
         run.on_fact("side views", f"{len(cameras)} on {side.spirals} spirals, {side.refiner}")
     if side.every and side.refiner == "own":
         run.on_fact("refiner", f"{domain(scene, SHIPPED)}; weights {sha256(SHIPPED)}")
+    if side.every and side.refiner == "sd-turbo":
+        refiner_of(side)  # what is missing is missed before training, not half-way
+        run.on_fact("refiner", f"weights {tree_sha256(Path(side.weights))}")
     if not cameras:
         return plan
 
@@ -81,7 +85,7 @@ def with_side_views(scene: Scene, model: Model, plan: Plan, settings: Dpgs, run:
 
     name = hashlib.sha256(plan.key.encode()).hexdigest()[:16]
     folder = None if run.folder is None else run.folder / "checkpoint" / "side" / name
-    made = SideViews(cameras, plan.views, draw, side.refiner, folder, told, holes=side.holes)
+    made = SideViews(cameras, plan.views, draw, side, folder, told)
     order = SideOrder(
         len(plan.views), len(cameras), steps=plan.steps, every=side.every,
         refresh=max(1, round(side.refresh * shrink(plan.steps))),

@@ -7,7 +7,7 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.schedules import require
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 
-RefinerName = Literal["none", "warp", "own"]
+RefinerName = Literal["none", "warp", "own", "sd-turbo"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,13 @@ class SideSettings:
     refiner: RefinerName = "warp"
     """What makes a side view's target of its render. warp: the nearest photo's texture where that
     photo sees the surface, holes inpainted; own: that, corrected by our small network, whose weights
-    come with the package; none: the render as it was, a control that says what
-    training on one's own renders does."""
+    come with the package; sd-turbo: Stable Diffusion Turbo as the paper has it, with weights of one's own
+    (`pip install splatproof[priors]`); none: the render as it was, a control that says what training on
+    one's own renders does."""
+    weights: str = ""
+    """Folder of sd-turbo's weights, as diffusers saves a StableDiffusionImg2ImgPipeline; nothing is fetched."""
+    reference: bool = True
+    """Whether sd-turbo sees the nearest photo; off: an ablation of the paper."""
     holes: bool = False
     """Whether side views are trained on where the render has no surface (alpha below one half), and the refiner's
     word is all there is. DPGS's diffusion model may know what stands there; what warping or our network puts
@@ -40,6 +45,9 @@ class SideSettings:
         require(self.every >= 0, "side.every", self.every, ">= 0")
         for name in ("refresh", "spirals"):
             require(getattr(self, name) >= 1, f"side.{name}", getattr(self, name), ">= 1")
+        needs = self.refiner == "sd-turbo"
+        told = "the folder of its weights" if needs else f"none: refiner is {self.refiner!r}"
+        require(needs == bool(self.weights), "side.weights", self.weights, told)
         shape = self.spiral
         for name in ("layers", "views"):
             require(getattr(shape, name) >= 1, f"side.spiral.{name}", getattr(shape, name), ">= 1")

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.base.tensor_files import read_tensors, write_tensors
-from splatproof.methods.dpgs.settings import RefinerName
+from splatproof.methods.dpgs.settings import SideSettings
+from splatproof.methods.priors.sd_turbo import SdTurboRefiner
 from splatproof.methods.priors.view_refiner import OwnRefiner, load_refiner
 from splatproof.reference.supervision.side_views import (
     EVIDENCE,
@@ -45,11 +46,9 @@ class SideViews:
         cameras: Sequence[Camera],
         photos: Sequence[View],
         draw: Draw,
-        refiner: RefinerName,
+        side: SideSettings,
         folder: Path | None,
         told: Callable[[int, float], None],
-        *,
-        holes: bool,
     ) -> None:
         """Nothing is rendered yet.
 
@@ -57,15 +56,13 @@ class SideViews:
             cameras: Where side views are taken from, at least one.
             photos: Training views.
             draw: Renders a view.
-            refiner: What makes a target of a render.
+            side: What makes a target of a render, and whether pixels without a surface are trained on too.
             folder: Where rounds are kept; it belongs to this run alone. None: in memory.
             told: Called with the number of a round and the share of its pixels that are trained on.
-            holes: Whether pixels without a surface are trained on too.
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
         self.folder, self.told = folder, told
-        self.refiner: RefinerName = refiner
-        self.holes = holes
+        self.side = side
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -111,13 +108,13 @@ class SideViews:
 
     @torch.no_grad()
     def _made(self, number: int) -> dict[str, Tensor]:
-        guide, refine = Guide(self.photos, self.draw), refiner_of(self.refiner)
+        guide, refine = Guide(self.photos, self.draw), refiner_of(self.side)
         targets, unproven = [], []
         for camera in self.cameras:
-            side, proven, best = guide.of(camera)
-            target = side.image if refine is None else refine(side, guide.texture(best))
+            seen, proven, best = guide.of(camera)
+            target = seen.image if refine is None else refine(seen, guide.texture(best))
             targets.append((target.clamp(0, 1) * 255).round().byte())
-            unproven.append(~proven & (self.holes | (side.alpha >= HOLE)))
+            unproven.append(~proven & (self.side.holes | (seen.alpha >= HOLE)))
         made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
         self.told(number, float(made["unproven"].float().mean()))
         return made
@@ -172,16 +169,19 @@ class Guide:
         )  # fmt: skip
 
 
-def refiner_of(name: RefinerName) -> ViewRefiner | None:
-    """What makes a target of a side view's render.
+def refiner_of(side: SideSettings) -> ViewRefiner | None:
+    """What makes a target of a side view's render; None: the target is the render itself.
 
     Args:
-        name: none: nothing, the target is the render itself; warp: `warp_and_fill`; own: our network, with the
-            weights that come with the package.
+        side: Who refines; own has the weights that come with the package.
+
+    Raises: MissingError or DataError where sd-turbo lacks its library or weights.
     """
-    if name == "own":
+    if side.refiner == "sd-turbo":
+        return SdTurboRefiner(Path(side.weights), reference=side.reference)
+    if side.refiner == "own":
         return OwnRefiner(load_refiner())
-    return warp_and_fill if name == "warp" else None
+    return warp_and_fill if side.refiner == "warp" else None
 
 
 class SideOrder:

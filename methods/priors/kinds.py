@@ -1,14 +1,22 @@
 """The kinds of depth priors by name, and what a suite or a user writes to choose one."""
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from splatproof.base.errors import MissingError, UsageError
-from splatproof.base.files import sha256
+from splatproof.base.files import sha256, tree_sha256
 from splatproof.base.names import unknown
-from splatproof.methods.priors import depth_anything, lidar, network, noisy, oracle, sweep, unet
+from splatproof.methods.priors import (
+    depth_anything,
+    lidar,
+    marigold,
+    network,
+    noisy,
+    oracle,
+    sweep,
+    unet,
+)
 from splatproof.reference.types.result import NO_PRIOR
 from splatproof.reference.types.scene import DepthPrior, Scene
 
@@ -56,6 +64,10 @@ KINDS = {
         description="a monocular network of transformers, from a local folder",
         prepare=depth_anything.prepare, weights=True,
     ),
+    "marigold": Kind(
+        description="a diffusion model of depth of diffusers, from a local folder, in the scale of SfM points",
+        prepare=marigold.prepare, weights=True, draws=True,
+    ),
 }  # fmt: skip
 """All kinds."""
 
@@ -100,9 +112,7 @@ def weights_facts(prior: str) -> dict[str, str]:
     if path is None:
         return {}
     if path.is_dir():
-        files = sorted(file for file in path.rglob("*") if file.is_file())
-        lines = [f"{file.relative_to(path).as_posix()} {sha256(file)}\n" for file in files]
-        return {WEIGHTS: hashlib.sha256("".join(lines).encode()).hexdigest()}
+        return {WEIGHTS: tree_sha256(path)}
     if not path.is_file():
         raise MissingError(
             f"{path}: no such weights, which depth prior {prior.partition(':')[0]!r} is made with; "

@@ -137,7 +137,8 @@ def side_views(
 ) -> SideViews:
     middle: Camera = camera(2)
     views = tiny_scene().train_views if photos is None else photos
-    return SideViews([middle, middle], views, Wall(), refiner, folder, told, holes=holes)
+    side = SideSettings(refiner=refiner, holes=holes)
+    return SideViews([middle, middle], views, Wall(), side, folder, told)
 
 
 def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():

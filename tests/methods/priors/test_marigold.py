@@ -1,0 +1,100 @@
+"""A diffusion model of depth from a local folder, tried with a tiny one of random weights; its scale, by hand."""
+
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from helpers import tiny_diffusers
+from helpers.prior_scenes import plane_depth, plane_scene
+from splatproof.base.errors import DataError, MissingError
+from splatproof.methods.priors import marigold
+from splatproof.methods.priors.alignment import LEAST_POINTS
+from splatproof.methods.priors.marigold import in_disparity
+from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.types.scene import DepthPrior
+
+NOISY = pytest.mark.filterwarnings("default")
+"""What the library warns of differs with its version and is not ours."""
+CAMERA = plane_scene().views[1].camera
+
+
+def on_the_plane(rows: range, factor: float = 1.0) -> torch.Tensor:
+    """World points through the middles of some pixels, at a factor of their depth."""
+    row, column = torch.meshgrid(torch.tensor(rows), torch.arange(2, 22, 4), indexing="ij")
+    pixel = torch.stack([column + 0.5, row + 0.5, torch.ones_like(row)], dim=-1).double()
+    local = (
+        (pixel @ torch.linalg.inv(CAMERA.K).T)
+        * factor
+        * plane_depth(CAMERA)[row, column, None].double()
+    )
+    return ((local - CAMERA.translation) @ CAMERA.rotation).reshape(-1, 3)
+
+
+def test_depth_of_any_scale_and_shift_becomes_the_disparity_of_the_points():
+    depth = plane_depth(CAMERA)
+    depth[:2] = depth[2:].max()
+    prior = in_disparity((depth - 1) / 7, CAMERA, on_the_plane(range(4, 17, 3)), "a.png")
+    assert prior.valid.all()
+    assert_close(prior.disparity, 1 / depth, atol=1e-5, rtol=0)
+
+
+def test_what_would_lie_behind_the_camera_is_not_valid():
+    depth = plane_depth(CAMERA)
+    depth[:2] = -1.0
+    prior = in_disparity(depth, CAMERA, on_the_plane(range(4, 17, 3)), "a.png")
+    assert not prior.valid[:2].any()
+    assert prior.valid[2:].all()
+    assert not prior.disparity[:2].any()
+
+
+def test_without_points_that_follow_it_there_is_no_scale():
+    depth = plane_depth(CAMERA)
+    depth[:2] = 1.0
+    few = on_the_plane(range(4, 17, 3))[: LEAST_POINTS - 1]
+    for said, points in ((depth, few), (-depth, on_the_plane(range(4, 17, 3)))):
+        with pytest.raises(
+            DataError, match=r"view a.png: depth prior 'marigold' has no scale.*depth-anything"
+        ):
+            in_disparity(said, CAMERA, points, "a.png")
+
+
+@NOISY
+def test_a_network_of_disparity_is_taken_at_its_word(tmp_path: Path):
+    folder = tiny_diffusers.marigold(tmp_path, "disparity")
+    scene = plane_scene()
+    prior, again = (marigold.prepare(scene, folder, 0)(1) for _ in range(2))
+    assert prior.disparity.shape == scene.views[1].size
+    assert prior.valid.all()
+    assert prior.disparity.std() > 0
+    assert torch.equal(prior.disparity, again.disparity)
+    assert not torch.equal(prior.disparity, marigold.prepare(scene, folder, 1)(1).disparity)
+
+
+@NOISY
+def test_a_network_of_depth_is_brought_to_the_scale_of_the_views_points(
+    tmp_path: Path, monkeypatch
+):
+    folder, given = tiny_diffusers.marigold(tmp_path, "depth"), []
+
+    def fit(depth, camera, points, name):
+        given.append((depth.shape, camera, len(points), name))
+        return DepthPrior(disparity=depth, valid=depth > 0)
+
+    monkeypatch.setattr(marigold, "in_disparity", fit)
+    scene = plane_scene()
+    marigold.prepare(scene, folder, 0)(1)
+    ((shape, camera, count, name),) = given
+    view = scene.views[1]
+    assert (shape, name) == (view.size, view.name)
+    assert camera is view.camera
+    seen = points_of(observations(scene.points, len(scene.views)), 1)
+    assert 0 < count == len(seen)
+
+
+def test_without_the_library_one_line_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "diffusers", None)
+    with pytest.raises(MissingError, match=r"install splatproof\[priors\], or take 'sweep'"):
+        marigold.prepare(plane_scene(), tmp_path, 0)
