@@ -34,11 +34,7 @@ def on_plane(where, depth: float = DEPTH) -> torch.Tensor:
 
 
 def view(where, disparity: torch.Tensor | float, valid: torch.Tensor | None = None) -> View:
-    maps = (
-        torch.full((where.height, where.width), float(disparity))
-        if isinstance(disparity, float)
-        else disparity
-    )
+    maps = torch.as_tensor(disparity).expand(where.height, where.width)
     known = torch.ones_like(maps, dtype=torch.bool) if valid is None else valid
     plain = tiny_scene().views[0]
     prior = partial(DepthPrior, disparity=maps, valid=known)
