@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Int64, UInt8
 from torch import Tensor
 
 from splatproof.base.errors import DataError
@@ -27,6 +27,9 @@ REGIONS = "regions.safetensors"
 
 NARROW = 256
 """Blocks whose numbers fit into a byte."""
+STEPS = 100
+"""Stored distances are whole numbers of hundredths, from 0 to FARTHEST of them."""
+FARTHEST = 255
 MEASURED = ("seconds", "cpu_seconds", "peak_mb")
 """Fields of BlockFacts that no two runs share."""
 
@@ -38,7 +41,7 @@ class CityModel(ExplicitModel):
     blocks: Int64[Tensor, " n"]
     """Block that trained each Gaussian."""
     distances: Float[Tensor, " n"]
-    """Normalised distance of each Gaussian to its own block: at most 1 in its core."""
+    """Normalised distance of each Gaussian to its own block: at most 1 in its core. Files hold it in hundredths."""
     block_facts: tuple[BlockFacts, ...]
     regions: tuple[AnyRegion, ...] = ()
     """Where each block of the partition lies: seams are looked for between them."""
@@ -61,7 +64,7 @@ class CityModel(ExplicitModel):
             folder: Where those files are written.
         """
         narrow = torch.uint8 if len(self.block_facts) <= NARROW else torch.int32
-        mine = {"blocks": self.blocks.to(narrow), "distances": self.distances.float()}
+        mine = {"blocks": self.blocks.to(narrow), "distances": in_hundredths(self.distances)}
         arrays = mine if self.packed is not None else dict(super().store(folder).tensors) | mine
         path = folder / CONTAINER
         path.unlink(missing_ok=True)
@@ -110,6 +113,8 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         blocks = numbers.long()
         if len(blocks) and int(blocks.min()) < 0:
             raise ValueError(f"block {int(blocks.min())}, expected numbers from 0")
+        if distances.dtype == torch.uint8:
+            distances = distances / STEPS
         if not bool(distances.isfinite().all()):
             raise ValueError("a distance that is not finite")
         if blocks.shape != (len(model),) or distances.shape != (len(model),):
@@ -128,6 +133,19 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
+
+
+def in_hundredths(distances: Float[Tensor, " n"]) -> UInt8[Tensor, " n"]:
+    """Normalised distances as a byte each, rounded up, so that no bound of whole hundredths is crossed.
+
+    What lies in the overlap band before does so after: its bounds are such (to a millionth, which is what float32
+    makes of them). From 2.55 on all are 2.55; no rim is that wide.
+
+    Args:
+        distances: At least 0.
+    """
+    whole = (distances.double() * STEPS - 1e-4).ceil()
+    return whole.clamp(0, FARTHEST).to(torch.uint8)
 
 
 def _in_places(value: float) -> str:

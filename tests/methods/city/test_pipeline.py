@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.methods.city.model import CONTAINER, CityModel
+from splatproof.methods.city.model import CONTAINER, CityModel, in_hundredths
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
@@ -19,6 +21,7 @@ from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
+from splatproof.metrics.seam import INNER, OUTER, overlap_band
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings
 
 SHORT = {
@@ -53,14 +56,33 @@ def fit(row: str, at: Run, **more) -> CityModel:
 
 
 def arrays(model: CityModel):
+    """What a file holds of a model, which has distances in hundredths."""
     return {name: getattr(model.model, name) for name in FIELDS} | {
-        "blocks": model.blocks, "distances": model.distances,
+        "blocks": model.blocks, "distances": in_hundredths(model.distances),
     }  # fmt: skip
 
 
 def same(one: CityModel, other: CityModel) -> bool:
     first, second = arrays(one), arrays(other)
     return all(torch.equal(first[name], second[name]) for name in first)
+
+
+@given(
+    st.lists(
+        st.one_of(st.floats(0, 3, width=32), st.sampled_from([INNER, OUTER, 2.55])), min_size=1
+    )
+)
+def test_a_file_says_the_same_of_who_lies_in_the_overlap_band(given_distances):
+    true = torch.tensor(given_distances, dtype=torch.float32)
+    near = ((true - INNER).abs() < 2e-6) | ((true - OUTER).abs() < 2e-6)
+    exact = (true == INNER) | (true == torch.tensor(OUTER))
+    true = true[exact | ~near]
+    stored = in_hundredths(true) / 100
+    assert torch.equal(overlap_band(stored), overlap_band(true))
+    assert torch.equal(stored <= INNER, true <= INNER)
+    inside = true <= 2.55
+    assert ((stored - true)[inside] <= 0.01 + 1e-6).all()
+    assert ((stored - true)[inside] >= -2e-6).all()
 
 
 @pytest.mark.parametrize("row", sorted(ROWS))
