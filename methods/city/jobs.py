@@ -16,10 +16,13 @@ from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
 from splatproof.methods.city.train_block import BlockJob, read_gaussians
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
+from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.partition.ghosts import RIM
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.partition.visibility import shared_points
+from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import Scene, SparsePoints
 
 Even = Literal["steps", "visits"]
@@ -43,6 +46,7 @@ def block_jobs(
     coarse: Path | None = None,
     margin: float = 0.0,
     even: Even = "steps",
+    side: SideSettings = NO_SIDES,
 ) -> tuple[BlockJob, ...]:
     """A job for each block, in a folder that is named by what the block is trained from.
 
@@ -61,6 +65,7 @@ def block_jobs(
         coarse: File of a coarse model that all blocks start from; None: they start from points.
         margin: What a block's region is widened by where it takes its own from a coarse model.
         even: What all blocks have equally many of.
+        side: Side views of each block, on spirals around its own points.
     """
     place = ground(scene)
     views, notes = zip(
@@ -75,7 +80,7 @@ def block_jobs(
     return tuple(
         _job(place, found, block, replace(settings, iterations=steps[block]), run, cache,
              views=views[block], note=notes[block], auxiliary=auxiliary, follow=follow,
-             surrounding=surrounding, sampling=sampling, coarse=coarse,
+             surrounding=surrounding, sampling=sampling, coarse=coarse, side=side,
              roles=None if roles is None else roles[block])
         for block in range(len(views))
     )  # fmt: skip
@@ -132,6 +137,7 @@ def _job(
     surrounding: Surrounding,
     sampling: SamplingSettings | None,
     coarse: Path | None,
+    side: SideSettings,
     roles: Int8[Tensor, " m"] | None,
 ) -> BlockJob:
     scene, points = place.scene, place.scene.points
@@ -142,8 +148,12 @@ def _job(
     of_points = roles_of(
         points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
     )
+    sides: tuple[Camera, ...] = ()
+    if side.every:
+        alone = torch.where(own, 0, LEFT_OUT).to(of_points)
+        sides = side_cameras(_part(scene, views, alone), side)
     job = BlockJob(
-        scene=_part(scene, views, of_points), settings=settings,
+        scene=_part(scene, views, of_points), settings=settings, sides=sides, side=side,
         roles=of_points[of_points != LEFT_OUT] if roles is None else roles,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note),

@@ -94,7 +94,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             scene, found, settings.training, run, run.cache or folder / "blocks",
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
             surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
-            sampling=settings.bins if settings.sampling == "balanced" else None,
+            sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
         facts = tuple(BlockFacts(**block) for block in trained)

@@ -7,6 +7,7 @@ from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.storage.packed.coded_writer import CodeSettings
 from splatproof.methods.storage.packed.writer import FileSettings
@@ -67,6 +68,9 @@ class CitySettings(Settings):
     over where the cameras stand around the block (StitchGS)."""
     bins: SamplingSettings = field(default_factory=SamplingSettings)
     """Which bins balanced sampling sorts cameras into."""
+    side: SideSettings = NO_SIDES
+    """Side views of each block, on spirals around its own points, in the second half of its training (DPGS);
+    every = 0: none. With uniform sampling only."""
     merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
     them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a
@@ -110,6 +114,8 @@ class CitySettings(Settings):
                 "opacity is a guess: let them follow, or give them values by coarse_iterations")  # fmt: skip
         require(0 <= self.bins.uniform_share <= 1, "bins.uniform_share", self.bins.uniform_share,
                 "0 to 1")  # fmt: skip
+        mixed = bool(self.side.every) and self.sampling != "uniform"
+        require(not mixed, "sampling", self.sampling, "'uniform' with side views")
         for name in ("azimuths", "distances"):
             value = getattr(self.bins, name)
             require(value >= 1, f"bins.{name}", value, ">= 1")

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -25,6 +26,8 @@ from splatproof.methods.city.point_roles import (
 )
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
+from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.exposure import exposed
 from splatproof.methods.models.gaussian_model import GaussianModel
@@ -42,6 +45,7 @@ from splatproof.reference.partition.view_sampling import (
     balanced_draws,
     view_bins,
 )
+from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
@@ -72,6 +76,10 @@ class BlockJob:
     """Whether opacity and colour of ghosts are trained (dual mode); their geometry never is."""
     start: Path | None = None
     """File of a coarse model to start from; None: the scene's points."""
+    sides: tuple[Camera, ...] = ()
+    """Where side views of the block are taken from."""
+    side: SideSettings = NO_SIDES
+    """How often side views come, and who refines them."""
     seed: int = 0
     backend: str = "cpu"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -88,6 +96,9 @@ class BlockJob:
             digest.update(read_bytes(self.start))
         facts = [self.scene.name, asdict(self.settings), self.sampling and asdict(self.sampling),
                  self.follow, self.seed, self.backend, self.background]  # fmt: skip
+        if self.sides:  # else keys are those of before there were any
+            poses = [one.world_to_camera.tolist() for one in self.sides]
+            facts += [asdict(self.side), poses]
         digest.update(json.dumps(facts).encode())
         return digest.hexdigest()
 
@@ -130,6 +141,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     block, plan = prepare(job, started, run)
     alone = len(plan.views) < 2  # one photo has nothing to be compared with
     shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
+    plan = with_side_views(job.sides, job.scene, shown, plan, job.side, run)
     trainer = Trainer(shown, plan, run)
     trainer.resume()
     trainer.train()
@@ -159,6 +171,7 @@ def _finish(job: BlockJob, model: Gaussians, facts: BlockFacts) -> BlockFacts:
     save_model(trained, job.model, origin)
     write_text(job.record, json.dumps({"key": job.key, "facts": asdict(facts)}) + "\n")
     (job.folder / "checkpoint" / "training.safetensors").unlink(missing_ok=True)
+    shutil.rmtree(job.folder / "checkpoint" / "side", ignore_errors=True)
     return facts
 
 

@@ -55,6 +55,10 @@ class SideSettings:
         require(0 <= shape.look_up < 1, "side.spiral.look_up", shape.look_up, "[0, 1)")
 
 
+NO_SIDES = SideSettings(every=0)
+"""No side views at all."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Dpgs(Settings):
     """Method dpgs: 3dgs with matched points at its start and side views in its second half. Steps

@@ -23,7 +23,8 @@ from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs import fit as dlg_gs
-from splatproof.methods.dpgs.fit import with_side_views
+from splatproof.methods.dpgs.side_training import with_side_views
+from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.hdgs import fit as hdgs
 from splatproof.methods.pvg import fit as pvg
 from splatproof.methods.registry import get_method
@@ -58,7 +59,8 @@ def dpgs(scene: Scene, settings: Any, run: Run) -> tuple[Model, Plan]:
         run: Backend and seed.
     """
     model, plan = threedgs.prepare(scene, settings, run)
-    return model, with_side_views(scene, model, plan, settings, run)
+    cameras = side_cameras(scene, settings.side)
+    return model, with_side_views(cameras, scene, model, plan, settings.side, run)
 
 
 def block(scene: Scene, settings: Any, run: Run) -> tuple[Model, Plan]:

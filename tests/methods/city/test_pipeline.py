@@ -16,6 +16,7 @@ from splatproof.methods.city.model import CONTAINER, CityModel, in_hundredths
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
@@ -23,6 +24,7 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.metrics.seam import INNER, OUTER, overlap_band
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings
+from splatproof.reference.supervision.spiral_path import SpiralSettings
 
 SHORT = {
     "iterations": 20,
@@ -118,6 +120,21 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     image = back.render(SCENE.views[0]).colour
     assert image.isfinite().all()
     assert image.max() > 0.1
+
+
+def test_blocks_take_side_views_where_views_are_drawn_uniformly(tmp_path):
+    side = SideSettings(every=3, spiral=SpiralSettings(layers=1, views=3))
+    scene = replace(SCENE, up=torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64))
+    method = METHODS["dpgs-partition"]
+    with_, without = (
+        method.fit(scene, method.settings(**CITY, side=one), run(tmp_path / name))
+        for name, one in (("with", side), ("without", NO_SIDES))
+    )
+    assert isinstance(with_, CityModel)
+    assert isinstance(without, CityModel)
+    assert not same(with_, without)
+    with pytest.raises(UsageError, match="sampling is 'balanced', expected 'uniform' with side"):
+        METHODS["stitchgs"].settings(side=side)
 
 
 def test_our_small_file_is_what_the_refinement_saw_and_keeps_whose_is_whose(tmp_path):

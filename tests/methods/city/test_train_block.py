@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch.testing import assert_close
 
 from helpers.city_scene import small_scene
 from splatproof.methods.city.jobs import block_jobs
@@ -12,6 +13,7 @@ from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.point_roles import CONTEXT, GHOST, OWN, ROLE, Auxiliary
 from splatproof.methods.city.train_block import BlockJob, prepare, train_block
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
@@ -19,6 +21,7 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
 from splatproof.reference.partition.view_sampling import SamplingSettings
+from splatproof.reference.supervision.spiral_path import SpiralSettings
 from splatproof.reference.types.scene import Scene
 
 SHORT = Settings(
@@ -120,6 +123,53 @@ def test_continuation_is_bit_equal(tmp_path, sampling, step):
     assert facts.seconds > 0
     assert facts.cpu_seconds > 0
     assert facts.densifications == 2
+
+
+SIDES = SideSettings(every=3, spiral=SpiralSettings(layers=1, views=4))
+
+
+def seen_from_above() -> Scene:
+    """The small scene with its cameras above its points."""
+    return replace(small_scene(60), up=torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64))
+
+
+def test_side_views_of_a_block_circle_its_own_points(tmp_path):
+    scene = seen_from_above()
+    found = partition(scene, 2, PartitionSettings(margin=0.1))
+    plain = block_jobs(scene, found, SHORT, RUN, tmp_path)
+    sided = block_jobs(scene, found, SHORT, RUN, tmp_path, side=SIDES)
+    for block, (without, job) in enumerate(zip(plain, sided, strict=True)):
+        assert without.sides == ()
+        assert without.key != job.key
+        assert len(job.sides) == 4
+        own = scene.points.positions[found.labels == block].double()
+        low, high = torch.quantile(own, own.new_tensor([0.02, 0.98]), dim=0)
+        eyes = torch.stack([one.centre for one in job.sides]).mean(dim=0)
+        assert_close(eyes[:2], ((low + high) / 2)[:2], atol=1e-6, rtol=0)
+    assert replace(sided[0], side=replace(SIDES, every=2)).key != sided[0].key
+
+
+def test_a_block_with_side_views_trains_on_them_and_goes_on_after_a_kill_to_the_bit(tmp_path):
+    scene = seen_from_above()
+    plain, straight, killed = (
+        jobs(tmp_path / name, scene=scene, side=side)[0]
+        for name, side in (("plain", NO_SIDES), ("straight", SIDES), ("killed", SIDES))
+    )
+    for job in (plain, straight):
+        train_block(job, nothing)
+
+    def kill(now: int, *_: object) -> None:
+        if now == 20:
+            raise Killed
+
+    with pytest.raises(Killed):
+        train_block(killed, kill)
+    assert list((killed.folder / "checkpoint" / "side").rglob("*.safetensors"))
+    train_block(killed, nothing)
+    assert not (killed.folder / "checkpoint" / "side").exists()
+    for name, values in loaded(straight).items():
+        assert torch.equal(values, loaded(killed)[name])
+    assert not torch.equal(loaded(straight)["sh"], loaded(plain)["sh"])
 
 
 def test_a_trained_block_is_not_repeated_but_another_key_is(tmp_path):
