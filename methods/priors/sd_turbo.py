@@ -28,7 +28,7 @@ class SdTurboRefiner:
         """Read the weights.
 
         Args:
-            folder: Of a StableDiffusionImg2ImgPipeline, see `pipeline`.
+            folder: Folder of a StableDiffusionImg2ImgPipeline, see `pipeline`.
             reference: Whether the photo guides the network.
         Raises: MissingError without the library; DataError where the folder is not such a model's.
         """
