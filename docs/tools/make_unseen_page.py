@@ -24,8 +24,8 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
   the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
   `@di-true` is `@di` with the true depth for matches: a bound on all matchers.
-- `citygaussian`, `vastgaussian` and `blockgaussian`: four blocks after a coarse model. `dpgs-partition`: four blocks of equal
-  load from sparse points, as DPGS trains them; `@whole` with matched points and side views of each block.
+- `citygaussian`, `vastgaussian`, `blockgaussian` and `dpgs-partition` (blocks of equal load): four blocks after a coarse model;
+  `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block.
 """,
     printed=(
         Printed(
