@@ -29,11 +29,11 @@ def committed(path: Path) -> list[dict[str, Any]]:
 def joined(
     new: Sequence[Mapping[str, Any]], old: Sequence[Mapping[str, Any]], cases: Sequence[Case]
 ) -> tuple[list[Mapping[str, Any]], int]:
-    """Rows of runs, and those committed before of planned cases that were not run again; in the suite's order.
+    """Rows of runs, and those committed before of planned rows that were not run again; in the suite's order.
 
     A committed row is dropped where the suite's settings for it are others now, be it that the suite says so or
     that a default changed. Rows without settings (of before they were kept) and settings that a row knows nothing
-    of are no reason.
+    of are no reason. Seeds are no reason either: `--seeds` may have asked for more than the suite does.
 
     Args:
         new: Rows of the runs at hand.
@@ -42,16 +42,16 @@ def joined(
 
     Returns: The rows, and how many of them are old.
     """
-    rows, kept = [], 0
-    by_case, before = ({_place(row): row for row in some} for some in (new, old))
-    for case in cases:
-        place = (case.scene_name, case.protocol.name, case.row, case.seed)
-        if place in by_case:
-            rows.append(by_case[place])
-        elif place in before and not contradicts(before[place].get("settings", {}), plain(case)):
-            rows.append(before[place])
-            kept += 1
-    return rows, kept
+    planned = {(case.scene_name, case.protocol.name, case.row): plain(case) for case in cases}
+    order = {place: number for number, place in enumerate(planned)}
+    by_seed = {(_place(row), row["seed"]): row for row in new if _place(row) in order}
+    kept = {
+        (_place(row), row["seed"]): row for row in old
+        if _place(row) in order and (_place(row), row["seed"]) not in by_seed
+        and not contradicts(row.get("settings", {}), planned[_place(row)])
+    }  # fmt: skip
+    every = sorted((by_seed | kept).items(), key=lambda item: (order[item[0][0]], item[0][1]))
+    return [row for _, row in every], len(kept)
 
 
 def plain(case: Case) -> dict[str, Any]:
@@ -87,5 +87,5 @@ def pictures_of(
     return [*shown, *made.values()]
 
 
-def _place(row: Mapping[str, Any]) -> tuple[str, str, str, int]:
-    return row["scene"], row["protocol"], row["row"], row["seed"]
+def _place(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    return row["scene"], row["protocol"], row["row"]

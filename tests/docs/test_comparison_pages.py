@@ -92,6 +92,8 @@ def test_rows_that_were_run_in_parts_are_joined_in_the_order_of_the_suite(made):
     assert kept == len(every) - len(new)
     assert [one["n"] for one in rows] == [index % 2 for index in range(len(every))]
     assert [{**one, "n": 0} for one in rows] == every
+    more = {**every[0], "seed": 99}  # --seeds may ask for more than the suite does
+    assert more in joined(every, [more], cases)[0]
 
 
 def test_a_committed_row_of_other_settings_is_dropped():
