@@ -12,7 +12,7 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.dpgs.side_views import SideOrder, SideViews, refiner_of
+from splatproof.methods.dpgs.side_views import SideOrder, SideViews
 from splatproof.methods.priors.unet import domain
 from splatproof.methods.priors.view_refiner import SHIPPED
 from splatproof.methods.training.plan import Plan
@@ -40,7 +40,6 @@ def with_side_views(
     if side.every and side.refiner == "own":
         run.on_fact("refiner", f"{domain(scene, SHIPPED)}; weights {sha256(SHIPPED)}")
     if side.every and side.refiner == "sd-turbo":
-        refiner_of(side)  # what is missing is missed before training, not half-way
         run.on_fact("refiner", f"weights {tree_sha256(Path(side.weights))}")
     if not cameras:
         return plan

@@ -50,7 +50,7 @@ class SideViews:
         folder: Path | None,
         told: Callable[[int, float], None],
     ) -> None:
-        """Nothing is rendered yet.
+        """Read the refiner's weights; nothing is rendered yet.
 
         Args:
             cameras: Where side views are taken from, at least one.
@@ -62,7 +62,7 @@ class SideViews:
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
         self.folder, self.told = folder, told
-        self.side = side
+        self.side, self.refine = side, refiner_of(side)
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -108,11 +108,11 @@ class SideViews:
 
     @torch.no_grad()
     def _made(self, number: int) -> dict[str, Tensor]:
-        guide, refine = Guide(self.photos, self.draw), refiner_of(self.side)
+        guide = Guide(self.photos, self.draw)
         targets, unproven = [], []
         for camera in self.cameras:
             seen, proven, best = guide.of(camera)
-            target = seen.image if refine is None else refine(seen, guide.texture(best))
+            target = self.refine(seen, guide.texture(best)) if self.refine else seen.image
             targets.append((target.clamp(0, 1) * 255).round().byte())
             unproven.append(~proven & (self.side.holes | (seen.alpha >= HOLE)))
         made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}

@@ -11,7 +11,7 @@ CROSS = 16
 """Channels of a word."""
 
 
-def library(name: str) -> Any:
+def of_the_extra(name: str) -> Any:
     """A library of the extra, or a skipped test."""
     return pytest.importorskip(name, reason="the extra 'priors' is not installed")
 
@@ -23,7 +23,7 @@ def parts(folder: Path, latents: int) -> dict[str, Any]:
         folder: Where the words are written down.
         latents: Input channels of the network.
     """
-    diffusers, transformers = library("diffusers"), library("transformers")
+    diffusers, transformers = of_the_extra("diffusers"), of_the_extra("transformers")
     torch.manual_seed(0)
     words = {"<|startoftext|>": 0, "<|endoftext|>": 1, "a</w>": 2, "e</w>": 3, "o</w>": 4}
     words |= {letter: 5 + i for i, letter in enumerate("abcdefghijklmnopqrstuvwxyz")}
@@ -53,7 +53,7 @@ def parts(folder: Path, latents: int) -> dict[str, Any]:
 
 def sd_turbo(folder: Path) -> Path:
     """A StableDiffusionImg2ImgPipeline with the scheduler of SD-Turbo."""
-    diffusers = library("diffusers")
+    diffusers = of_the_extra("diffusers")
     made = diffusers.StableDiffusionImg2ImgPipeline(
         **parts(folder, 4), safety_checker=None, feature_extractor=None, requires_safety_checker=False,
         scheduler=diffusers.EulerDiscreteScheduler(
@@ -72,7 +72,7 @@ def marigold(folder: Path, prediction: str) -> Path:
         folder: Where it is saved.
         prediction: depth or disparity.
     """
-    diffusers = library("diffusers")
+    diffusers = of_the_extra("diffusers")
     made = diffusers.MarigoldDepthPipeline(
         **parts(folder, 8), prediction_type=prediction, default_denoising_steps=1,
         default_processing_resolution=0,

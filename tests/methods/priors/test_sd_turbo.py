@@ -108,7 +108,7 @@ def test_what_is_missing_is_told_before_training(tmp_path, monkeypatch):
 
 def _missing() -> bool:
     try:
-        tiny_diffusers.library("diffusers")
+        tiny_diffusers.of_the_extra("diffusers")
     except pytest.skip.Exception:
         return True
     return False
