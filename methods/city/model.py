@@ -15,6 +15,7 @@ from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.regions import AnyRegion, load_regions, save_regions
 from splatproof.methods.contracts.reconstruction import ARRAYS, DESCRIPTION, Stored
 from splatproof.methods.models.explicit import ExplicitModel, described, gaussians_in
+from splatproof.methods.storage.deflated import deflated, inflated
 from splatproof.methods.storage.packed.reader import read_packed
 
 CITY = "city"
@@ -25,6 +26,9 @@ CONTAINER = "model.spgs"
 REGIONS = "regions.safetensors"
 """Where the blocks of the partition lie."""
 
+BLOCKS, DISTANCES = "deflated_blocks", "deflated_distances"
+"""Arrays of files: the block of each Gaussian, and its distance in hundredths. Files from before have `blocks` and
+`distances` as they are."""
 NARROW = 256
 """Blocks whose numbers fit into a byte."""
 STEPS = 100
@@ -64,7 +68,10 @@ class CityModel(ExplicitModel):
             folder: Where those files are written.
         """
         narrow = torch.uint8 if len(self.block_facts) <= NARROW else torch.int32
-        mine = {"blocks": self.blocks.to(narrow), "distances": in_hundredths(self.distances)}
+        mine = {
+            BLOCKS: deflated(self.blocks.to(narrow).view(torch.uint8)),
+            DISTANCES: deflated(in_hundredths(self.distances)),
+        }
         arrays = mine if self.packed is not None else dict(super().store(folder).tensors) | mine
         path = folder / CONTAINER
         path.unlink(missing_ok=True)
@@ -107,7 +114,7 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         arrays |= vars(read_packed(path)[0])
     model = gaussians_in(arrays, path)
     try:
-        numbers, distances = arrays["blocks"], arrays["distances"]
+        numbers, distances = _numbers(arrays, len(model), len(facts["blocks"]))
         if numbers.is_floating_point() or numbers.is_complex() or numbers.dtype == torch.bool:
             raise ValueError(f"blocks of type {numbers.dtype}, expected whole numbers")
         blocks = numbers.long()
@@ -133,6 +140,18 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"{folder / DESCRIPTION}: damaged ({error!r})") from None
+
+
+def _numbers(arrays: Mapping[str, Tensor], count: int, blocks: int) -> tuple[Tensor, Tensor]:
+    """Block and distance of each Gaussian as a file has them, unpacked.
+
+    Raises: KeyError or ValueError for what is missing or damaged.
+    """
+    if BLOCKS not in arrays:
+        return arrays["blocks"], arrays["distances"]
+    narrow = torch.uint8 if blocks <= NARROW else torch.int32
+    numbers = inflated(arrays[BLOCKS], count * narrow.itemsize).view(narrow)
+    return numbers, inflated(arrays[DISTANCES], count)
 
 
 def in_hundredths(distances: Float[Tensor, " n"]) -> UInt8[Tensor, " n"]:

@@ -4,6 +4,7 @@ d(p) <= 1 in a block's core, up to 1.1 in the rim where blocks compete, above it
 positions are in the scene's frame.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,14 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.voxel_region import INSIDE, VoxelRegion
+from splatproof.methods.storage.deflated import deflated, inflated
 from splatproof.reference.partition.boxes import Box, OrientedBox, Region, box_distance
 from splatproof.reference.partition.contracted_grid import contract
 
 KIND = "splatproof regions"
-VERSION = 1
+VERSION = 2
+READ = (1, 2)
+"""Versions that are read; in the first, voxels lay as they are, a byte each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -146,10 +150,14 @@ def save_regions(path: Path, regions: Sequence[AnyRegion]) -> None:
     tensors: dict[str, Tensor] = {}
     kinds: list[dict[str, object]] = []
     for i, region in enumerate(regions):
-        kinds.append({"kind": type(region).__name__})
+        shapes: dict[str, list[int]] = {}
+        kinds.append({"kind": type(region).__name__, "deflated": shapes})
         for name, value in vars(region).items():
             if isinstance(value, OrientedBox):
                 tensors |= {f"{i}.{name}.{key}": part.clone() for key, part in vars(value).items()}
+            elif isinstance(value, Tensor) and value.dtype == torch.bool:
+                tensors[f"{i}.{name}"] = deflated(value.to(torch.uint8))
+                shapes[name] = list(value.shape)
             elif isinstance(value, Tensor):
                 tensors[f"{i}.{name}"] = value.clone()
             elif value is not None:
@@ -165,24 +173,30 @@ def load_regions(path: Path) -> tuple[AnyRegion, ...]:
     tensors, facts = read_tensors(path)
     if not isinstance(facts, dict) or facts.get("format") != KIND:
         raise DataError(f"{path}: not a file of block regions (no format {KIND!r})")
-    if facts.get("version") != VERSION:
+    if facts.get("version") not in READ:
         raise DataError(
-            f"{path}: version {facts.get('version')!r}, this splatproof reads {VERSION}"
+            f"{path}: version {facts.get('version')!r}, this splatproof reads 1 to {VERSION}"
         )
     known = {kind.__name__: kind for kind in AnyRegion.__args__}
     regions = []
     try:
         for i, entry in enumerate(facts["regions"]):
-            values = {key: value for key, value in entry.items() if key != "kind"}
+            shapes = entry.get("deflated", {})
+            values = {key: value for key, value in entry.items() if key not in ("kind", "deflated")}
             boxes: dict[str, dict[str, Tensor]] = {}
             for name, tensor in tensors.items():
                 first, field, *rest = name.split(".")
                 if first == str(i) and rest:
                     boxes.setdefault(field, {})[rest[0]] = tensor
+                elif first == str(i) and field in shapes:
+                    shape = tuple(int(size) for size in shapes[field])
+                    values[field] = inflated(tensor, math.prod(shape)).reshape(shape).bool()
                 elif first == str(i):
                     values[field] = tensor
             values |= {field: OrientedBox(**parts) for field, parts in boxes.items()}
             regions.append(known[entry["kind"]](**values))
-    except (KeyError, TypeError, ValueError) as error:
+    except (
+        AttributeError, KeyError, OverflowError, RuntimeError, TypeError, ValueError,
+    ) as error:  # fmt: skip
         raise DataError(f"{path}: damaged ({error!r})") from None
     return tuple(regions)

@@ -1,11 +1,13 @@
 """Models of cities: damage under right hashes is told, and their size tells nothing of the clock."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError
@@ -15,6 +17,7 @@ from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.storage.deflated import deflated, inflated
 from splatproof.suites.case_costs import bytes_on_disk
 
 CITY = CityModel(
@@ -51,6 +54,61 @@ def test_a_city_that_says_its_seconds_as_numbers_is_read(tmp_path):
     assert (loaded.stage_seconds["blocks"], loaded.block_facts[0].seconds) == (2.25, 1.75)
 
 
+def change(folder: Path, tensors: Mapping[str, Tensor]) -> None:
+    """Give a city other arrays, with their hash."""
+    write_tensors(folder / "model.safetensors", tensors)
+    told = json.loads((folder / "model.json").read_text())
+    told["arrays_sha256"] = sha256(folder / "model.safetensors")
+    (folder / "model.json").write_text(json.dumps(told))
+
+
+def as_before(folder: Path) -> dict[str, Tensor]:
+    """Arrays of a city of five Gaussians as they were once written: not deflated."""
+    tensors, _ = read_tensors(folder / "model.safetensors")
+    for name in ("blocks", "distances"):
+        tensors[name] = inflated(tensors.pop(f"deflated_{name}"), 5)
+    return tensors
+
+
+def test_arrays_from_before_they_were_deflated_are_read(tmp_path):
+    placed = replace(CITY, distances=torch.tensor([0.0, 0.5, 1.0, 1.1, 2.0]))
+    save_model(placed, tmp_path, Origin())
+    now = load_reconstruction(tmp_path)
+    change(tmp_path, as_before(tmp_path))
+    before = load_reconstruction(tmp_path)
+    assert isinstance(now, CityModel)
+    assert isinstance(before, CityModel)
+    assert torch.equal(now.blocks, before.blocks)
+    assert torch.equal(now.distances, before.distances)
+    assert now.distances.tolist() == pytest.approx(placed.distances.tolist())
+
+
+def test_many_blocks_are_numbered_in_four_bytes(tmp_path):
+    facts = tuple(BlockFacts(block=i, views=1, points=5, load=10) for i in range(300))
+    last = replace(CITY, blocks=torch.tensor([0, 255, 256, 299, 7]), block_facts=facts)
+    save_model(last, tmp_path, Origin())
+    loaded = load_reconstruction(tmp_path)
+    assert isinstance(loaded, CityModel)
+    assert loaded.blocks.tolist() == [0, 255, 256, 299, 7]
+
+
+@pytest.mark.parametrize("name", ["deflated_blocks", "deflated_distances"])
+@pytest.mark.parametrize("kind", ["cut", "longer", "empty", "another type", "another count"])
+def test_deflated_arrays_that_no_city_has(tmp_path, name, kind):
+    saved(tmp_path, 1.0)
+    tensors, _ = read_tensors(tmp_path / "model.safetensors")
+    packed = tensors[name]
+    other = {
+        "cut": packed[:-1], "longer": torch.cat([packed, packed]), "empty": packed[:0],
+        "another type": packed.float(),
+        "another count": deflated(torch.zeros(6, dtype=torch.uint8)),
+    }[kind]  # fmt: skip
+    change(tmp_path, tensors | {name: other})
+    with pytest.raises(DataError, match=r"model\.json: damaged") as caught:
+        load_reconstruction(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     "changed",
     [
@@ -67,11 +125,8 @@ def test_a_city_that_says_its_seconds_as_numbers_is_read(tmp_path):
 )
 def test_arrays_that_no_city_has(tmp_path, changed):
     saved(tmp_path, 1.0)
-    tensors, _ = read_tensors(tmp_path / "model.safetensors")
-    write_tensors(tmp_path / "model.safetensors", tensors | changed)
-    told = json.loads((tmp_path / "model.json").read_text())
-    told["arrays_sha256"] = sha256(tmp_path / "model.safetensors")
-    (tmp_path / "model.json").write_text(json.dumps(told))
+    tensors = as_before(tmp_path)
+    change(tmp_path, tensors | changed)
     with pytest.raises(DataError, match=r"model\.json: damaged") as caught:
         load_reconstruction(tmp_path)
     assert "\n" not in str(caught.value)

@@ -1,7 +1,9 @@
 """Regions: one normalised distance for boxes, rectangles, contracted cells and voxel sets."""
 
+import math
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -13,11 +15,12 @@ from torch import Tensor
 from torch.testing import assert_close
 
 from splatproof.base.errors import DataError
-from splatproof.base.tensor_files import write_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import partition_regions as blocks
 from splatproof.methods.city import regions
 from splatproof.methods.city.regions import GroundRegion, OrientedRegion
 from splatproof.methods.city.voxel_region import VoxelRegion
+from splatproof.methods.storage.deflated import inflated
 from splatproof.reference.partition import camera_cells as partition_cameras
 from splatproof.reference.partition import contracted_grid as partition_grid
 from splatproof.reference.partition import density_split as partition_density
@@ -304,11 +307,63 @@ def test_foreign_newer_and_damaged_files_are_refused(tmp_path):
         regions.load_regions(path)
     facts = {"format": regions.KIND, "version": 1, "regions": [{"kind": "OrientedRegion"}]}
     for change in (
-        {"format": "other"}, {"version": 2}, {}, {"regions": [{"kind": "Sphere"}]}, {"regions": 3},
+        {"format": "other"}, {"version": 3}, {}, {"regions": [{"kind": "Sphere"}]}, {"regions": 3},
+        {"regions": [3]},
     ):  # fmt: skip
         write_tensors(path, {}, facts | change)
         with pytest.raises(DataError, match="regions.safetensors"):
             regions.load_regions(path)
+
+
+def as_before(path: Path) -> None:
+    """Write a file of regions as version 1 did: voxels as they are."""
+    tensors, facts = read_tensors(path)
+    for i, entry in enumerate(facts["regions"]):
+        for name, shape in entry.pop("deflated").items():
+            voxels = inflated(tensors[f"{i}.{name}"], math.prod(shape))
+            tensors[f"{i}.{name}"] = voxels.reshape(shape).bool()
+    write_tensors(path, tensors, facts | {"version": 1})
+
+
+def test_files_of_the_first_version_are_read(tmp_path):
+    path = tmp_path / "regions.safetensors"
+    made = voxels(3, (5, 6, 7), 0.5)
+    regions.save_regions(path, [made])
+    as_before(path)
+    (back,) = regions.load_regions(path)
+    assert isinstance(back, VoxelRegion)
+    assert torch.equal(back.cells, made.cells)
+
+
+def test_voxels_take_no_more_than_they_tell(tmp_path):
+    path = tmp_path / "regions.safetensors"
+    full = torch.ones(64, 64, 16, dtype=torch.bool)
+    region = VoxelRegion(
+        frame=torch.eye(3, dtype=D), low=torch.zeros(3, dtype=D), side=1.0, cells=full
+    )
+    regions.save_regions(path, [region])
+    assert path.stat().st_size < 2000
+
+
+@pytest.mark.parametrize(
+    "shapes",
+    [3, "cells", {"cells": 3}, {"cells": [2, 2]}, {"cells": [-1, -8]}, {"cells": [None]}, {},
+     {"cells": [float("inf")]}, {"cells": [10**15]}],
+    ids=str,
+)  # fmt: skip
+def test_shapes_that_no_voxels_have(tmp_path, shapes):
+    path = tmp_path / "regions.safetensors"
+    cells = torch.ones(2, 2, 2, dtype=torch.bool)
+    region = VoxelRegion(
+        frame=torch.eye(3, dtype=D), low=torch.zeros(3, dtype=D), side=1.0, cells=cells
+    )
+    regions.save_regions(path, [region])
+    tensors, facts = read_tensors(path)
+    facts["regions"][0]["deflated"] = shapes
+    write_tensors(path, tensors, facts)
+    with pytest.raises(DataError, match="regions.safetensors: damaged") as caught:
+        regions.load_regions(path)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.slow
