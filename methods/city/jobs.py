@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int8
 from torch import Tensor
 
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms
 from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
@@ -47,6 +48,7 @@ def block_jobs(
     margin: float = 0.0,
     even: Even = "steps",
     side: SideSettings = NO_SIDES,
+    terms: BlockTerms = NO_TERMS,
 ) -> tuple[BlockJob, ...]:
     """A job for each block, in a folder that is named by what the block is trained from.
 
@@ -66,6 +68,7 @@ def block_jobs(
         margin: What a block's region is widened by where it takes its own from a coarse model.
         even: What all blocks have equally many of.
         side: Side views of each block, on spirals around its own points.
+        terms: What each block minimises beside its photos.
     """
     place = ground(scene)
     views, notes = zip(
@@ -80,7 +83,7 @@ def block_jobs(
     return tuple(
         _job(place, found, block, replace(settings, iterations=steps[block]), run, cache,
              views=views[block], note=notes[block], auxiliary=auxiliary, follow=follow,
-             surrounding=surrounding, sampling=sampling, coarse=coarse, side=side,
+             surrounding=surrounding, sampling=sampling, coarse=coarse, side=side, terms=terms,
              roles=None if roles is None else roles[block])
         for block in range(len(views))
     )  # fmt: skip
@@ -138,6 +141,7 @@ def _job(
     sampling: SamplingSettings | None,
     coarse: Path | None,
     side: SideSettings,
+    terms: BlockTerms,
     roles: Int8[Tensor, " m"] | None,
 ) -> BlockJob:
     scene, points = place.scene, place.scene.points
@@ -154,6 +158,7 @@ def _job(
         sides = side_cameras(_part(scene, views, alone), side)
     job = BlockJob(
         scene=_part(scene, views, of_points), settings=settings, sides=sides, side=side,
+        block_terms=terms,
         roles=of_points[of_points != LEFT_OUT] if roles is None else roles,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note),

@@ -18,6 +18,7 @@ from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.block_terms import with_scaled_priors
 from splatproof.methods.city.coarse import coarse_stage
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
@@ -82,7 +83,11 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     """
     scene = started(scene, settings.training, run)
     with threads(run.threads), _work_folder(run) as folder:
-        stages = Stages(folder, run_key(scene, settings, run, method), run.on_stage)
+        special = [method]
+        if settings.block_terms.depth:
+            scene = with_scaled_priors(scene)
+            special.append(scene.facts.get("depth_prior_sha256", ""))
+        stages = Stages(folder, run_key(scene, settings, run, *special), run.on_stage)
         progress = Progress(run, settings, len(scene.train))
         coarse = None
         if settings.coarse_iterations:
@@ -95,6 +100,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
             surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
             sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
+            terms=settings.block_terms,
         )  # fmt: skip
         trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
         facts = tuple(BlockFacts(**block) for block in trained)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
+from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms
 from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
@@ -71,6 +72,8 @@ class CitySettings(Settings):
     side: SideSettings = NO_SIDES
     """Side views of each block, on spirals around its own points, in the second half of its training (DPGS);
     every = 0: none. With uniform sampling only."""
+    block_terms: BlockTerms = NO_TERMS
+    """What each block minimises beside its photos: depth, views from beside, volume (BlockGaussian, StitchGS)."""
     merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
     them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a

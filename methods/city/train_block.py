@@ -16,6 +16,7 @@ from splatproof.base.files import read_bytes, read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms
 from splatproof.methods.city.point_roles import (
     GHOST,
     LEFT_OUT,
@@ -80,6 +81,8 @@ class BlockJob:
     """Where side views of the block are taken from."""
     side: SideSettings = NO_SIDES
     """How often side views come, and who refines them."""
+    block_terms: BlockTerms = NO_TERMS
+    """What is minimised beside the photos."""
     seed: int = 0
     backend: str = "cpu"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -99,6 +102,8 @@ class BlockJob:
         if self.sides:  # else keys are those of before there were any
             poses = [one.world_to_camera.tolist() for one in self.sides]
             facts += [asdict(self.side), poses]
+        if self.block_terms != NO_TERMS:
+            facts += [asdict(self.block_terms), self.scene.facts.get("depth_prior_sha256", "")]
         digest.update(json.dumps(facts).encode())
         return digest.hexdigest()
 
@@ -238,7 +243,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
     return model, Plan(
         steps=settings.iterations,
         views=scene.train_views,
-        terms=terms(settings),
+        terms=(*terms(settings), *block_terms(job.block_terms, run, size)),
         density=density,
         key=run_key(scene, settings, run, job.key),
         views_per_step=settings.views_per_step,

@@ -1,5 +1,7 @@
 """The scale and zero that bring a disparity nearest to another: what a prior leaves open."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -50,15 +52,35 @@ def in_scale(prior: DepthPrior, camera: Camera, points: Float[Tensor, "n 3"]) ->
         camera: The view's camera.
         points: Sparse points that the view sees.
     """
+    return _scaled(prior, camera, points) or prior
+
+
+def scaled_prior(
+    load: Callable[[], DepthPrior], camera: Camera, points: Float[Tensor, "n 3"]
+) -> DepthPrior:
+    """A prior of any scale in that of its SfM points; nothing is valid where they do not determine it.
+
+    Args:
+        load: Reads the prior.
+        camera: The view's camera.
+        points: Sparse points that the view sees.
+    """
+    prior = load()
+    nothing = DepthPrior(disparity=prior.disparity, valid=torch.zeros_like(prior.valid))
+    return _scaled(prior, camera, points) or nothing
+
+
+def _scaled(prior: DepthPrior, camera: Camera, points: Float[Tensor, "n 3"]) -> DepthPrior | None:
+    """The prior moved to fit the points; None where they do not say how."""
     at, z = project_points(camera, points)
     column, row = at.floor().long().T
     inside = (z > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     column, row, z = column[inside], row[inside], z[inside]
     known = prior.valid[row, column]
-    fit = None
-    if int(known.sum()) >= LEAST_POINTS:
-        fit = aligned(prior.disparity[row[known], column[known]], 1 / z[known])
+    if int(known.sum()) < LEAST_POINTS:
+        return None
+    fit = aligned(prior.disparity[row[known], column[known]], 1 / z[known])
     if fit is None or fit[0] <= 0:
-        return prior
+        return None
     moved = torch.where(prior.valid, fit[0] * prior.disparity + fit[1], 0)
     return DepthPrior(disparity=moved, valid=prior.valid)

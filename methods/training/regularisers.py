@@ -66,3 +66,16 @@ def scale_pull(log_scales: Float[Tensor, "n 3"], weight: float) -> Float[Tensor,
     Source: Kheradmand et al. 2024, "3D Gaussian Splatting as Markov Chain Monte Carlo", Eq. 12.
     """
     return log_scales.exp() * (weight / log_scales.numel())
+
+
+def volume_pull(log_scales: Float[Tensor, "n 3"], weight: float) -> Float[Tensor, "n 3"]:
+    """Gradient of weight * mean(product of the scales) by the log scales: equal for the three axes.
+
+    Args:
+        log_scales: Logarithms of the scales of all Gaussians, at least one.
+        weight: Factor on the mean over Gaussians, >= 0.
+
+    Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.3 (its volume term).
+    """
+    volumes = log_scales.sum(dim=1, keepdim=True).exp()
+    return (volumes * (weight / len(log_scales))).expand_as(log_scales)

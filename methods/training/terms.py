@@ -10,7 +10,7 @@ from torch import Tensor
 from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.kernels.loss import photometric
-from splatproof.methods.training.regularisers import opacity_pull, scale_pull
+from splatproof.methods.training.regularisers import opacity_pull, scale_pull, volume_pull
 from splatproof.reference.supervision import losses
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
@@ -147,3 +147,23 @@ def mean_scale(weight: float, extent: float) -> ParameterTerm:
         return weight / extent * float(log_scales.detach().exp().mean())
 
     return ParameterTerm(name="mean scale", add=add)
+
+
+def mean_volume(weight: float, extent: float) -> ParameterTerm:
+    """The term weight * mean(product of the scales) / extent^3: giants shrink.
+
+    Args:
+        weight: Factor, >= 0.
+        extent: Size of the scene in scene units, so that another unit changes nothing (ours).
+
+    Source: Lu et al. 2024, "Scaffold-GS", Sec. 3.3, for Gaussians that are trained themselves.
+    """
+    weight = weight / extent**3
+
+    def add(parameters: Parameters) -> float:
+        log_scales = parameters.rows["log_scales"]
+        if log_scales.grad is not None:
+            log_scales.grad += volume_pull(log_scales.detach(), weight)
+        return weight * float(log_scales.detach().sum(dim=1).exp().mean())
+
+    return ParameterTerm(name="mean volume", add=add)

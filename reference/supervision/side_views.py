@@ -125,8 +125,8 @@ def sees(view: SeenView, side: SeenView) -> Bool[Tensor, "h w"]:
     Source: ours (the z-test of the spec).
     """
     at, z = project_points(view.camera, unproject(side.camera, side.depth))
-    inside = _inside(view.camera, at) & (z > view.camera.near)
-    there = _sample(torch.stack([view.depth, view.alpha], dim=-1), at)
+    inside = inside_image(view.camera, at) & (z > view.camera.near)
+    there = sample(torch.stack([view.depth, view.alpha], dim=-1), at)
     surface = (side.alpha.reshape(-1) >= HOLE) & (there[:, 1] >= HOLE)
     agrees = (there[:, 0] - z).abs() <= OCCLUSION * z
     return (inside & surface & agrees).reshape(side.alpha.shape)
@@ -159,7 +159,7 @@ def warp_and_fill(side: SeenView, photo: SeenView) -> Float[Tensor, "h w 3"]:
     Source: ours, the floor that learned refiners must beat.
     """
     at, _ = project_points(photo.camera, unproject(side.camera, side.depth))
-    sampled = _sample(photo.image, at).reshape(side.image.shape)
+    sampled = sample(photo.image, at).reshape(side.image.shape)
     taken = sees(photo, side)[..., None]
     image = torch.where(taken, sampled.to(side.image), side.image.detach())
     return fill_holes(image, side.alpha < HOLE)
@@ -194,14 +194,24 @@ def unproject(camera: Camera, depth: Float[Tensor, "h w"]) -> Float[Tensor, "n 3
     return (cam - camera.translation) @ camera.rotation
 
 
-def _inside(camera: Camera, at: Float[Tensor, "n 2"]) -> Bool[Tensor, " n"]:
-    """Which pixel positions lie in the camera's image."""
+def inside_image(camera: Camera, at: Float[Tensor, "n 2"]) -> Bool[Tensor, " n"]:
+    """Which pixel positions lie in the camera's image.
+
+    Args:
+        camera: Its size counts.
+        at: Positions (x, y) in pixels; pixel centres are at .5.
+    """
     size = at.new_tensor([camera.width, camera.height])
     return (at >= 0).all(dim=1) & (at < size).all(dim=1)
 
 
-def _sample(image: Float[Tensor, "h w c"], at: Float[Tensor, "n 2"]) -> Float[Tensor, "n c"]:
-    """Bilinear values at pixel positions; border values outside."""
+def sample(image: Float[Tensor, "h w c"], at: Float[Tensor, "n 2"]) -> Float[Tensor, "n c"]:
+    """Bilinear values at pixel positions; border values outside.
+
+    Args:
+        image: Of any number of channels.
+        at: Positions (x, y) in pixels; pixel centres are at .5.
+    """
     size = at.new_tensor([image.shape[1], image.shape[0]])
     place = (2 * at / size - 1)[None, :, None]
     planes = image.permute(2, 0, 1)[None].to(at)
