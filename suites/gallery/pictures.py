@@ -60,6 +60,11 @@ COMPONENTS = (
                           caption="The descent from the training views to the facades"),),
     ),
     Component(
+        title="Views from beside a photo, and inverse depth",
+        modules=("reference/supervision/sideways_view",),
+        source="BlockGaussian, its pseudo-view and depth terms",
+    ),
+    Component(
         title="Few views",
         modules=("reference/sparse_views/unpooling", "reference/sparse_views/depth_correlation",
                  "reference/sparse_views/co_pruning", "reference/sparse_views/pseudo_views"),

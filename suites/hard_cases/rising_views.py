@@ -29,6 +29,7 @@ from splatproof.reference.supervision import (
     dense_matching,
     depth_supervision,
     side_views,
+    sideways_view,
     spiral_path,
 )  # fmt: skip
 from splatproof.reference.supervision.side_views import SeenView
@@ -103,6 +104,17 @@ def _side(rung: float, render: Tensor, refined: Tensor, alpha: Tensor) -> Tensor
     close = render + (refined - render) / rung
     loss = side_views.side_loss(render, close.detach(), alpha.detach(), seen.to(render))
     return joined(loss * rung, seen)
+
+
+def _beside(rung: float, image: Tensor, photo: Tensor, uneven: Tensor) -> Tensor:
+    """A scene ever further away, seen from beside, and its inverse depth."""
+    depth = rung * (1 + uneven)
+    every = torch.ones(SIDE, SIDE, dtype=torch.bool)
+    beside = sideways_view.sideways(camera(), depth.median())
+    loss = sideways_view.sideways_loss(image, beside, photo, camera(), depth, every)
+    return joined(
+        loss, sideways_view.inverse_depth_loss(depth, 1 / (rung * (1 + photo[..., 0])), every)
+    )
 
 
 def _unpooled(rung: float, means: Tensor) -> Tensor:
@@ -265,6 +277,8 @@ CASES = (
     Rising(component="side views", name="times as alike", run=_side, rungs=(1.0, 1e1, 1e2, 1e3),
            inputs=lambda h: (picture(), picture(1), 0.5 * uniform(SIDE, SIDE)), more=tenth,
            reason="the loss is shown in the size of what differs, 1 / h; colours are rounded to 6e-8"),
+    Rising(component="sideways view", name="times as far", run=_beside, rungs=(1.0, 1e2, 1e4), differentiable=True,
+           inputs=lambda h: (picture(), picture(1), 0.2 * uniform(SIDE, SIDE))),
     Rising(component="unpooling", name="distance from the origin", run=_unpooled,
            inputs=lambda h: ((8 * normal(16, 3)).round() + h,)),
     Rising(component="depth correlation", name="depth / its variation", run=_correlated,
