@@ -1,4 +1,4 @@
-"""What the training of a block minimises beside its photos: depth, views from beside, volume."""
+"""What the training of a block minimises beside its photos, or in their place: depth, views from beside, appearance."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,11 +11,13 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.contracts.backends import get_backend
-from splatproof.methods.contracts.model import Moment
+from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.models.decoupled import DecoupledModel, appearance_loss
 from splatproof.methods.priors.alignment import scaled_prior
+from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import require
-from splatproof.methods.training.terms import Frame, ParameterTerm, Term, mean_volume
+from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric, Term, mean_volume
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.supervision.sideways_view import (
     inverse_depth_loss,
@@ -49,6 +51,9 @@ class BlockTerms:
     volume: float = 0.0
     """Weight of the mean volume of the block's Gaussians, in cubes of its extent (StitchGS: 0.01, in the unit of its
     scenes)."""
+    appearance: bool = False
+    """Whether a network learns what each photo did to the colours, which are compared in the photo's appearance
+    then; it is dropped after training (VastGaussian). A block of one photo has none."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -101,6 +106,19 @@ def block_terms(settings: BlockTerms, run: Run, extent: float) -> tuple[Term | P
     if settings.volume:
         made.append(mean_volume(settings.volume, extent))
     return tuple(made)
+
+
+def with_appearance(model: Model, plan: Plan, seed: int) -> tuple[Model, Plan]:
+    """The model with a network of its photos' appearance, and the plan that compares colours in it.
+
+    Args:
+        model: What is trained.
+        plan: Its training on photos.
+        seed: Seed of network and embeddings.
+    """
+    shown = DecoupledModel(model, [view.name for view in plan.views], seed)
+    terms = [appearance_loss(one) if isinstance(one, Photometric) else one for one in plan.terms]
+    return shown, replace(plan, terms=tuple(terms))
 
 
 def depth_term(weight: float) -> Term:

@@ -73,7 +73,8 @@ class CitySettings(Settings):
     """Side views of each block, on spirals around its own points, in the second half of its training (DPGS);
     every = 0: none. With uniform sampling only."""
     block_terms: BlockTerms = NO_TERMS
-    """What each block minimises beside its photos: depth, views from beside, volume (BlockGaussian, StitchGS)."""
+    """What each block minimises beside its photos or in their place: depth, views from beside, volume (BlockGaussian,
+    StitchGS), colours in each photo's appearance (VastGaussian)."""
     merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
     them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a
@@ -119,6 +120,8 @@ class CitySettings(Settings):
                 "0 to 1")  # fmt: skip
         mixed = bool(self.side.every) and self.sampling != "uniform"
         require(not mixed, "sampling", self.sampling, "'uniform' with side views")
+        twice = self.block_terms.appearance and self.exposure != "off"
+        require(not twice, "exposure", self.exposure, "'off' with block_terms.appearance")
         for name in ("azimuths", "distances"):
             value = getattr(self.bins, name)
             require(value >= 1, f"bins.{name}", value, ">= 1")

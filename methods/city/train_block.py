@@ -16,7 +16,7 @@ from splatproof.base.files import read_bytes, read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms
+from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms, with_appearance
 from splatproof.methods.city.point_roles import (
     GHOST,
     LEFT_OUT,
@@ -146,6 +146,8 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     block, plan = prepare(job, started, run)
     alone = len(plan.views) < 2  # one photo has nothing to be compared with
     shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
+    if job.block_terms.appearance and not alone:
+        shown, plan = with_appearance(shown, plan, job.seed)
     plan = with_side_views(job.sides, job.scene, shown, plan, job.side, run)
     trainer = Trainer(shown, plan, run)
     trainer.resume()

@@ -65,6 +65,11 @@ COMPONENTS = (
         source="BlockGaussian, its pseudo-view and depth terms",
     ),
     Component(
+        title="A photo's appearance",
+        modules=("reference/supervision/decoupled_appearance",),
+        source="VastGaussian, Sec. 4.2, Eq. 5",
+    ),
+    Component(
         title="Few views",
         modules=("reference/sparse_views/unpooling", "reference/sparse_views/depth_correlation",
                  "reference/sparse_views/co_pruning", "reference/sparse_views/pseudo_views"),

@@ -19,6 +19,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/supervision/spiral_path": ("spiral",),
     "reference/supervision/side_views": ("side views",),
     "reference/supervision/sideways_view": ("sideways view",),
+    "reference/supervision/decoupled_appearance": ("photo appearance",),
     "reference/supervision/soft_rank": ("soft rank",),
     "reference/supervision/depth_supervision": ("depth supervision",),
     "reference/supervision/depth_constraint": ("depth normalisation",),

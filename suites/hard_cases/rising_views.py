@@ -25,6 +25,7 @@ from splatproof.reference.sparse_views import (
     unpooling,
 )  # fmt: skip
 from splatproof.reference.supervision import (
+    decoupled_appearance,
     dense_initialisation,
     dense_matching,
     depth_supervision,
@@ -115,6 +116,17 @@ def _beside(rung: float, image: Tensor, photo: Tensor, uneven: Tensor) -> Tensor
     return joined(
         loss, sideways_view.inverse_depth_loss(depth, 1 / (rung * (1 + photo[..., 0])), every)
     )
+
+
+def _appearance(rung: float, image: Tensor, photo: Tensor, last: Tensor) -> Tensor:
+    """A network of a photo's appearance whose factors are cut off by their sigmoids."""
+    network = {
+        name: value.to(image)
+        for name, value in decoupled_appearance.drawn_network(generator()).items()
+    } | {"last.weight": rung * last}
+    embedding = torch.ones(decoupled_appearance.EMBEDDING).to(image)
+    factors = decoupled_appearance.colour_map(network, image, embedding)
+    return joined(decoupled_appearance.decoupled_loss(image, factors, photo), factors)
 
 
 def _unpooled(rung: float, means: Tensor) -> Tensor:
@@ -279,6 +291,8 @@ CASES = (
            reason="the loss is shown in the size of what differs, 1 / h; colours are rounded to 6e-8"),
     Rising(component="sideways view", name="times as far", run=_beside, rungs=(1.0, 1e2, 1e4), differentiable=True,
            inputs=lambda h: (picture(), picture(1), 0.2 * uniform(SIDE, SIDE))),
+    Rising(component="photo appearance", name="times as steep", run=_appearance, differentiable=True,
+           rungs=(1.0, 1e1, 1e2, 1e3), inputs=lambda h: (picture(), picture(1), normal(3, 16, 3, 3))),
     Rising(component="unpooling", name="distance from the origin", run=_unpooled,
            inputs=lambda h: ((8 * normal(16, 3)).round() + h,)),
     Rising(component="depth correlation", name="depth / its variation", run=_correlated,

@@ -18,17 +18,19 @@ from splatproof.methods.city.block_terms import (
     block_terms,
     depth_share,
     sideways_share,
+    with_appearance,
     with_scaled_priors,
 )
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.train_block import BlockJob, prepare, train_block
 from splatproof.methods.contracts.backends import get_backend
-from splatproof.methods.contracts.model import TRAINED, Moment
+from splatproof.methods.contracts.model import TRAINED, Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.models.decoupled import DecoupledModel
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
@@ -41,7 +43,7 @@ RUN = Run(backend="cpu", threads=1, checkpoint_seconds=0.0)
 STEPS = 40
 SHORT = Settings(iterations=STEPS, sh_degree=1, density=Density(start=0, interval=10, least_interval=10,
                  stop=15_000, reset_interval=0, gradient=1e-6, largest_size=10.0))  # fmt: skip
-ALL = BlockTerms(depth=1.0, sideways=0.5, volume=0.01)
+ALL = BlockTerms(depth=1.0, sideways=0.5, volume=0.01, appearance=True)
 
 
 def leaning(view: View) -> DepthPrior:
@@ -75,13 +77,17 @@ def test_weights_run_from_the_first_step_to_the_last_as_told():
     )
 
 
-def test_only_what_is_asked_for_is_minimised():
+@pytest.mark.parametrize(
+    ("settings", "name"),
+    [
+        (BlockTerms(depth=0.5), "inverse depth"),
+        (BlockTerms(sideways=0.5), "sideways view"),
+        (BlockTerms(volume=0.5), "mean volume"),
+    ],
+)
+def test_only_what_is_asked_for_is_minimised(settings, name):
     assert block_terms(NO_TERMS, RUN, 1.0) == ()
-    for name in ("depth", "sideways", "volume"):
-        (one,) = block_terms(BlockTerms(**{name: 0.5}), RUN, 1.0)
-        assert {"depth": "inverse depth", "sideways": "sideways view", "volume": "mean volume"}[
-            name
-        ] == one.name
+    assert [one.name for one in block_terms(settings, RUN, 1.0)] == [name]
 
 
 @pytest.mark.parametrize("name", ["depth", "sideways", "volume"])
@@ -195,6 +201,73 @@ def test_the_sideways_term_shrinks_what_it_measures(tmp_path):
     assert 0 < ends[5.0] < ends[1e-9]
 
 
+def in_other_light() -> Scene:
+    """The small scene, each of whose photos is darker or brighter by another factor."""
+    scene = small_scene(60)
+    lit = tuple(
+        replace(view, load=partial(times, view.load, 0.5 + 0.1 * i))
+        for i, view in enumerate(scene.views)
+    )
+    return replace(scene, views=lit)
+
+
+def times(load: Callable[[], Tensor], factor: float) -> Tensor:
+    return (load() * factor).clamp(0, 1)
+
+
+def test_appearance_takes_up_what_photos_did_to_the_colours(tmp_path):
+    ends = {}
+    for appearance in (False, True):
+        job = job_of(tmp_path, in_other_light(), BlockTerms(appearance=appearance))
+        job = replace(job, settings=replace(SHORT, iterations=300))
+        values: list[float] = []
+        train_block(job, lambda step, total, told, to=values: to.append(told["photometric"]))
+        ends[appearance] = sum(values[-10:])
+        assert set(vars(loaded(job).model)) == set(FIELDS)
+    assert ends[True] < ends[False]
+
+
+def test_appearance_begins_as_no_appearance(tmp_path):
+    job = job_of(tmp_path, in_other_light(), NO_TERMS)
+    first = []
+    for appearance in (False, True):
+        model, plan = prepare(job, None, RUN)
+        shown: Model = model
+        if appearance:
+            shown, plan = with_appearance(model, plan, 0)
+        first.append(Trainer(shown, plan, RUN).advance())
+    assert first[0]["loss"] == pytest.approx(first[1]["loss"], rel=1e-5)
+
+
+def test_a_view_that_is_no_photo_keeps_its_colours(tmp_path):
+    job = job_of(tmp_path, in_other_light(), NO_TERMS)
+    model, plan = prepare(job, None, RUN)
+    shown, _ = with_appearance(model, plan, 0)
+    assert isinstance(shown, DecoupledModel)
+    shown.parameters.shared["appearance.last.bias"].data.fill_(1.0)
+    image = torch.full((18, 24, 3), 0.5)
+    assert bool((shown.factors(plan.views[0], image) > 1).all())
+    other = replace(plan.views[0], name="side view")
+    assert torch.equal(shown.factors(other, image), torch.ones_like(image))
+
+
+def test_a_block_of_one_photo_has_no_appearance_to_learn(tmp_path):
+    job = job_of(tmp_path, in_other_light(), BlockTerms(appearance=True))
+    alone = replace(job, scene=replace(job.scene, views=job.scene.views[:1], train=(0,)))
+    assert train_block(alone, lambda *_: None).primitives > 0
+
+
+def test_two_ways_to_learn_appearance_are_refused():
+    with pytest.raises(UsageError, match="exposure"):
+        METHODS["vastgaussian"].settings(exposure="gain", block_terms=BlockTerms(appearance=True))
+
+
+def loaded(job: BlockJob) -> ExplicitModel:
+    model = load_reconstruction(job.model, backend="cpu")
+    assert isinstance(model, ExplicitModel)
+    return model
+
+
 class Killed(Exception):
     """Stands for a kill between two steps."""
 
@@ -211,9 +284,7 @@ def test_a_block_with_all_terms_goes_on_after_a_kill_to_the_bit(tmp_path):
     with pytest.raises(Killed):
         train_block(killed, kill)
     train_block(killed, lambda *_: None)
-    one, other = (load_reconstruction(job.model, backend="cpu") for job in (straight, killed))
-    assert isinstance(one, ExplicitModel)
-    assert isinstance(other, ExplicitModel)
+    one, other = loaded(straight), loaded(killed)
     assert torch.equal(one.model.means, other.model.means)
     assert torch.equal(one.model.sh, other.model.sh)
 
