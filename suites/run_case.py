@@ -211,7 +211,9 @@ def _run(job: Job, tell: Tell) -> None:
     curve = Curve(job.folder / CURVE)
     if not done.exists():
         _train(job, given, curve, spent, tell)
-        spent.cpu_seconds, spent.peak_memory_mb = curve.spent()
+        cpu, peak = curve.spent()
+        spent.cpu_seconds += cpu
+        spent.peak_memory_mb = max(spent.peak_memory_mb, peak)
         write_text(done, json.dumps(asdict(spent)))
     before = Spent(**json.loads(read_text(done)))
     shutil.rmtree(job.folder / "checkpoint", ignore_errors=True)
@@ -288,6 +290,10 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
     if job.case.marks:
         before = max((spent.stages["load"], *curve.seconds()[-1:]))
         watch = Marks(job.folder, job.case.marks, before, watch)
+
+    def elsewhere(cpu_seconds: float, peak_mb: float) -> None:
+        spent.cpu_seconds, spent.peak_memory_mb = cpu_seconds, peak_mb
+
     spent.facts |= {BEGAN: now(), BOOT: boot()}
     model = method.fit(
         scene.for_training(),
@@ -302,6 +308,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             on_stage=spent.stages.__setitem__,
             on_fact=spent.facts.__setitem__,
             on_count=spent.counters.__setitem__,
+            on_elsewhere=elsewhere,
             checkpoint_seconds=job.checkpoint_seconds,
             workers=job.workers,
             engine=job.engine,

@@ -180,6 +180,9 @@ their 95 % intervals; differences of rows are judged, image by image, on the [cl
   sides of a wall and are refined; `@walls` is `@shares` whose refinement moves what lies near walls too, and
   `odbp+stitch@small` the same of `odbp+stitch`, stored in our own small file in place of the paper's.
 - `@coarse` rows start their blocks from a coarse model, as `citygaussian` and all of `stitchgs` and `odbp+stitch` do.
+- `blockgaussian@sideways` is `@coarse` that also compares views from beside a photo, `@terms` (`~depth-sweep`: depth of matched
+  photos) that also has inverse depth and volume; `vastgaussian@appearance` is `@coarse` with a network of each photo's
+  appearance, `@gain` with three gains a photo.
 - Seams are scored on the pixels whose surface lies within a normalised distance of 1.1 of two regions or more of the
   row's partition (`metrics/seam_partition.py`), whatever the merge kept: rows of one partition are compared on the
   same pixels, rows of different partitions are not. `3dgs` has no partition and no seam.

@@ -48,7 +48,7 @@ def coarse_stage(
         report: Called as report(step, total, values).
 
     Returns: The path, named by all that the model depends on; and the stage, which returns the seconds
-        of the training, those of an earlier one where the file was there.
+        of the training, those of an earlier one where the file was there ("shared").
     """
     at = replace(run, folder=folder / "coarse", report=report)
     key = hashlib.sha256(run_key(scene, settings, at, "coarse").encode()).hexdigest()[:16]
@@ -58,13 +58,14 @@ def coarse_stage(
 
 def _train(scene: Scene, settings: Settings, at: Run, path: Path) -> dict[str, Any]:
     if path.exists():
-        return dict(read_tensors(path)[1])
+        return dict(read_tensors(path)[1]) | {"shared": True}
     model, plan = prepare(scene, settings, at)
     trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, at)
     trainer.resume()
     trainer.train()
     trained = model.gaussians()
-    facts = {"seconds": trainer.seconds, "densifications": trainer.counts.densifications}
+    facts = {"seconds": trainer.seconds, "cpu_seconds": trainer.cpu_seconds,
+             "densifications": trainer.counts.densifications}  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     write_tensors(path, {name: getattr(trained, name) for name in FIELDS}, facts)
     assert at.folder is not None

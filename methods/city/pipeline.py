@@ -29,7 +29,7 @@ from splatproof.methods.city.partition import Partition, partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
-from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
+from splatproof.methods.city.train_block import BlockJob, read_gaussians, select, trained
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
@@ -89,11 +89,12 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             special.append(scene.facts.get("depth_prior_sha256", ""))
         stages = Stages(folder, run_key(scene, settings, run, *special), run.on_stage)
         progress = Progress(run, settings, len(scene.train))
-        coarse = None
+        coarse, elsewhere = None, 0.0
         if settings.coarse_iterations:
             own = replace(settings.training, iterations=settings.coarse_iterations)
             coarse, work = coarse_stage(scene, own, run, folder, progress.coarse)
-            stages.run("coarse", work)
+            first = stages.run("coarse", work)
+            elsewhere = first.get("cpu_seconds", 0.0) if first.get("shared") else 0.0
         found = _partition(stages, scene, settings, run, coarse)
         jobs = block_jobs(
             scene, found, settings.training, run, run.cache or folder / "blocks",
@@ -102,8 +103,9 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
             terms=settings.block_terms,
         )  # fmt: skip
-        trained = stages.run("blocks", partial(_blocks, jobs, run, progress))["blocks"]
-        facts = tuple(BlockFacts(**block) for block in trained)
+        told = stages.run("blocks", partial(_blocks, jobs, run, progress))
+        facts = tuple(BlockFacts(**block) for block in told["blocks"])
+        run.on_elsewhere(elsewhere + told["elsewhere"], max(one.peak_mb for one in facts))
         for one in facts:
             if one.note:
                 run.say(f"block {one.block}: {one.note}")
@@ -234,12 +236,16 @@ def _blocks(jobs: Sequence[BlockJob], run: Run, progress: Progress) -> dict[str,
     """Train all blocks where the run says."""
     if run.engine != "ray":  # a cluster's machines have memory of their own
         run.say(plan_memory(jobs, run.workers).text)
+    before = [trained(job) is not None for job in jobs]
     facts = run_blocks(
         jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=progress.block
     )
     workers = min(run.workers, len(jobs))
     spent = sum(one.seconds for one in facts) / workers
-    return {"blocks": [asdict(one) for one in facts], "seconds": spent}
+    apart = [was or run.engine != "inline" for was in before]
+    elsewhere = sum(one.cpu_seconds for one, gone in zip(facts, apart, strict=True) if gone)
+    told = [asdict(one) for one in facts]
+    return {"blocks": told, "seconds": spent, "elsewhere": elsewhere}
 
 
 def _stitch(

@@ -44,6 +44,15 @@ def count_nothing(name: str, count: int) -> None:
     """
 
 
+def spend_nothing(cpu_seconds: float, peak_mb: float) -> None:
+    """The costs elsewhere that nobody adds.
+
+    Args:
+        cpu_seconds: What other processes and earlier runs spent for this one.
+        peak_mb: Most memory that one of them took, in 2^20 bytes.
+    """
+
+
 def show_nobody(step: int, total: int, model: Model) -> None:
     """The model in training that nobody looks at.
 
@@ -89,6 +98,9 @@ class Run:
     """Called as on_count(name, number) at the end for work that was done, see
     `splatproof.methods.training.counts`; a continued run's numbers include those before the
     interruption. Methods that train in blocks, each in a process of its own, do not count."""
+    on_elsewhere: Callable[[float, float], None] = spend_nothing
+    """Called once as on_elsewhere(CPU seconds, peak memory in 2^20 bytes) where other processes, or earlier runs that
+    share their blocks, trained parts of the model: what this process does not know of its own clock."""
     on_model: Callable[[int, int, Model], None] = show_nobody
     """Called as on_model(step, total, model) as often as `report`; it must not change the model. Methods
     that train in blocks do not call it."""

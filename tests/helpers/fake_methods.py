@@ -40,6 +40,8 @@ class FakeSettings:
     """Message of the error that fit raises at the middle step; empty: none."""
     crash: bool = False
     """End the process without a word at the middle step."""
+    elsewhere: float = 0.0
+    """CPU seconds, and megabytes of memory, that it says were spent in other processes; 0: it says nothing."""
     inner: Inner = field(default_factory=Inner)
 
     def __post_init__(self) -> None:
@@ -72,6 +74,8 @@ def fit(scene: Scene, settings: FakeSettings, run: Run) -> ExplicitModel:
         if step % settings.checkpoint_steps == 0 or step == settings.iterations:
             state = {"step": step, "value": value, "seconds": seconds}
             write_text(path, json.dumps(state | {"rng": rng.bit_generator.state}))
+    if settings.elsewhere:
+        run.on_elsewhere(settings.elsewhere, settings.elsewhere)
     run.on_stage("train", seconds)
     return model_of(value, run.backend)
 

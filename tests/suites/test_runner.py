@@ -47,6 +47,13 @@ def suite(*those: Case) -> Suite:
 run = partial(run_suite, backend="reference", launch=in_process)
 
 
+def test_what_was_spent_elsewhere_is_part_of_the_costs(tmp_path):
+    (outcome,) = run(suite(case(elsewhere=50_000.0)), tmp_path)
+    result = read_record(outcome.folder)
+    assert 50_000 < result.cpu_seconds < 60_000
+    assert result.peak_memory_mb == 50_000
+
+
 def test_a_case_leaves_a_whole_record_and_pictures(tmp_path):
     (outcome,) = run(suite(case()), tmp_path)
     assert outcome.status == "finished"

@@ -46,7 +46,7 @@ SCENE = small_scene(60)
 
 
 def run(folder: Path | None = None, **more) -> Run:
-    return Run(folder=folder, backend="cpu", threads=1, engine="inline", **more)
+    return Run(**{"folder": folder, "backend": "cpu", "threads": 1, "engine": "inline"} | more)
 
 
 def fit(row: str, at: Run, **more) -> CityModel:
@@ -207,6 +207,25 @@ def test_equal_blocks_are_trained_once_where_runs_share_a_cache(tmp_path):
     ]
     with pytest.raises(AssertionError, match="trained again"):
         fit("stitchgs", run(cache=cache, report=forbidden), sampling="uniform", **BARE)
+
+
+def test_what_blocks_cost_is_told_wherever_they_were_trained(tmp_path):
+    told: list[tuple[float, float]] = []
+
+    def listening(name: str, **more):
+        return run(tmp_path / name, on_elsewhere=lambda *at: told.append(at), **more)
+
+    cache = tmp_path / "cache"
+    first = fit("blockgaussian", listening("a", cache=cache), coarse_iterations=5)
+    fit("blockgaussian", listening("b", cache=cache), coarse_iterations=5)
+    apart = fit("blockgaussian", listening("c", engine="processes"), coarse_iterations=5)
+    assert len(told) == 3
+    here, shared, there = told
+    blocks = sum(facts.cpu_seconds for facts in first.block_facts)
+    assert here[0] == 0
+    assert shared[0] > blocks > 0  # and the coarse model, which was there, too
+    assert there[0] == pytest.approx(sum(facts.cpu_seconds for facts in apart.block_facts))
+    assert there[1] == max(facts.peak_mb for facts in apart.block_facts) > 0
 
 
 class Killed(Exception):
