@@ -71,7 +71,7 @@ class DecoupledModel(Model):
         """What a photo did to the colours of its render; 1 for a view that is no training photo.
 
         Args:
-            view: By its name.
+            view: Its name tells.
             image: Its render.
         """
         if view.name not in self.photos:

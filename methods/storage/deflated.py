@@ -12,7 +12,7 @@ def deflated(values: UInt8[Tensor, "*n"]) -> UInt8[Tensor, " m"]:
     """The bytes of a tensor, deflated.
 
     Args:
-        values: Of any shape, which is not stored; in row-major order.
+        values: In row-major order; their shape is not stored.
     """
     packed = zlib.compress(values.contiguous().numpy().tobytes(), level=9)
     return torch.from_numpy(np.frombuffer(packed, dtype=np.uint8).copy())

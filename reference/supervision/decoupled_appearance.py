@@ -51,7 +51,7 @@ def colour_map(
     Args:
         network: From `drawn_network`.
         image: The render, of any size.
-        embedding: Of the photo.
+        embedding: The photo's.
 
     Source: Lin et al. 2024, "VastGaussian", Sec. 4.2, Fig. 4; twice a sigmoid, so that 0 is no change, is ours (others
         have a sigmoid alone, which darkens).

@@ -209,7 +209,7 @@ def sample(image: Float[Tensor, "h w c"], at: Float[Tensor, "n 2"]) -> Float[Ten
     """Bilinear values at pixel positions; border values outside.
 
     Args:
-        image: Of any number of channels.
+        image: With any number of channels.
         at: Positions (x, y) in pixels; pixel centres are at .5.
     """
     size = at.new_tensor([image.shape[1], image.shape[0]])

@@ -1,5 +1,6 @@
 """No row of any suite trains without densification, and no block of one."""
 
+from functools import cache
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from splatproof.methods.training.density_control import DensityControl
 from splatproof.suites.suite_files import load_suite, suite_names
 
 
+@cache  # hundreds of rows share a schedule
 def times(density: Any, iterations: int) -> int:
     """How often a schedule densifies in a run of some length."""
     steps = range(1, iterations + 1)
