@@ -5,8 +5,14 @@ docs/images/tunnel/ and the page, with docs/tunnel_findings.md in it, which is w
 RUNS the page is made again from the committed files.
 """
 
-from comparison_files import Comparison, main
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from comparison_files import DOCS, Comparison, main
 from printed_tables import Line, Printed
+from strips import QUALITY, Image
 
 TUNNEL = Comparison(
     suite="tunnel",
@@ -49,5 +55,38 @@ scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` 
     ),
 )  # fmt: skip
 
+RELIT = (
+    "scaffold-gs/tunnel_relit", "dlg-gs~depth-oracle+noise/tunnel_relit", "scaffold-gs@affine/tunnel_relit_half",
+    "dlg-gs~depth-oracle+noise/tunnel_relit_half",
+)  # fmt: skip
+"""Rows and protocols of the picture of views under other lamps, below the photos."""
+MOST = 5
+"""Views of that picture."""
+
+
+def draw_relit(runs: Path) -> None:
+    """Write docs/images/tunnel/relit.jpg, where the runs have all of it: photos, then a line of renders each.
+
+    Args:
+        runs: Folder that `bench run tunnel --out` was given.
+    """
+    cases = [runs / "tunnel" / "tunnel" / row / "seed0" for row in RELIT]
+    if not all((case / "renders").is_dir() for case in cases):
+        return
+    names = sorted(path.name for path in (cases[0] / "renders").iterdir())[:MOST]
+    folders = [cases[0] / "truth", *(case / "renders" for case in cases)]
+    lines = [np.hstack([_read(folder / name) for name in names]) for folder in folders]
+    path = DOCS / "images" / "tunnel" / "relit.jpg"
+    cv2.imwrite(str(path), np.vstack(lines), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+
+
+def _read(path: Path) -> Image:
+    image = cv2.imread(str(path))
+    assert image is not None, path
+    return np.asarray(image, dtype=np.uint8)
+
+
 if __name__ == "__main__":
     main(TUNNEL)
+    if len(sys.argv) > 1:
+        draw_relit(Path(sys.argv[1]))
