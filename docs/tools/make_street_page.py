@@ -21,11 +21,11 @@ LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what tru
 - `3dgs` and `scaffold-gs` know no time: what motion costs. They have no sky and no LiDAR either.
 - `pvg`: Gaussians that swing and fade; `@no-lidar`, `@no-sky` without what they name.
 - `hdgs`: anchors in three layers that move, K = 12 Gaussians an initial anchor; `@n2`, `@n4` layers, `-leaf` with
-  K = 6 for each anchor of the last layer, `-even` that from 20,000 and 5,000 anchors, as many Gaussians as three layers start from; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step;
-  `@no-lds` without local depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth,
-  warped, blurred and disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`:
-  layer 0 does not move; `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most
-  24,000 anchors in place of 10,000.
+  K = 6 for each anchor of the last layer, `-even` that from 20,000 and 5,000 anchors, as many Gaussians as three
+  layers start from; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step; `@no-lds` without local
+  depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth, warped, blurred and
+  disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`: layer 0 does not move;
+  `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most 24,000 anchors in place of 10,000.
 """,
     printed=(
         Printed(
