@@ -8,14 +8,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.base.errors import DataError
-from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoupled import DecoupledModel, appearance_loss
 from splatproof.methods.priors.alignment import scaled_prior
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.prior_pixels import PriorPixels, require_prior
 from splatproof.methods.training.schedules import require
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric, Term, mean_volume
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
@@ -26,8 +25,6 @@ from splatproof.reference.supervision.sideways_view import (
 )
 from splatproof.reference.types.scene import Scene
 
-KEPT_BYTES = 2**28
-"""Most bytes of depth priors that are kept between steps."""
 DRAWN = 0.5
 """Alpha from which a pixel shows something that has a depth."""
 LAST_DEPTH = 0.1
@@ -75,11 +72,7 @@ def with_scaled_priors(scene: Scene) -> Scene:
 
     Raises: DataError if no training view has a depth prior.
     """
-    if all(view.load_prior is None for view in scene.train_views):
-        raise DataError(
-            f"scene {scene.name!r}: no training view has a depth prior; name one for the case, or "
-            "set block_terms.depth = 0 to do without"
-        )
+    require_prior(scene, "block_terms.depth")
     seen = observations(scene.points, len(scene.views))
     views = list(scene.views)
     for index in scene.train:
@@ -129,18 +122,15 @@ def depth_term(weight: float) -> Term:
 
     Source: BlockGaussian, its depth term, with the priors' scale fitted in another robust way.
     """
-    disparities, masks = TensorCache(KEPT_BYTES), TensorCache(KEPT_BYTES)
+    priors = PriorPixels()
 
     def loss(frame: Frame) -> Float[Tensor, ""]:
-        load, output = frame.view.load_prior, frame.output
-        if load is None:
-            return output.depth.new_zeros(())
-        prior = disparities.get(frame.view, lambda: load().disparity).to(output.depth)
-        valid = masks.get(frame.view, lambda: load().valid).to(output.depth.device)
-        counts = valid & (output.alpha.detach() > DRAWN)
-        if frame.mask is not None:
-            counts = counts & frame.mask
-        return depth_share(frame.moment) * inverse_depth_loss(output.depth, prior, counts)
+        depth = frame.output.depth
+        if (told := priors.of(frame)) is None:
+            return depth.new_zeros(())
+        prior, valid = told
+        counts = valid & (frame.output.alpha.detach() > DRAWN)
+        return depth_share(frame.moment) * inverse_depth_loss(depth, prior, counts)
 
     return Term(name="inverse depth", loss=loss, weight=weight)
 

@@ -105,7 +105,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         )  # fmt: skip
         told = stages.run("blocks", partial(_blocks, jobs, run, progress))
         facts = tuple(BlockFacts(**block) for block in told["blocks"])
-        run.on_elsewhere(elsewhere + told["elsewhere"], max(one.peak_mb for one in facts))
+        run.on_elsewhere(elsewhere + told.get("elsewhere", 0.0), max(one.peak_mb for one in facts))
         for one in facts:
             if one.note:
                 run.say(f"block {one.block}: {one.note}")

@@ -5,9 +5,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.hdgs.settings import DepthSettings
+from splatproof.methods.training.prior_pixels import PriorPixels, require_prior
 from splatproof.methods.training.terms import Frame, Term
 from splatproof.reference.supervision.depth_supervision import edge_weight
 from splatproof.reference.supervision.soft_rank import (
@@ -18,7 +18,7 @@ from splatproof.reference.supervision.soft_rank import (
 from splatproof.reference.types.scene import Scene
 
 KEPT_BYTES = 2**28
-"""Most bytes of depth priors that are kept between steps."""
+"""Most bytes of photos' edges that are kept between steps."""
 DRAWN = 0.5
 """Alpha from which a pixel shows something whose depth can be ranked."""
 
@@ -35,21 +35,9 @@ def depth_terms(scene: Scene, settings: DepthSettings, unit: float) -> tuple[Ter
     """
     terms: list[Term] = []
     if settings.global_weight:
-        require_prior(scene)
+        require_prior(scene, "depth.global_weight")
         terms.append(order_term(settings))
     return (*terms, *local_terms(settings, unit))
-
-
-def require_prior(scene: Scene) -> None:
-    """Refuse a scene of whose training views none has a depth prior.
-
-    Raises: DataError.
-    """
-    if all(view.load_prior is None for view in scene.train_views):
-        raise DataError(
-            f"scene {scene.name!r}: no training view has a depth prior; name one for the case, or "
-            "set depth.global_weight = 0 to do without"
-        )
 
 
 def order_term(settings: DepthSettings) -> Term:
@@ -63,17 +51,14 @@ def order_term(settings: DepthSettings) -> Term:
 
     Source: HDGS, Eqs. 9 to 11; on a sample, since the direct form is quadratic in it.
     """
-    disparities, masks = TensorCache(KEPT_BYTES), TensorCache(KEPT_BYTES)
+    priors = PriorPixels()
 
     def loss(frame: Frame) -> Float[Tensor, ""]:
-        load, depth = frame.view.load_prior, frame.output.depth
-        if load is None:
+        depth = frame.output.depth
+        if (told := priors.of(frame)) is None:
             return depth.new_zeros(())
-        prior = disparities.get(frame.view, lambda: load().disparity).to(depth)
-        valid = masks.get(frame.view, lambda: load().valid).to(depth.device)
+        prior, valid = told
         counts = valid & (frame.output.alpha.detach() > DRAWN)
-        if frame.mask is not None:
-            counts = counts & frame.mask
         (pixels,) = torch.where(counts.flatten())
         drawn = torch.randperm(len(pixels), generator=frame.moment.generator)
         chosen = pixels[drawn[: settings.pixels].to(pixels)]

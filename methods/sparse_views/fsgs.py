@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.parameters import Edit, Parameters
@@ -23,6 +22,7 @@ from splatproof.methods.threedgs.cost import cost
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
 from splatproof.methods.training.plan import Plan
+from splatproof.methods.training.prior_pixels import PriorPixels
 from splatproof.methods.training.schedules import require, shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import Frame, Term
@@ -30,8 +30,6 @@ from splatproof.reference.sparse_views.depth_correlation import correlation_loss
 from splatproof.reference.sparse_views.unpooling import unpooled
 from splatproof.reference.types.scene import Scene
 
-KEPT_BYTES = 2**28
-"""Most bytes of depth priors that are kept between steps."""
 LATE, LATE_SHARE = 0.95, 0.02
 """After this share of the steps the depth's weight is this share of itself (the release: 0.001 of
 0.05 from step 9,500 of 10,000)."""
@@ -146,16 +144,13 @@ def depth_term(weight: float) -> Term:
     Source: Zhu et al. 2024, "FSGS", Eq. 6, and its release; without the release's pseudo views, whose
         depth a network says of each render.
     """
-    disparities, masks = TensorCache(KEPT_BYTES), TensorCache(KEPT_BYTES)
+    priors = PriorPixels()
 
     def loss(frame: Frame) -> Float[Tensor, ""]:
-        load, output = frame.view.load_prior, frame.output
-        if load is None:
+        output = frame.output
+        if (told := priors.of(frame)) is None:
             return output.depth.new_zeros(())
-        prior = disparities.get(frame.view, lambda: load().disparity).to(output.depth)
-        valid = masks.get(frame.view, lambda: load().valid).to(output.depth.device)
-        if frame.mask is not None:
-            valid = valid & frame.mask
+        prior, valid = told
         late = frame.moment.step > LATE * frame.moment.total
         share = LATE_SHARE if late else 1.0
         return share * correlation_loss(output.depth * output.alpha, prior, valid)

@@ -29,13 +29,14 @@ from splatproof.methods.contracts.model import TRAINED, Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
-from splatproof.methods.models.decoupled import DecoupledModel
+from splatproof.methods.models.decoupled import DecoupledModel, appearance_loss
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
-from splatproof.methods.training.terms import mean_volume
+from splatproof.methods.training.terms import Frame, Photometric, mean_volume
+from splatproof.reference.supervision.decoupled_appearance import decoupled_loss
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import DepthPrior, Scene, View
 
@@ -239,6 +240,27 @@ def test_appearance_begins_as_no_appearance(tmp_path):
             shown, plan = with_appearance(model, plan, 0)
         first.append(Trainer(shown, plan, RUN).advance())
     assert first[0]["loss"] == pytest.approx(first[1]["loss"], rel=1e-5)
+
+
+def test_the_term_of_appearance_is_the_references(tmp_path):
+    job = job_of(tmp_path, in_other_light(), NO_TERMS)
+    shown, plan = with_appearance(*prepare(job, None, RUN), 0)
+    assert isinstance(shown, DecoupledModel)
+    shown.parameters.shared["appearance.last.weight"].data.normal_(
+        generator=torch.Generator().manual_seed(1)
+    )
+    view, moment = plan.views[1], Moment(step=1, total=1)
+    splats = shown.splats(view, moment)
+    output = get_backend("cpu").draw(view.camera, splats)
+    mask = torch.rand(18, 24, generator=torch.Generator().manual_seed(2)) > 0.3
+    frame = Frame(
+        view=view, moment=moment, splats=splats, output=output, image=output.colour,
+        truth=view.load(), mask=mask, model=shown,
+    )  # fmt: skip
+    factors = shown.factors(view, output.colour)
+    assert float(factors.std()) > 0.01
+    wanted = decoupled_loss(output.colour, factors, view.load(), dssim=0.3, mask=mask)
+    assert_close(appearance_loss(Photometric(dssim=0.3)).loss(frame), wanted, atol=1e-6, rtol=1e-5)
 
 
 def test_a_view_that_is_no_photo_keeps_its_colours(tmp_path):

@@ -228,6 +228,17 @@ def test_what_blocks_cost_is_told_wherever_they_were_trained(tmp_path):
     assert there[1] == max(facts.peak_mb for facts in apart.block_facts) > 0
 
 
+def test_a_run_whose_blocks_an_earlier_release_trained_goes_on(tmp_path, straight):
+    with pytest.raises(Killed):
+        fit("odbp+stitch", run(tmp_path, on_stage=killed_after("blocks")))
+    stages = tmp_path / "checkpoint" / "city.json"
+    told = json.loads(stages.read_text())
+    del told["stages"]["blocks"]["elsewhere"]  # which it did not say
+    stages.write_text(json.dumps(told))
+    after = fit("odbp+stitch", run(tmp_path))
+    assert torch.equal(after.model.means, straight.model.means)
+
+
 class Killed(Exception):
     """Stands for a kill."""
 
