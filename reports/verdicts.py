@@ -171,8 +171,9 @@ def still_changing(
     What the second half of the steps changed (against the row method@half) is about what all further
     steps could change, where each doubling changes half as much as the one before. A run is long enough
     if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself, which then keeps its
-    sign. A PSNR that falls has settled. Where there is no row of half the steps, what the last fifth of
-    the run gained in training loss stands in for a gain in PSNR.
+    sign. A PSNR that falls has settled. Of several scenes it is the mean that counts, as it is of the
+    difference. Where there is no row of half the steps, what the last fifth of the run gained in training
+    loss stands in for a gain in PSNR.
 
     Args:
         claim: What is judged.
@@ -184,7 +185,7 @@ def still_changing(
     late = []
     for row in dict.fromkeys(run.row for run in chosen):
         own = [run for run in chosen if run.row == row]
-        change = half_gain(own[0], claim.metric, runs)
+        change = _mean_half_gain(own, claim.metric, runs)
         value = float(np.mean([abs(run.values.get(claim.metric, math.nan)) for run in own]))
         told = f"the second half of its steps changed {claim.metric} by {change:+.2g}"
         bound = max(abs(difference), SETTLED if decibels else SETTLED_SHARE * value)
@@ -197,6 +198,13 @@ def still_changing(
         if (change if decibels else abs(change)) > bound:
             late.append(f"{row}: {told}")
     return "; ".join(late)
+
+
+def _mean_half_gain(own: Sequence[Measured], metric: str, runs: Sequence[Measured]) -> float:
+    """`half_gain` of a row, mean of the scenes that have a row of half the steps; nan where none has."""
+    scenes = {run.scene: run for run in own}.values()
+    gains = [gain for run in scenes if not math.isnan(gain := half_gain(run, metric, runs))]
+    return float(np.mean(gains)) if gains else math.nan
 
 
 def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:

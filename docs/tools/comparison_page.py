@@ -123,6 +123,8 @@ def _claim(one: Judged) -> str:
     rows = " − ".join(f"`{row}`" for row in claim.rows) + f", {claim.metric}"
     if claim.protocol:
         rows += f", {claim.protocol}"
+    if len(claim.scenes) > 1:
+        rows += f", mean of {', '.join(claim.scenes)}"
     text = f"{claim.paper}: {claim.text}" + (f" ({claim.source})" if claim.source else "")
     cells = (f"**{one.verdict}**", text, rows, asked, here, str(one.seeds or ""), one.reason)
     return "| " + " | ".join(cells) + " |"

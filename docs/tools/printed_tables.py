@@ -62,12 +62,13 @@ rows is compared, not their values.
 
 
 def _table(table: Printed, rows: Sequence[Measured]) -> str:
+    alike = on_common_scenes(table, rows)
     heads = [f"{metric} {where}" for metric in table.metrics for where in ("printed", "here")]
     lines = [f"### {table.paper}, table {table.table}: {table.title}\n",
              "| printed row | ours | " + " | ".join(heads) + " |",
              "|---|---" + "|---:" * len(heads) + "|"]  # fmt: skip
     values = {
-        (line, metric): (printed_value(table, line, metric), ours(table, line, metric, rows))
+        (line, metric): (printed_value(table, line, metric), ours(table, line, metric, alike))
         for line in table.lines for metric in table.metrics
     }  # fmt: skip
     for line in table.lines:
@@ -101,6 +102,19 @@ def printed_value(table: Printed, line: Line, metric: str) -> float:
         )
     ]
     return fmean(found) if found else math.nan
+
+
+def on_common_scenes(table: Printed, rows: Sequence[Measured]) -> list[Measured]:
+    """Our cases of the scenes that all lines have which have been run: means over others do not compare.
+
+    Args:
+        table: The table; its protocol counts.
+        rows: All our cases.
+    """
+    done = [r for r in rows if not r.error and table.protocol in ("", r.protocol)]
+    scenes = [{r.scene for r in done if r.row == line.row} for line in table.lines]
+    common = set.intersection(*(own for own in scenes if own)) if any(scenes) else set()
+    return [r for r in done if r.scene in common]
 
 
 def ours(table: Printed, line: Line, metric: str, rows: Sequence[Measured]) -> float:

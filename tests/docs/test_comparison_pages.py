@@ -162,6 +162,13 @@ def test_a_page_shows_verdicts_tables_and_lengths():
     assert "Failed" not in text
 
 
+def test_a_claim_over_several_scenes_names_them():
+    claims = [replace(claim, scenes=("s", "t")) for claim in small_page([]).claims]
+    rows = [replace(one, scene=scene) for scene in "st" for one in some_rows()]
+    text = render_page(replace(small_page(rows), claims=claims), [])
+    assert "`a` − `b`, psnr, mean of s, t |" in text
+
+
 def test_protocols_of_a_scene_stand_side_by_side():
     planned = {("s", "p", "a"): 3, ("s", "q", "a"): 1, ("s", "q", "a@half"): 1}
     rows = [*some_rows(), row("a", protocol="q"), row("a@half", protocol="q")]
@@ -212,6 +219,9 @@ def test_printed_rows_beside_ours():
     assert "psnr 0 of 0" in printed_tables([table], [])[-1]
     assert math.isnan(ours(replace(table, protocol="q"), lines[0], "psnr", some_rows()))
     assert printed_tables([], some_rows()) == []
+    # a mean over scenes that the other row lacks would not compare
+    more = [*some_rows(), row("b", scene="t", values={"psnr": 40.0})]
+    assert printed_tables([table], more)[-1] == text
 
 
 def views(moving: dict[int, tuple[int, int]]):

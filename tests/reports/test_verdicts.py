@@ -196,6 +196,19 @@ def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_set
     assert verdict(found=with_halves(-1.0)).verdict == "direction only"
 
 
+def test_of_several_scenes_what_the_second_half_gave_is_their_mean():
+    """As of differences; a scene without rows of half the steps says nothing of it."""
+    def on(scene: str, found: list[Measured]) -> list[Measured]:
+        return [dataclasses.replace(one, scene=scene) for one in found]
+
+    settled, rising = with_halves(SETTLED - 0.2), with_halves(SETTLED + 0.4)
+    whole = [one for one in settled if not one.row.endswith("@half")]
+    for first, second in ((settled, rising), (rising, settled)):
+        assert f"{SETTLED + 0.1:+.2g}" in too_short([*on("s", first), *on("t", second)])
+    for first, second in ((settled, whole), (whole, settled)):
+        assert verdict(found=[*on("s", first), *on("t", second)]).verdict == "direction only"
+
+
 def test_sizes_have_to_have_settled_too():
     claim = dataclasses.replace(
         CLAIM, metric="disk_mb", better="lower", printed=-0.5, relative=True
