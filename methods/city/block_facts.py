@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from splatproof.reference.partition.block_time import BlockWork
+
 
 @dataclass(frozen=True, kw_only=True)
 class BlockFacts:
@@ -17,6 +19,13 @@ class BlockFacts:
     """Sum of the track lengths of these points: how often views see them."""
     steps: int = 0
     """Number of its training steps; 0: not known."""
+    pixels: float = 0.0
+    """Mean number of pixels of its training views; 0: not known."""
+    seen: float = 0.0
+    """Mean number of the sparse points with a role in it, of whatever kind, that one of its views sees; 0: not known."""
+    gaussians: float = 0.0
+    """Mean of the numbers of Gaussians, ghosts included, that its training started and ended with; before
+    it has, what it starts with. 0: not known."""
     seconds: float = 0.0
     """Wall seconds of its training."""
     cpu_seconds: float = 0.0
@@ -31,3 +40,10 @@ class BlockFacts:
     """Number of these Gaussians that the merge kept."""
     note: str = ""
     """What was out of the ordinary; empty if nothing was."""
+
+    @property
+    def work(self) -> BlockWork:
+        """What its time goes by, see `reference.partition.block_time`."""
+        return BlockWork(
+            steps=float(self.steps), pixels=self.pixels, gaussians=self.gaussians, seen=self.seen
+        )

@@ -10,9 +10,11 @@ from multiprocessing.connection import Connection
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.locks import locked
 from splatproof.base.processes import Worker, listening
+from splatproof.methods.city.balance import STEP_COST
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.train_block import BlockJob, train_block, trained
 from splatproof.methods.training.threads import threads as torch_threads
+from splatproof.reference.partition.block_time import block_seconds
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""
@@ -36,7 +38,7 @@ def run_blocks(
     threads: int | None = None,
     report: BlocksReport,
 ) -> list[BlockFacts]:
-    """Train all blocks; those that are trained already are not repeated.
+    """Train all blocks, those first that will take longest; those that are trained already are not repeated.
 
     A block that fails stops the others; all go on from their checkpoints when this is called again.
 
@@ -50,6 +52,8 @@ def run_blocks(
 
     Raises: UsageError for an unknown engine or fewer workers than one; SplatproofError naming the
         block that failed and why.
+
+    Source: longest first: Graham 1969.
     """
     if engine not in ENGINES:
         raise UsageError(f"engine {engine!r}: unknown, expected {', '.join(ENGINES)}")
@@ -57,6 +61,7 @@ def run_blocks(
         raise UsageError(f"{workers} workers: expected at least 1")
     before = [trained(job) for job in jobs]
     left = [index for index, facts in enumerate(before) if facts is None]
+    left.sort(key=lambda index: -block_seconds(jobs[index].facts.work, STEP_COST))
     if left:
         module, name = ENGINES[engine].split(":")
         run: Engine = getattr(import_module(module), name)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 from typing import Literal
 
 import torch
@@ -72,7 +73,7 @@ def block_jobs(
     """
     place = ground(scene)
     views, notes = zip(
-        *(_trained_on(place, found, b) for b in range(len(found.views))), strict=True
+        *(trained_on(place, found, b) for b in range(len(found.views))), strict=True
     )
     roles = None
     if coarse is not None:
@@ -115,8 +116,14 @@ def block_steps(iterations: int, views: Sequence[int], even: Even) -> list[int]:
     return steps
 
 
-def _trained_on(place: Ground, found: Partition, block: int) -> tuple[Bool[Tensor, " v"], str]:
-    """Which views train a block, and what is to be said of that."""
+def trained_on(place: Ground, found: Partition, block: int) -> tuple[Bool[Tensor, " v"], str]:
+    """Which views train a block, and what is to be said of that.
+
+    Args:
+        place: The whole scene.
+        found: Its partition.
+        block: Number of the block.
+    """
     views = found.views[block]
     if bool(views.any()):
         return views, ""
@@ -144,30 +151,70 @@ def _job(
     terms: BlockTerms,
     roles: Int8[Tensor, " m"] | None,
 ) -> BlockJob:
-    scene, points = place.scene, place.scene.points
+    scene = place.scene
     own = found.labels == block
-    near = None
-    if surrounding == "region" and auxiliary in ("ghosts", "both"):
-        near = found.regions[block].distance(points.positions) <= 1 + RIM
-    of_points = roles_of(
-        points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
+    of_points = point_roles(
+        place, found, block, views, auxiliary=auxiliary, surrounding=surrounding
     )
+    kept = of_points[of_points != LEFT_OUT] if roles is None else roles
     sides: tuple[Camera, ...] = ()
     if side.every:
         alone = torch.where(own, 0, LEFT_OUT).to(of_points)
         sides = side_cameras(_part(scene, views, alone), side)
     job = BlockJob(
         scene=_part(scene, views, of_points), settings=settings, sides=sides, side=side,
-        block_terms=terms,
-        roles=of_points[of_points != LEFT_OUT] if roles is None else roles,
+        block_terms=terms, roles=kept,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
-                         load=int(place.loads[own].sum()), steps=settings.iterations, note=note),
+                         load=int(place.loads[own].sum()), steps=settings.iterations, note=note,
+                         pixels=pixels_of(scene, views), seen=seen_by_a_view(scene, views, of_points),
+                         gaussians=float((kept != LEFT_OUT).sum())),
         folder=cache, centre=found.regions[block].centre, frame=place.frame, sampling=sampling,
         follow=follow, start=coarse, seed=run.seed + SEEDS_APART * block, backend=run.backend,
         background=run.background, checkpoint_seconds=run.checkpoint_seconds,
         image_bytes=max(run.image_bytes // run.workers, 1),
     )  # fmt: skip
     return replace(job, folder=cache / job.key[:16])
+
+
+def point_roles(
+    place: Ground,
+    found: Partition,
+    block: int,
+    views: Bool[Tensor, " v"],
+    *,
+    auxiliary: Auxiliary,
+    surrounding: Surrounding,
+) -> Int8[Tensor, " n"]:
+    """Role of each sparse point of the scene in one block.
+
+    Args:
+        place: The whole scene.
+        found: Its partition.
+        block: Number of the block.
+        views: Views that it trains on.
+        auxiliary: What takes part beside the block's own points.
+        surrounding: Where ghosts are taken from.
+    """
+    points, near = place.scene.points, None
+    if surrounding == "region" and auxiliary in ("ghosts", "both"):
+        near = found.regions[block].distance(points.positions) <= 1 + RIM
+    return roles_of(
+        points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
+    )
+
+
+def pixels_of(scene: Scene, views: Bool[Tensor, " v"]) -> float:
+    """Mean number of pixels of some of a scene's views; 0 for none."""
+    cameras = [scene.views[i].camera for i in views.nonzero()[:, 0].tolist()]
+    return fmean(one.width * one.height for one in cameras) if cameras else 0.0
+
+
+def seen_by_a_view(scene: Scene, views: Bool[Tensor, " v"], roles: Int8[Tensor, " n"]) -> float:
+    """Mean number of the points with a role that one of the views sees; 0 for no views."""
+    if not bool(views.any()):
+        return 0.0
+    seen = shared_points(scene.points, roles != LEFT_OUT, len(scene.views))
+    return float(seen[views].double().mean())
 
 
 def _part(scene: Scene, views: Bool[Tensor, " v"], roles: Int8[Tensor, " n"]) -> Scene:

@@ -32,6 +32,7 @@ from splatproof.reference.partition.voxel_graph import grid_coordinates, voxel_g
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
+Balance = Literal["load", "time"]
 MethodName = Literal["odbp", "blockgaussian", "vastgaussian", "citygaussian"]
 
 
@@ -46,6 +47,9 @@ class PartitionSettings:
     voxel_size: float | None = None
     """odbp: side of a voxel in scene units; None: a 64th of the scene's longer side on the
     ground."""
+    balance: Balance = "load"
+    """odbp: what the blocks share evenly. load: what their views see of them (DPGS, Eq. 5); time: what they will
+    take to train, predicted from steps, pixels, Gaussians and what views see (ours)."""
     imbalance: float = 0.01
     """odbp: share of their mean by which the blocks' loads may differ from it (the paper: 0.05)."""
     seeds: int = 10

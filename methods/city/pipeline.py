@@ -16,6 +16,7 @@ from torch import Tensor
 from splatproof.base.files import read_bytes
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
+from splatproof.methods.city.balance import Training, cut
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.block_terms import with_scaled_priors
@@ -25,7 +26,7 @@ from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.memory_plan import plan_memory
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.city.partition import Partition, partition
+from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
@@ -38,6 +39,7 @@ from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
+from splatproof.methods.threedgs.cost import mean_gaussians
 from splatproof.methods.threedgs.fit import started
 from splatproof.methods.training.session import run_key
 from splatproof.methods.training.threads import threads
@@ -217,16 +219,23 @@ def _partition(
     """Cut the scene; done again when a run goes on, because it is short and always the same."""
     found: list[Partition] = []
 
-    def cut() -> dict[str, Any]:
+    def work() -> dict[str, Any]:
         model = coarse and read_gaussians(coarse)
+        points = len(scene.points)
+        grown = mean_gaussians(settings.iterations, points, settings.density.most)
+        training = Training(
+            iterations=settings.iterations, even=settings.even, auxiliary=settings.auxiliary,
+            surrounding=settings.surrounding,
+            thickness=(len(model) if model else grown) / max(points, 1),
+        )  # fmt: skip
         found.append(
-            partition(scene, settings.blocks, settings.partition, backend=run.backend, coarse=model)
+            cut(scene, settings.blocks, settings.partition, training, backend=run.backend, coarse=model)
         )
         return {"note": found[0].note}
 
-    stages.run("partition", cut)
+    stages.run("partition", work)
     if not found:
-        cut()
+        work()
     if found[0].note:
         run.say(f"partition {found[0].method}: {found[0].note}")
     return found[0]

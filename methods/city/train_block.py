@@ -144,6 +144,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     )  # fmt: skip
     started = None if job.start is None else read_gaussians(job.start)
     block, plan = prepare(job, started, run)
+    first = len(block.parameters)
     alone = len(plan.views) < 2  # one photo has nothing to be compared with
     shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
     if job.block_terms.appearance and not alone:
@@ -159,6 +160,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         seconds=trainer.seconds,
         cpu_seconds=trainer.cpu_seconds,
         peak_mb=peak_memory_mb(),
+        gaussians=(first + len(block.parameters)) / 2,
         primitives=len(model),
         densifications=trainer.counts.densifications,
         note=note,

@@ -40,7 +40,7 @@ COMPONENTS = (
         title="Partitions: ODBP and the three it is compared with",
         modules=("reference/partition/odbp", "reference/partition/voxel_graph", "reference/partition/metis", "reference/partition/boxes",
                  "reference/partition/ghosts", "reference/partition/contracted_grid", "reference/partition/camera_cells",
-                 "reference/partition/density_split", "reference/partition/visibility"),
+                 "reference/partition/density_split", "reference/partition/visibility", "reference/partition/block_time"),
         source="DPGS, Eqs. 5 to 8; CityGaussian; VastGaussian; BlockGaussian",
         pictures=(Picture(file="partitions", draw=blocks.draw_partitions,
                           caption="Blocks from above with each one's load over the mean"),),

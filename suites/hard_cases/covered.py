@@ -32,6 +32,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/partition/camera_cells": ("camera cells",),
     "reference/partition/density_split": ("density split",),
     "reference/partition/visibility": ("visibility",),
+    "reference/partition/block_time": ("block times",),
     "reference/partition/view_sampling": ("view sampling",),
     "reference/sparse_views/unpooling": ("unpooling",),
     "reference/sparse_views/depth_correlation": ("depth correlation",),

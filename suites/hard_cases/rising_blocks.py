@@ -7,6 +7,7 @@ from torch import Tensor
 
 from splatproof.reference.compression import spectral
 from splatproof.reference.partition import (
+    block_time,
     camera_cells,
     contracted_grid,
     density_split,
@@ -14,6 +15,7 @@ from splatproof.reference.partition import (
     view_sampling,
     visibility,
 )  # fmt: skip
+from splatproof.reference.partition.block_time import BlockWork, StepCost
 from splatproof.reference.partition.boxes import Box
 from splatproof.reference.partition.density_split import DensitySettings
 from splatproof.reference.partition.view_sampling import SamplingSettings
@@ -98,6 +100,21 @@ def _covering(rung: float, starts: Tensor) -> Tensor:
     return joined(taken, visibility.track_lengths(points)).to(starts)
 
 
+def _times(rung: float, weights: Tensor) -> Tensor:
+    """Blocks of which the last takes `rung` times as long as the first; coefficients as far apart."""
+    labels = torch.arange(len(weights)) % 4
+    seconds = torch.logspace(0, math.log10(rung), 4, dtype=torch.float64)
+    even = block_time.reweighted(weights.double(), labels, seconds)
+    cost = StepCost(pixel=1e-7, gaussian=1e-7 / rung, seen=1e-8)
+    works = [
+        BlockWork(steps=10.0, pixels=1e5, gaussians=rung * (4e5 + 1e5 * i), seen=1e4 * (1 + i * i))
+        for i in range(4)
+    ]
+    found = block_time.fit_step_cost(works, [block_time.block_seconds(w, cost) for w in works])
+    fitted = torch.tensor([found.pixel, rung * found.gaussian, found.seen], dtype=torch.float64)
+    return joined(even / even.sum(), 1e7 * fitted).to(weights)
+
+
 def _bins(rung: float, centres: Tensor) -> Tensor:
     """Cameras on rings about a block, `rung` times as high as wide."""
     lifted = centres + centres.new_tensor([0.0, 0, rung])
@@ -146,6 +163,8 @@ CASES = (
            inputs=lambda h: (normal(64, 3),)),
     Rising(component="visibility", name="points of a view", run=_covering, rungs=(4.0, 40.0, 400.0),
            inputs=lambda h: (torch.zeros(1).double(),)),
+    Rising(component="block times", name="slowest / fastest", run=_times, rungs=(1.0, 1e2, 1e4, 1e6),
+           inputs=lambda h: (0.1 + uniform(40).double(),)),
     Rising(component="view sampling", name="height / radius", run=_bins, rungs=(1.0, 1e2, 1e4, 1e6),
            inputs=lambda h: (_ring(),)),
     Rising(component="pre-cleaning", name="largest scale / smallest", run=_clean,

@@ -1,0 +1,127 @@
+"""ODBP's cut by what blocks will take to train, not by their load alone."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float64
+from torch import Tensor
+
+from splatproof.methods.city.ground import Ground, ground
+from splatproof.methods.city.jobs import (
+    Even,
+    block_steps,
+    pixels_of,
+    point_roles,
+    seen_by_a_view,
+    trained_on,
+)
+from splatproof.methods.city.partition import (
+    Partition,
+    PartitionSettings,
+    odbp_blocks,
+    partition,
+)
+from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding
+from splatproof.reference.partition.block_time import (
+    BlockWork,
+    StepCost,
+    block_seconds,
+    reweighted,
+)
+from splatproof.reference.types.gaussians import Gaussians
+from splatproof.reference.types.scene import Scene
+
+STEP_COST = StepCost(pixel=8e-8, gaussian=6e-8, seen=4e-7)
+"""Of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
+change a cut, and a cut must be the same on every machine."""
+ROUNDS = 6
+"""Cuts that are tried; the one whose slowest block is fastest stays."""
+FINE = 64
+"""Weights are whole numbers, of so many for each of the points' loads."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """How blocks will be trained, as far as their times depend on it."""
+
+    iterations: int
+    """Steps of each block, or of a block on average."""
+    even: Even = "steps"
+    """What all blocks have equally many of."""
+    auxiliary: Auxiliary = "none"
+    """What takes part beside a block's own points."""
+    surrounding: Surrounding = "box"
+    """Where ghosts are taken from."""
+    thickness: float = 1.0
+    """Gaussians in place of each sparse point, mean over the training."""
+
+
+def cut(
+    scene: Scene,
+    blocks: int,
+    settings: PartitionSettings,
+    training: Training,
+    *,
+    backend: str = "cpu",
+    coarse: Gaussians | None = None,
+) -> Partition:
+    """Cut a scene into K blocks, as `partition` does; by times where the settings say so.
+
+    ODBP's load is what views see of a block over an epoch. A block's time also goes by what all its steps have
+    to move and draw, whoever sees it, and by how many steps it has. So each point's weight starts at its load, and
+    after each cut the points of slow blocks become heavier, those of fast ones lighter; of all cuts the one with
+    the least predicted time of its slowest block is kept.
+
+    Args:
+        scene: With training views, and sparse points with their tracks.
+        blocks: Number K of blocks, >= 1.
+        settings: Which partition, its thresholds, and what is to be balanced.
+        training: What follows the cut.
+        backend: Name of the rasterizer for CityGaussian's rule.
+        coarse: CityGaussian's coarse model in the scene's frame.
+
+    Raises: As `partition` does.
+
+    Source: DPGS, Sec. 3.3, Eqs. 5, 6; times: ours.
+    """
+    if settings.balance == "load" or blocks == 1:
+        return partition(scene, blocks, settings, backend=backend, coarse=coarse)
+    place = ground(scene, settings.voxel_size)
+    weights, tried = place.loads.double(), list[tuple[float, Partition]]()
+    for _ in range(ROUNDS):
+        weighed = replace(place, loads=(FINE * weights).round().long())
+        found = odbp_blocks(weighed, blocks, "odbp", settings=settings)
+        seconds = predicted_seconds(place, found, training)
+        tried.append((float(seconds.max()), found))
+        weights = reweighted(weights, found.labels, seconds)
+    return min(tried, key=lambda one: one[0])[1]
+
+
+def predicted_seconds(
+    place: Ground, found: Partition, training: Training, cost: StepCost = STEP_COST
+) -> Float64[Tensor, " k"]:
+    """Processor seconds that each block will take.
+
+    Args:
+        place: The whole scene.
+        found: Its partition.
+        training: What follows the cut.
+        cost: Seconds of a step by what it works on.
+    """
+    blocks = range(len(found.views))
+    views = [trained_on(place, found, block)[0] for block in blocks]
+    steps = block_steps(training.iterations, [int(one.sum()) for one in views], training.even)
+    seconds = []
+    for block in blocks:
+        roles = point_roles(
+            place, found, block, views[block],
+            auxiliary=training.auxiliary, surrounding=training.surrounding,
+        )  # fmt: skip
+        work = BlockWork(
+            steps=float(steps[block]),
+            pixels=pixels_of(place.scene, views[block]),
+            gaussians=training.thickness * float((roles != LEFT_OUT).sum()),
+            seen=training.thickness * seen_by_a_view(place.scene, views[block], roles),
+        )
+        seconds.append(block_seconds(work, cost) if bool(views[block].any()) else 0.0)
+    return torch.tensor(seconds, dtype=torch.float64)
