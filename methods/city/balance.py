@@ -3,16 +3,16 @@
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float64
-from torch import Tensor
 
+from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.jobs import (
     Even,
     block_steps,
+    cameras_of,
     pixels_of,
     point_roles,
-    seen_by_a_view,
+    start_of,
     trained_on,
 )
 from splatproof.methods.city.partition import (
@@ -26,15 +26,16 @@ from splatproof.reference.partition.block_time import (
     BlockWork,
     StepCost,
     block_seconds,
+    pairs_a_view,
     reweighted,
 )
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
-STEP_COST = StepCost(pixel=8e-8, gaussian=6e-8, seen=4e-7)
+STEP_COST = StepCost(pixel=1.4e-7, gaussian=1.0e-7, pair=2.7e-7)
 """Of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
-change a cut, and a cut must be the same on every machine."""
-ROUNDS = 6
+change a cut, which therefore is the same on every machine."""
+ROUNDS = 12
 """Cuts that are tried; the one whose slowest block is fastest stays."""
 FINE = 64
 """Weights are whole numbers, of so many for each of the points' loads."""
@@ -53,7 +54,7 @@ class Training:
     surrounding: Surrounding = "box"
     """Where ghosts are taken from."""
     thickness: float = 1.0
-    """Gaussians in place of each sparse point, mean over the training."""
+    """Gaussians in place of each sparse point, mean over the training; with a coarse model: of its Gaussians."""
 
 
 def cut(
@@ -78,7 +79,7 @@ def cut(
         settings: Which partition, its thresholds, and what is to be balanced.
         training: What follows the cut.
         backend: Name of the rasterizer for CityGaussian's rule.
-        coarse: CityGaussian's coarse model in the scene's frame.
+        coarse: The coarse model that blocks start from, in the scene's frame; None: they start from points.
 
     Raises: As `partition` does.
 
@@ -91,37 +92,55 @@ def cut(
     for _ in range(ROUNDS):
         weighed = replace(place, loads=(FINE * weights).round().long())
         found = odbp_blocks(weighed, blocks, "odbp", settings=settings)
-        seconds = predicted_seconds(place, found, training)
+        works = expected_works(place, found, training, settings.margin, coarse)
+        seconds = torch.tensor([block_seconds(one, STEP_COST) for one in works]).double()
         tried.append((float(seconds.max()), found))
         weights = reweighted(weights, found.labels, seconds)
     return min(tried, key=lambda one: one[0])[1]
 
 
-def predicted_seconds(
-    place: Ground, found: Partition, training: Training, cost: StepCost = STEP_COST
-) -> Float64[Tensor, " k"]:
-    """Processor seconds that each block will take.
+def expected_works(
+    place: Ground,
+    found: Partition,
+    training: Training,
+    margin: float,
+    coarse: Gaussians | None = None,
+) -> tuple[BlockWork, ...]:
+    """What the training of each block will work on; nothing for a block without views.
+
+    Gaussians that take a point's place are smaller in proportion to its area.
 
     Args:
         place: The whole scene.
         found: Its partition.
         training: What follows the cut.
-        cost: Seconds of a step by what it works on.
+        margin: What a block's region is widened by where it takes its own from a coarse model.
+        coarse: The coarse model that blocks start from; None: they start from points.
     """
     blocks = range(len(found.views))
     views = [trained_on(place, found, block)[0] for block in blocks]
     steps = block_steps(training.iterations, [int(one.sum()) for one in views], training.even)
-    seconds = []
-    for block in blocks:
-        roles = point_roles(
-            place, found, block, views[block],
-            auxiliary=training.auxiliary, surrounding=training.surrounding,
-        )  # fmt: skip
-        work = BlockWork(
-            steps=float(steps[block]),
-            pixels=pixels_of(place.scene, views[block]),
-            gaussians=training.thickness * float((roles != LEFT_OUT).sum()),
-            seen=training.thickness * seen_by_a_view(place.scene, views[block], roles),
+    start, thick = start_of(place.scene, coarse), training.thickness
+    if coarse is None:
+        roles = [
+            point_roles(place, found, block, views[block], auxiliary=training.auxiliary,
+                        surrounding=training.surrounding)
+            for block in blocks
+        ]  # fmt: skip
+    else:
+        roles = list(
+            coarse_roles(start.means, place.scene, found, views, training.auxiliary, margin)
         )
-        seconds.append(block_seconds(work, cost) if bool(views[block].any()) else 0.0)
-    return torch.tensor(seconds, dtype=torch.float64)
+    works = []
+    for block in blocks:
+        held, cameras = roles[block] != LEFT_OUT, cameras_of(place.scene, views[block])
+        sizes = start.sizes[held] / max(thick, 1.0) ** 0.5
+        works.append(
+            BlockWork(
+                steps=float(steps[block] if cameras else 0),
+                pixels=pixels_of(cameras),
+                gaussians=thick * float(held.sum()),
+                pairs=thick * pairs_a_view(cameras, start.means[held], sizes),
+            )
+        )
+    return tuple(works)

@@ -21,8 +21,9 @@ class BlockFacts:
     """Number of its training steps; 0: not known."""
     pixels: float = 0.0
     """Mean number of pixels of its training views; 0: not known."""
-    seen: float = 0.0
-    """Mean number of the sparse points with a role in it, of whatever kind, that one of its views sees; 0: not known."""
+    pairs: float = 0.0
+    """Mean number of pairs of Gaussian and tile in one of its views, as expected of what it starts with, see
+    `reference.partition.block_time.pairs_a_view`; 0: not known."""
     gaussians: float = 0.0
     """Mean of the numbers of Gaussians, ghosts included, that its training started and ended with; before
     it has, what it starts with. 0: not known."""
@@ -45,5 +46,5 @@ class BlockFacts:
     def work(self) -> BlockWork:
         """What its time goes by, see `reference.partition.block_time`."""
         return BlockWork(
-            steps=float(self.steps), pixels=self.pixels, gaussians=self.gaussians, seen=self.seen
+            steps=float(self.steps), pixels=self.pixels, gaussians=self.gaussians, pairs=self.pairs
         )

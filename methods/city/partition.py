@@ -76,6 +76,8 @@ class PartitionSettings:
         """Refuse settings that no partition can follow."""
         size = self.voxel_size
         require(size is None or size > 0, "partition.voxel_size", size, "> 0 or None")
+        fits = self.balance == "load" or self.method == "odbp"
+        require(fits, "partition.balance", self.balance, "'load'; only odbp cuts by time")
         require(self.imbalance > 0, "partition.imbalance", self.imbalance, "> 0")
         require(self.seeds >= 1, "partition.seeds", self.seeds, ">= 1")
         require(self.margin >= 0, "partition.margin", self.margin, ">= 0")

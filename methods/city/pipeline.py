@@ -226,10 +226,17 @@ def _partition(
         training = Training(
             iterations=settings.iterations, even=settings.even, auxiliary=settings.auxiliary,
             surrounding=settings.surrounding,
-            thickness=(len(model) if model else grown) / max(points, 1),
+            thickness=1.0 if model else grown / max(points, 1),
         )  # fmt: skip
         found.append(
-            cut(scene, settings.blocks, settings.partition, training, backend=run.backend, coarse=model)
+            cut(
+                scene,
+                settings.blocks,
+                settings.partition,
+                training,
+                backend=run.backend,
+                coarse=model,
+            )
         )
         return {"note": found[0].note}
 

@@ -5,11 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from scipy.optimize import nnls
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.reference.types.camera import Camera, project_points
+
+TILE = 16
+"""Side of a tile in pixels."""
+REACH = 3.0
+"""Standard deviations to which a Gaussian shows."""
+MOST = 4_000_000
+"""Views x Gaussians up to which each pair is looked at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,8 +28,8 @@ class StepCost:
     """For each pixel of the view: compositing and loss."""
     gaussian: float
     """For each Gaussian that the block holds: what is done to all of them, Adam foremost."""
-    seen: float
-    """For each Gaussian that the view sees: projection, sorting, compositing and their gradients."""
+    pair: float
+    """For each pair of a Gaussian and a tile of the view that it may show in: sorting, compositing, gradients."""
 
     def __post_init__(self) -> None:
         """Refuse coefficients that are not finite and >= 0, or all 0."""
@@ -40,30 +48,78 @@ class BlockWork:
     """Mean number of pixels of its views."""
     gaussians: float
     """Mean number of Gaussians that it holds, whatever their role, over the steps."""
-    seen: float
-    """Mean number of these that one of its views sees."""
+    pairs: float
+    """Mean number of pairs of one of these and a tile of one of its views, see `pairs_a_view`."""
 
     @property
     def parts(self) -> tuple[float, float, float]:
         """What each coefficient of a StepCost is multiplied by, over all steps."""
         return (
-            self.steps * self.pixels, self.steps * self.gaussians, self.steps * self.seen,
+            self.steps * self.pixels, self.steps * self.gaussians, self.steps * self.pairs,
         )  # fmt: skip
 
 
 def block_seconds(work: BlockWork, cost: StepCost) -> float:
     """T = S (a P + b G + c n): processor seconds of a block's training.
 
-    With S = E V steps (E visits of each of V views) it is E (a P V + b V G + c W): W = V n, the sum of the
-    track lengths that DPGS balances, is one of three parts of it.
+    With S = E V steps (E visits of each of V views) it is E (a P V + b V G + c V n): V n is what DPGS balances,
+    if pairs are what a view sees of a block, and one of three parts.
 
     Args:
         work: S, P, G and n.
         cost: a, b and c.
 
-    Source: ours; W: DPGS, Sec. 3.3.
+    Source: ours; V n: DPGS, Sec. 3.3.
     """
-    return float(np.dot(work.parts, (cost.pixel, cost.gaussian, cost.seen)))
+    return float(np.dot(work.parts, (cost.pixel, cost.gaussian, cost.pair)))
+
+
+def tile_pairs(
+    camera: Camera, means: Float[Tensor, "n 3"], sizes: Float[Tensor, " n"]
+) -> Float64[Tensor, " n"]:
+    """Tiles of an image that each Gaussian may show in: those that the square around its middle meets.
+
+    The square's half side is REACH sizes, projected. What lies before the near plane shows in none.
+
+    Args:
+        camera: Camera of the image.
+        means: Middles in scene units.
+        sizes: Largest standard deviation of each, in scene units.
+
+    Source: ours; tiles as in Kerbl et al. 2023, "3D Gaussian Splatting", Sec. 6.
+    """
+    at, depth = project_points(camera, means.double())
+    shown = depth > camera.near
+    focal = camera.K.diagonal()[:2].to(at)
+    half = REACH * sizes.double()[:, None] * focal / torch.where(shown, depth, 1)[:, None]
+    size = at.new_tensor([camera.width, camera.height])
+    low = ((at - half) / TILE).floor().maximum(torch.zeros_like(size))
+    high = ((at + half) / TILE).floor().minimum(((size - 1) / TILE).floor())
+    sides = (high - low + 1).clamp(min=0)
+    shown &= (at - half < size).all(dim=1)  # the last tiles may reach beyond the image
+    return torch.where(shown, sides.prod(dim=1), 0)
+
+
+def pairs_a_view(
+    cameras: Sequence[Camera], means: Float[Tensor, "n 3"], sizes: Float[Tensor, " n"]
+) -> float:
+    """Mean number of pairs of Gaussian and tile in a view; 0 without views or Gaussians.
+
+    Where views x Gaussians are more than MOST, every so manieth Gaussian stands for its neighbours in the list.
+
+    Args:
+        cameras: Cameras of the views.
+        means: Middles of the Gaussians, in scene units.
+        sizes: Largest standard deviation of each, in scene units.
+
+    Source: ours.
+    """
+    if not len(cameras) or not len(means):
+        return 0.0
+    every = -(-len(cameras) * len(means) // MOST)
+    some, of = means[::every], sizes[::every]
+    found = sum(float(tile_pairs(camera, some, of).sum()) for camera in cameras)
+    return found / len(cameras) * len(means) / len(some)
 
 
 def fit_step_cost(works: Sequence[BlockWork], seconds: Sequence[float]) -> StepCost:
@@ -80,15 +136,17 @@ def fit_step_cost(works: Sequence[BlockWork], seconds: Sequence[float]) -> StepC
     """
     times = np.array(seconds, dtype=np.float64)
     if len(works) != len(times) or not len(times):
-        raise DataError(f"{len(times)} times of {len(works)} blocks: expected one of each, at least one")
+        raise DataError(
+            f"{len(times)} times of {len(works)} blocks: expected one of each, at least one"
+        )
     if not (np.isfinite(times) & (times > 0)).all():
         raise DataError("block times: expected finite seconds above 0")
     parts = np.array([work.parts for work in works], dtype=np.float64) / times[:, None]
     # columns of one size: a pixel's seconds are a millionth of a block's
     sizes = np.linalg.norm(parts, axis=0)
     found = nnls(parts / np.where(sizes > 0, sizes, 1), np.ones(len(times)))[0]
-    pixel, gaussian, seen = (found / np.where(sizes > 0, sizes, np.inf)).tolist()
-    return StepCost(pixel=pixel, gaussian=gaussian, seen=seen)
+    pixel, gaussian, pair = (found / np.where(sizes > 0, sizes, np.inf)).tolist()
+    return StepCost(pixel=pixel, gaussian=gaussian, pair=pair)
 
 
 def reweighted(

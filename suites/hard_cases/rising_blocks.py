@@ -105,13 +105,13 @@ def _times(rung: float, weights: Tensor) -> Tensor:
     labels = torch.arange(len(weights)) % 4
     seconds = torch.logspace(0, math.log10(rung), 4, dtype=torch.float64)
     even = block_time.reweighted(weights.double(), labels, seconds)
-    cost = StepCost(pixel=1e-7, gaussian=1e-7 / rung, seen=1e-8)
+    cost = StepCost(pixel=1e-7, gaussian=1e-7 / rung, pair=1e-8)
     works = [
-        BlockWork(steps=10.0, pixels=1e5, gaussians=rung * (4e5 + 1e5 * i), seen=1e4 * (1 + i * i))
+        BlockWork(steps=10.0, pixels=1e5, gaussians=rung * (4e5 + 1e5 * i), pairs=1e4 * (1 + i * i))
         for i in range(4)
     ]
     found = block_time.fit_step_cost(works, [block_time.block_seconds(w, cost) for w in works])
-    fitted = torch.tensor([found.pixel, rung * found.gaussian, found.seen], dtype=torch.float64)
+    fitted = torch.tensor([found.pixel, rung * found.gaussian, found.pair], dtype=torch.float64)
     return joined(even / even.sum(), 1e7 * fitted).to(weights)
 
 

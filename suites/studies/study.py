@@ -7,6 +7,7 @@ from typing import Any
 
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.suites.studies import (
+    balance,
     matching,
     memory,
     partition,
@@ -72,6 +73,12 @@ STUDIES = {
         columns=("scene", "k", "method", "load_std_over_mean", "load_max_over_mean", "edge_cut",
                  "views_mean", "views_max", "note"),
         rows=partition.rows,
+    ),
+    "balance": Study(
+        description="processor seconds of blocks with 300,000 Gaussians and more, partition by partition",
+        columns=("scene", "partition", "gaussians", "views", "predicted", "max_over_mean", "low", "high",
+                 "equal_steps", "slowest", "total", "cut_seconds", "note"),
+        rows=balance.rows,
     ),
     "size": Study(
         description="bytes of trained models against what they cost: our files, .spz, images, palettes, .ply",

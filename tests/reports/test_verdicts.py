@@ -198,6 +198,7 @@ def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_set
 
 def test_of_several_scenes_what_the_second_half_gave_is_their_mean():
     """As of differences; a scene without rows of half the steps says nothing of it."""
+
     def on(scene: str, found: list[Measured]) -> list[Measured]:
         return [dataclasses.replace(one, scene=scene) for one in found]
 
