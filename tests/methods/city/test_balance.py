@@ -7,6 +7,7 @@ import torch
 
 from helpers.city_scene import small_scene
 from splatproof.base.errors import UsageError
+from splatproof.methods.city import balance
 from splatproof.methods.city.balance import STEP_COST, Training, cut, expected_works
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.executor import run_blocks
@@ -24,6 +25,11 @@ BY_LOAD = PartitionSettings(seeds=2)
 BY_TIME = replace(BY_LOAD, balance="time")
 
 
+@pytest.fixture(autouse=True)
+def _few_rounds(monkeypatch):
+    monkeypatch.setattr(balance, "ROUNDS", 4)
+
+
 def crowded() -> Scene:
     """The small scene, with the points of one half ten times as close to each other and seen as often."""
     scene = small_scene(160)
@@ -38,9 +44,9 @@ def seconds(scene: Scene, found, training: Training = TRAINING) -> torch.Tensor:
     return torch.tensor([block_seconds(one, STEP_COST) for one in works])
 
 
-@pytest.mark.parametrize("scene", [small_scene(120), crowded()], ids=["small", "crowded"])
 @pytest.mark.parametrize("even", ["steps", "visits"])
-def test_the_slowest_block_is_no_slower_than_of_the_cut_by_load(scene, even):
+def test_the_slowest_block_is_no_slower_than_of_the_cut_by_load(even):
+    scene = crowded()
     training = replace(TRAINING, even=even)
     plain = cut(scene, 4, BY_LOAD, training)
     timed = cut(scene, 4, BY_TIME, training)
@@ -57,6 +63,16 @@ def test_where_load_is_not_time_the_cut_by_time_is_the_more_even():
         found = seconds(scene, cut(scene, 4, settings, TRAINING))
         spreads.append(float(found.max() / found.mean()))
     assert spreads[1] < spreads[0] - 0.02, spreads
+
+
+def test_more_rounds_are_never_worse(monkeypatch):
+    """The best of all cuts stays, not the last."""
+    scene, slowest = crowded(), []
+    for rounds in (1, 2, 3, 4, 5):
+        monkeypatch.setattr(balance, "ROUNDS", rounds)
+        slowest.append(float(seconds(scene, cut(scene, 4, BY_TIME, TRAINING)).max()))
+    assert slowest == sorted(slowest, reverse=True)
+    assert slowest[-1] < 0.99 * slowest[0]
 
 
 def test_a_cut_by_load_and_one_block_are_what_partition_makes():
@@ -98,7 +114,7 @@ def test_gaussians_in_place_of_a_point_are_more_and_smaller():
     )
     for before, after in zip(one, many, strict=True):
         assert after.gaussians == 100 * before.gaussians
-        assert before.pairs < after.pairs <= 100 * before.pairs
+        assert before.pairs < after.pairs < 95 * before.pairs
 
 
 def test_with_a_coarse_model_its_gaussians_count():
