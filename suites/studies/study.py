@@ -8,6 +8,7 @@ from typing import Any
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.suites.studies import (
     balance,
+    balance_plot,
     matching,
     memory,
     partition,
@@ -78,7 +79,7 @@ STUDIES = {
         description="processor seconds of blocks with 300,000 Gaussians and more, partition by partition",
         columns=("scene", "partition", "gaussians", "views", "predicted", "max_over_mean", "low", "high",
                  "equal_steps", "slowest", "total", "cut_seconds", "note"),
-        rows=balance.rows,
+        rows=balance.rows, pictures=balance_plot.draw,
     ),
     "size": Study(
         description="bytes of trained models against what they cost: our files, .spz, images, palettes, .ply",

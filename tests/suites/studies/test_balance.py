@@ -12,6 +12,7 @@ from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.reference.partition.block_time import BlockWork, block_seconds
 from splatproof.suites.studies import balance
 from splatproof.suites.studies.balance import Timed, fitted, interval, measured, thickened
+from splatproof.suites.studies.balance_plot import draw
 
 SCENE = small_scene(60)
 
@@ -53,6 +54,20 @@ def test_a_row_has_what_blocks_took_by_turns():
     assert row["max_over_mean"] <= row["high"] * 1.0001
     assert 1 <= row["predicted"] < 2
     assert [one["steps"] for one in row["blocks"]] == [work.steps for work in timed.works]
+
+
+def test_the_picture_shows_what_was_measured(tmp_path):
+    works = [
+        dict(zip(("steps", "pixels", "gaussians", "pairs"), (20.0, 1e5, g, 5e4), strict=True))
+        for g in (1e5, 2e5)
+    ]
+    row = {"scene": "s", "partition": "odbp", "max_over_mean": 1.2, "low": 1.1, "high": 1.3, "predicted": 1.1,
+           "blocks": [one | {"seconds": 1.0} for one in works]}  # fmt: skip
+    fit = {"scene": "all", "partition": "fit", "pixel": 1e-7, "gaussian": 1e-7, "pair": 2e-7}
+    for rows in ([row], [row, fit]):
+        (path,) = draw(rows, tmp_path)
+        assert path.stat().st_size > 5000
+    assert draw([fit], tmp_path) == []
 
 
 def test_noise_of_single_turns_is_no_spread():
