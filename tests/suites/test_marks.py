@@ -1,8 +1,8 @@
 """Marks: models kept after so many seconds, scored as they were, without disturbing what trains."""
 
 import math
-import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -39,12 +39,21 @@ def test_a_model_is_kept_at_each_mark_and_scored_as_it_was(tmp_path):
 
 
 def test_what_writing_takes_is_not_counted(tmp_path, monkeypatch):
-    """A slow disk must not make a method look slow."""
-    monkeypatch.setattr("splatproof.suites.marks.pickled", lambda value: time.sleep(0.3) or b"x")
-    marks = Marks(tmp_path, (1e-9, 0.25), 0.0)
+    """A slow disk must not make a method look slow; by a clock that nothing else moves."""
+    clock = SimpleNamespace(now=0.0)
+
+    def written(value: object) -> bytes:
+        clock.now += 0.3
+        return b"x"
+
+    monkeypatch.setattr("splatproof.suites.marks.time.perf_counter", lambda: clock.now)
+    monkeypatch.setattr("splatproof.suites.marks.pickled", written)
+    marks = Marks(tmp_path, (0.1, 0.25), 0.0)
+    clock.now += 0.12
     marks(10, 20, some_model())
+    clock.now += 0.12
     marks(20, 20, some_model())
-    assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == ["1e-09.pickle"]
+    assert sorted(path.name for path in (tmp_path / FOLDER).iterdir()) == ["0.1.pickle"]
 
 
 def test_a_continued_case_keeps_what_it_has(tmp_path):
