@@ -4,17 +4,10 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from splatproof.methods.city.block_work import block_work, start_of
 from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
-from splatproof.methods.city.jobs import (
-    Even,
-    block_steps,
-    cameras_of,
-    pixels_of,
-    point_roles,
-    start_of,
-    trained_on,
-)
+from splatproof.methods.city.jobs import Even, block_steps, point_roles, trained_on
 from splatproof.methods.city.partition import (
     Partition,
     PartitionSettings,
@@ -26,7 +19,6 @@ from splatproof.reference.partition.block_time import (
     BlockWork,
     StepCost,
     block_seconds,
-    pairs_a_view,
     reweighted,
 )
 from splatproof.reference.types.gaussians import Gaussians
@@ -54,7 +46,7 @@ class Training:
     surrounding: Surrounding = "box"
     """Where ghosts are taken from."""
     thickness: float = 1.0
-    """Gaussians in place of each sparse point, mean over the training; with a coarse model: of its Gaussians."""
+    """Gaussians in place of each sparse point, or of each of a coarse model's: mean over the training, >= 1."""
 
 
 def cut(
@@ -106,9 +98,7 @@ def expected_works(
     margin: float,
     coarse: Gaussians | None = None,
 ) -> tuple[BlockWork, ...]:
-    """What the training of each block will work on; nothing for a block without views.
-
-    Gaussians that take a point's place are smaller in proportion to its area.
+    """What the training of each block will work on.
 
     Args:
         place: The whole scene.
@@ -120,7 +110,7 @@ def expected_works(
     blocks = range(len(found.views))
     views = [trained_on(place, found, block)[0] for block in blocks]
     steps = block_steps(training.iterations, [int(one.sum()) for one in views], training.even)
-    start, thick = start_of(place.scene, coarse), training.thickness
+    start = start_of(place.scene, coarse)
     if coarse is None:
         roles = [
             point_roles(place, found, block, views[block], auxiliary=training.auxiliary,
@@ -131,16 +121,10 @@ def expected_works(
         roles = list(
             coarse_roles(start.means, place.scene, found, views, training.auxiliary, margin)
         )
-    works = []
-    for block in blocks:
-        held, cameras = roles[block] != LEFT_OUT, cameras_of(place.scene, views[block])
-        sizes = start.sizes[held] / max(thick, 1.0) ** 0.5
-        works.append(
-            BlockWork(
-                steps=float(steps[block] if cameras else 0),
-                pixels=pixels_of(cameras),
-                gaussians=thick * float(held.sum()),
-                pairs=thick * pairs_a_view(cameras, start.means[held], sizes),
-            )
+    return tuple(
+        block_work(
+            place.scene, views[block], start, roles[block] != LEFT_OUT, steps=steps[block],
+            thickness=training.thickness,
         )
-    return tuple(works)
+        for block in blocks
+    )  # fmt: skip

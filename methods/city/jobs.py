@@ -1,17 +1,17 @@
 """From a partition to the jobs that train its blocks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from statistics import fmean
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Int8
 from torch import Tensor
 
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms
+from splatproof.methods.city.block_work import Start, block_work, start_of
 from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
@@ -21,13 +21,10 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.initialise import neighbour_distance
-from splatproof.reference.partition.block_time import pairs_a_view
 from splatproof.reference.partition.ghosts import RIM
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.partition.visibility import shared_points
 from splatproof.reference.types.camera import Camera
-from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, SparsePoints
 
 Even = Literal["steps", "visits"]
@@ -35,16 +32,6 @@ Even = Literal["steps", "visits"]
 SEEDS_APART = 1_000_003
 """How far the seeds of two neighbouring blocks lie apart; block 0 has the run's own, so that a
 scene in one block is what method 3dgs makes of it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Start:
-    """What all blocks start from, as far as their times depend on it."""
-
-    means: Float64[Tensor, "n 3"]
-    """Middles of the Gaussians in scene units: those of a coarse model, or the sparse points."""
-    sizes: Float64[Tensor, " n"]
-    """Largest standard deviation of each, in scene units."""
 
 
 def block_jobs(
@@ -170,7 +157,7 @@ def _job(
     )
     kept = of_points[of_points != LEFT_OUT] if roles is None else roles
     held = (of_points if roles is None else roles) != LEFT_OUT
-    cameras = cameras_of(scene, views)
+    work = block_work(scene, views, start, held, steps=settings.iterations)
     sides: tuple[Camera, ...] = ()
     if side.every:
         alone = torch.where(own, 0, LEFT_OUT).to(of_points)
@@ -180,8 +167,7 @@ def _job(
         block_terms=terms, roles=kept,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note,
-                         pixels=pixels_of(cameras), gaussians=float(held.sum()),
-                         pairs=pairs_a_view(cameras, start.means[held], start.sizes[held])),
+                         pixels=work.pixels, pairs=work.pairs, gaussians=work.gaussians),
         folder=cache, centre=found.regions[block].centre, frame=place.frame, sampling=sampling,
         follow=follow, start=coarse, seed=run.seed + SEEDS_APART * block, backend=run.backend,
         background=run.background, checkpoint_seconds=run.checkpoint_seconds,
@@ -215,31 +201,6 @@ def point_roles(
     return roles_of(
         points, found.points[block], views, found.labels, block, place.positions, auxiliary, near
     )
-
-
-def start_of(scene: Scene, coarse: Gaussians | None) -> Start:
-    """A coarse model, or a Gaussian a sparse point as wide as points lie apart.
-
-    Args:
-        scene: The whole scene.
-        coarse: The coarse model; None: there is none.
-    """
-    if coarse is not None:
-        return Start(
-            means=coarse.means.double(), sizes=coarse.log_scales.double().amax(dim=1).exp()
-        )
-    positions = scene.points.positions.double()
-    return Start(means=positions, sizes=neighbour_distance(positions, 1.0))
-
-
-def cameras_of(scene: Scene, views: Bool[Tensor, " v"]) -> list[Camera]:
-    """Cameras of some of a scene's views."""
-    return [scene.views[i].camera for i in views.nonzero()[:, 0].tolist()]
-
-
-def pixels_of(cameras: Sequence[Camera]) -> float:
-    """Mean number of pixels; 0 for no cameras."""
-    return fmean(one.width * one.height for one in cameras) if cameras else 0.0
 
 
 def _part(scene: Scene, views: Bool[Tensor, " v"], roles: Int8[Tensor, " n"]) -> Scene:

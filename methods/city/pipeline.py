@@ -226,7 +226,7 @@ def _partition(
         training = Training(
             iterations=settings.iterations, even=settings.even, auxiliary=settings.auxiliary,
             surrounding=settings.surrounding,
-            thickness=1.0 if model else grown / max(points, 1),
+            thickness=1.0 if model else max(1.0, grown / max(points, 1)),
         )  # fmt: skip
         found.append(
             cut(

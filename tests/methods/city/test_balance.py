@@ -10,14 +10,15 @@ from splatproof.base.errors import UsageError
 from splatproof.methods.city import balance
 from splatproof.methods.city.balance import STEP_COST, Training, cut, expected_works
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_work import start_of
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.ground import ground
-from splatproof.methods.city.jobs import block_jobs, start_of
+from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.initialise import from_points
-from splatproof.reference.partition.block_time import block_seconds
+from splatproof.reference.partition.block_time import block_seconds, pairs_a_view
 from splatproof.reference.types.scene import Scene
 
 TRAINING = Training(iterations=400, even="visits", thickness=20.0)
@@ -103,6 +104,18 @@ def test_works_are_those_of_the_jobs(tmp_path):
         works = expected_works(ground(scene), found, training, 0.05)
         assert works == tuple(job.facts.work for job in jobs)
         assert all(one.pairs >= 1 and one.pixels > 0 for one in works)
+
+
+def test_a_blocks_pairs_are_of_what_it_holds_in_its_own_views():
+    scene = small_scene(120)
+    found = partition(scene, 2, BY_LOAD)
+    training = replace(TRAINING, thickness=1.0)
+    start = start_of(scene, None)
+    for block, work in enumerate(expected_works(ground(scene), found, training, 0.05)):
+        own = found.points[block]
+        cameras = [scene.views[i].camera for i in found.views[block].nonzero()[:, 0].tolist()]
+        assert work.pairs == pairs_a_view(cameras, start.means[own], start.sizes[own])
+        assert work.gaussians == int(own.sum()) < len(scene.points)
 
 
 def test_gaussians_in_place_of_a_point_are_more_and_smaller():
