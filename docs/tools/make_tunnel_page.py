@@ -24,6 +24,8 @@ The scene is `tunnel`: a rock tunnel that a rig of six cameras drives through, l
 stop of eight is held out with all its cameras. Protocols `tunnel`, `tunnel_half` and `tunnel_oracle` are one training,
 shown in the light of the nearest training view, in one fitted to the left half of each photo (the right half is
 scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` shows views under lamps that stand elsewhere.
+`tunnel/second` and `tunnel/third` are drives through other rock past other things: DLG-GS's claims on Scaffold-GS are judged by the mean
+of the three tunnels, as its tables are.
 
 - `3dgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
   networks must beat.
@@ -55,28 +57,37 @@ scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` 
     ),
 )  # fmt: skip
 
-RELIT = (
-    "scaffold-gs/tunnel_relit", "dlg-gs~depth-oracle+noise/tunnel_relit", "scaffold-gs@affine/tunnel_relit_half",
-    "dlg-gs~depth-oracle+noise/tunnel_relit_half",
-)  # fmt: skip
-"""Rows and protocols of the picture of views under other lamps, below the photos."""
+DLG = "dlg-gs~depth-oracle+noise"
+LINES = {
+    "relit": (
+        "scaffold-gs/tunnel_relit/seed0/renders", f"{DLG}/tunnel_relit/seed0/renders",
+        "scaffold-gs@affine/tunnel_relit_half/seed0/renders", f"{DLG}/tunnel_relit_half/seed0/renders",
+    ),
+    "second": tuple(
+        f"second/{row}/tunnel/seed0/{kind}" for row in ("scaffold-gs", DLG) for kind in ("renders", "errors")
+    ),
+}  # fmt: skip
+"""Pictures: the lines of each, below the photos."""
 MOST = 5
-"""Views of that picture."""
+"""Views of such a picture."""
 
 
-def draw_relit(runs: Path) -> None:
-    """Write docs/images/tunnel/relit.jpg, where the runs have all of it: photos, then a line of renders each.
+def draw_lines(runs: Path, name: str) -> None:
+    """Write docs/images/tunnel/NAME.jpg, where the runs have all of it: photos, then what LINES says.
 
     Args:
         runs: Folder that `bench run tunnel --out` was given.
+        name: Key of LINES.
     """
-    cases = [runs / "tunnel" / "tunnel" / row / "seed0" for row in RELIT]
-    if not all((case / "renders").is_dir() for case in cases):
+    folders = [runs / "tunnel" / "tunnel" / line for line in LINES[name]]
+    if not all(folder.is_dir() for folder in folders):
         return
-    names = sorted(path.name for path in (cases[0] / "renders").iterdir())[:MOST]
-    folders = [cases[0] / "truth", *(case / "renders" for case in cases)]
-    lines = [np.hstack([_read(folder / name) for name in names]) for folder in folders]
-    path = DOCS / "images" / "tunnel" / "relit.jpg"
+    views = sorted(path.name for path in folders[0].iterdir())[:MOST]
+    lines = [
+        np.hstack([_read(folder / view) for view in views])
+        for folder in (folders[0].parent / "truth", *folders)
+    ]
+    path = DOCS / "images" / "tunnel" / f"{name}.jpg"
     cv2.imwrite(str(path), np.vstack(lines), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
 
 
@@ -89,4 +100,5 @@ def _read(path: Path) -> Image:
 if __name__ == "__main__":
     main(TUNNEL)
     if len(sys.argv) > 1:
-        draw_relit(Path(sys.argv[1]))
+        for picture in LINES:
+            draw_lines(Path(sys.argv[1]), picture)
