@@ -25,7 +25,7 @@ from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
 STEP_COST = StepCost(pixel=1.4e-7, gaussian=1.0e-7, pair=2.7e-7)
-"""Of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
+"""Measured of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
 change a cut, which therefore is the same on every machine."""
 ROUNDS = 12
 """Cuts that are tried; the one whose slowest block is fastest stays."""

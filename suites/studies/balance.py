@@ -136,7 +136,7 @@ def interval(seconds: Float[np.ndarray, "t k"]) -> tuple[float, float]:
     what is noise of one turn is no spread.
 
     Args:
-        seconds: By turn and block.
+        seconds: A row a turn, a column a block.
     """
     generator = np.random.default_rng(0)
     drawn = seconds[generator.integers(0, len(seconds), (DRAWS, len(seconds)))].mean(axis=1)
