@@ -4,7 +4,8 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from splatproof.methods.city.block_work import block_work, start_of
+from splatproof.datasets.progress import bar
+from splatproof.methods.city.block_work import STEP_COST, Start, block_work, start_of
 from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.jobs import Even, block_steps, point_roles, trained_on
@@ -17,16 +18,12 @@ from splatproof.methods.city.partition import (
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding
 from splatproof.reference.partition.block_time import (
     BlockWork,
-    StepCost,
     block_seconds,
     reweighted,
 )
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
-STEP_COST = StepCost(pixel=1.4e-7, gaussian=1.0e-7, pair=2.7e-7)
-"""Measured of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
-change a cut, which therefore is the same on every machine."""
 ROUNDS = 12
 """Cuts that are tried; the one whose slowest block is fastest stays."""
 FINE = 64
@@ -79,15 +76,17 @@ def cut(
     """
     if settings.balance == "load" or blocks == 1:
         return partition(scene, blocks, settings, backend=backend, coarse=coarse)
-    place = ground(scene, settings.voxel_size)
+    place, start = ground(scene, settings.voxel_size), start_of(scene, coarse)
     weights, tried = place.loads.double(), list[tuple[float, Partition]]()
-    for _ in range(ROUNDS):
-        weighed = replace(place, loads=(FINE * weights).round().long())
-        found = odbp_blocks(weighed, blocks, "odbp", settings=settings)
-        works = expected_works(place, found, training, settings.margin, coarse)
-        seconds = torch.tensor([block_seconds(one, STEP_COST) for one in works]).double()
-        tried.append((float(seconds.max()), found))
-        weights = reweighted(weights, found.labels, seconds)
+    with bar(f"cutting {blocks} blocks by their times") as report:
+        for done in range(ROUNDS):
+            weighed = replace(place, loads=(FINE * weights).round().long())
+            found = odbp_blocks(weighed, blocks, "odbp", settings=settings)
+            works = expected_works(place, found, training, settings.margin, start)
+            seconds = torch.tensor([block_seconds(one, STEP_COST) for one in works]).double()
+            tried.append((float(seconds.max()), found))
+            weights = reweighted(weights, found.labels, seconds)
+            report(done + 1, ROUNDS)
     return min(tried, key=lambda one: one[0])[1]
 
 
@@ -96,7 +95,7 @@ def expected_works(
     found: Partition,
     training: Training,
     margin: float,
-    coarse: Gaussians | None = None,
+    start: Start,
 ) -> tuple[BlockWork, ...]:
     """What the training of each block will work on.
 
@@ -105,22 +104,19 @@ def expected_works(
         found: Its partition.
         training: What follows the cut.
         margin: What a block's region is widened by where it takes its own from a coarse model.
-        coarse: The coarse model that blocks start from; None: they start from points.
+        start: What all blocks start from.
     """
     blocks = range(len(found.views))
     views = [trained_on(place, found, block)[0] for block in blocks]
     steps = block_steps(training.iterations, [int(one.sum()) for one in views], training.even)
-    start = start_of(place.scene, coarse)
-    if coarse is None:
-        roles = [
+    if start.coarse:
+        roles = coarse_roles(start.means, place.scene, found, views, training.auxiliary, margin)
+    else:
+        roles = tuple(
             point_roles(place, found, block, views[block], auxiliary=training.auxiliary,
                         surrounding=training.surrounding)
             for block in blocks
-        ]  # fmt: skip
-    else:
-        roles = list(
-            coarse_roles(start.means, place.scene, found, views, training.auxiliary, margin)
-        )
+        )  # fmt: skip
     return tuple(
         block_work(
             place.scene, views[block], start, roles[block] != LEFT_OUT, steps=steps[block],

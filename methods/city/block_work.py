@@ -7,9 +7,13 @@ from jaxtyping import Bool, Float64
 from torch import Tensor
 
 from splatproof.methods.training.initialise import neighbour_distance
-from splatproof.reference.partition.block_time import BlockWork, pairs_a_view
+from splatproof.reference.partition.block_time import BlockWork, StepCost, pairs_a_view
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
+
+STEP_COST = StepCost(pixel=1.4e-7, gaussian=1.0e-7, pair=2.7e-7)
+"""Measured of the native kernels; `bench study balance` fits it to a machine's own times. Only the ratios of its numbers
+change a cut, which therefore is the same on every machine."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,6 +24,8 @@ class Start:
     """Middles of the Gaussians in scene units: those of a coarse model, or the sparse points."""
     sizes: Float64[Tensor, " n"]
     """Largest standard deviation of each, in scene units."""
+    coarse: bool
+    """Whether it is a coarse model; else there is one a sparse point."""
 
 
 def start_of(scene: Scene, coarse: Gaussians | None) -> Start:
@@ -30,11 +36,10 @@ def start_of(scene: Scene, coarse: Gaussians | None) -> Start:
         coarse: The coarse model; None: there is none.
     """
     if coarse is not None:
-        return Start(
-            means=coarse.means.double(), sizes=coarse.log_scales.double().amax(dim=1).exp()
-        )
+        sizes = coarse.log_scales.double().amax(dim=1).exp()
+        return Start(means=coarse.means.double(), sizes=sizes, coarse=True)
     positions = scene.points.positions.double()
-    return Start(means=positions, sizes=neighbour_distance(positions, 1.0))
+    return Start(means=positions, sizes=neighbour_distance(positions, 1.0), coarse=False)
 
 
 def block_work(

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.locks import locked
 from splatproof.base.processes import Worker, listening
-from splatproof.methods.city.balance import STEP_COST
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_work import STEP_COST
 from splatproof.methods.city.train_block import BlockJob, train_block, trained
 from splatproof.methods.training.threads import threads as torch_threads
 from splatproof.reference.partition.block_time import block_seconds

@@ -229,15 +229,9 @@ def _partition(
             thickness=1.0 if model else max(1.0, grown / max(points, 1)),
         )  # fmt: skip
         found.append(
-            cut(
-                scene,
-                settings.blocks,
-                settings.partition,
-                training,
-                backend=run.backend,
-                coarse=model,
-            )
-        )
+            cut(scene, settings.blocks, settings.partition, training, backend=run.backend,
+                coarse=model)
+        )  # fmt: skip
         return {"note": found[0].note}
 
     stages.run("partition", work)

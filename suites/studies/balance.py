@@ -18,8 +18,9 @@ from scipy.spatial import KDTree
 
 from splatproof.base.errors import MissingError
 from splatproof.datasets.catalogue.opening import open_scene
-from splatproof.methods.city.balance import STEP_COST, Training, cut, expected_works
+from splatproof.methods.city.balance import Training, cut, expected_works
 from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_work import STEP_COST, start_of
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import Partition, PartitionSettings
@@ -113,7 +114,7 @@ def measured(
     began = time.process_time()
     found = cut(scene, blocks, PARTITIONS[partition], training)
     cut_seconds = time.process_time() - began
-    works = expected_works(ground(scene), found, training, WIDE)
+    works = expected_works(ground(scene), found, training, WIDE, start_of(scene, None))
     predicted = np.array([block_seconds(one, STEP_COST) for one in works])
     jobs = dense_jobs(scene, found, copies)
     timed = timed_blocks(jobs, turns)

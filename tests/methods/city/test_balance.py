@@ -8,9 +8,9 @@ import torch
 from helpers.city_scene import small_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.city import balance
-from splatproof.methods.city.balance import STEP_COST, Training, cut, expected_works
+from splatproof.methods.city.balance import Training, cut, expected_works
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.block_work import start_of
+from splatproof.methods.city.block_work import STEP_COST, start_of
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.jobs import block_jobs
@@ -41,7 +41,7 @@ def crowded() -> Scene:
 
 
 def seconds(scene: Scene, found, training: Training = TRAINING) -> torch.Tensor:
-    works = expected_works(ground(scene), found, training, BY_TIME.margin)
+    works = expected_works(ground(scene), found, training, BY_TIME.margin, start_of(scene, None))
     return torch.tensor([block_seconds(one, STEP_COST) for one in works])
 
 
@@ -101,7 +101,7 @@ def test_works_are_those_of_the_jobs(tmp_path):
         jobs = block_jobs(
             scene, found, settings, Run(seed=0), tmp_path, even="visits", auxiliary=auxiliary,
         )  # fmt: skip
-        works = expected_works(ground(scene), found, training, 0.05)
+        works = expected_works(ground(scene), found, training, 0.05, start_of(scene, None))
         assert works == tuple(job.facts.work for job in jobs)
         assert all(one.pairs >= 1 and one.pixels > 0 for one in works)
 
@@ -111,7 +111,9 @@ def test_a_blocks_pairs_are_of_what_it_holds_in_its_own_views():
     found = partition(scene, 2, BY_LOAD)
     training = replace(TRAINING, thickness=1.0)
     start = start_of(scene, None)
-    for block, work in enumerate(expected_works(ground(scene), found, training, 0.05)):
+    for block, work in enumerate(
+        expected_works(ground(scene), found, training, 0.05, start_of(scene, None))
+    ):
         own = found.points[block]
         cameras = [scene.views[i].camera for i in found.views[block].nonzero()[:, 0].tolist()]
         assert work.pairs == pairs_a_view(cameras, start.means[own], start.sizes[own])
@@ -122,7 +124,9 @@ def test_gaussians_in_place_of_a_point_are_more_and_smaller():
     scene = small_scene(120)
     found = partition(scene, 2, BY_LOAD)
     one, many = (
-        expected_works(ground(scene), found, replace(TRAINING, thickness=t), 0.05)
+        expected_works(
+            ground(scene), found, replace(TRAINING, thickness=t), 0.05, start_of(scene, None)
+        )
         for t in (1.0, 100.0)
     )
     for before, after in zip(one, many, strict=True):
@@ -140,12 +144,13 @@ def test_with_a_coarse_model_its_gaussians_count():
     found = partition(scene, 2, BY_LOAD)
     training = replace(TRAINING, thickness=1.0, auxiliary="context")
     thin, thick = (
-        expected_works(ground(scene), found, training, 0.05, model) for model in (coarse, wide)
+        expected_works(ground(scene), found, training, 0.05, start_of(scene, model))
+        for model in (coarse, wide)
     )
     for narrow, broad in zip(thin, thick, strict=True):
         assert narrow.gaussians == broad.gaussians
         assert narrow.pairs < broad.pairs
-    whole = expected_works(ground(scene), found, replace(training, auxiliary="none"), 0.05, coarse)
+    whole = expected_works(ground(scene), found, replace(training, auxiliary="none"), 0.05, start)
     assert [one.gaussians for one in whole] == [len(coarse)] * 2
     assert len(cut(scene, 2, BY_TIME, training, coarse=coarse).views) == 2
 

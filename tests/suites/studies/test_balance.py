@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from helpers.city_scene import small_scene
-from splatproof.methods.city.balance import STEP_COST
+from splatproof.methods.city.block_work import STEP_COST
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.reference.partition.block_time import BlockWork, block_seconds
 from splatproof.suites.studies import balance
