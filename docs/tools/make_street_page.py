@@ -5,7 +5,11 @@ docs/images/street/ and the page, with docs/street_findings.md in it, which is w
 RUNS the page is made again from the committed files.
 """
 
-from comparison_files import Comparison, main
+import sys
+from pathlib import Path
+
+from comparison_files import DOCS, Comparison, main
+from picture_lines import draw_lines
 from printed_tables import Line, Printed
 
 NOVEL = "image reconstruction"
@@ -17,6 +21,9 @@ STREET = Comparison(
     intro="""\
 The scene is `street`: a made drive of 12 moments with three cameras, four moving cars and seven people, and a
 LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what truly moves and over the rest.
+
+`street/second` and `street/third` are drives past other houses, cars and people: pvg against 3dgs and hdgs against pvg are judged by the
+mean of the three.
 
 - `3dgs` and `scaffold-gs` know no time: what motion costs. They have no sky and no LiDAR either.
 - `pvg`: Gaussians that swing and fade; `@no-lidar`, `@no-sky` without what they name.
@@ -60,5 +67,17 @@ LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what tru
     ),
 )  # fmt: skip
 
+SHOWN = tuple(
+    f"{row}/street/seed0/{kind}" for row in ("pvg", "hdgs") for kind in ("renders", "errors")
+)
+"""Lines of a picture of another drive, below the photos."""
+
 if __name__ == "__main__":
     main(STREET)
+    if len(sys.argv) > 1:
+        for name in ("second", "third"):
+            draw_lines(
+                DOCS / "images" / "street" / f"{name}.jpg",
+                Path(sys.argv[1]) / "street" / "street" / name,
+                SHOWN,
+            )

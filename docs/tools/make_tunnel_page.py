@@ -8,11 +8,9 @@ RUNS the page is made again from the committed files.
 import sys
 from pathlib import Path
 
-import cv2
-import numpy as np
 from comparison_files import DOCS, Comparison, main
+from picture_lines import draw_lines
 from printed_tables import Line, Printed
-from strips import QUALITY, Image
 
 TUNNEL = Comparison(
     suite="tunnel",
@@ -68,37 +66,10 @@ LINES = {
     ),
 }  # fmt: skip
 """Pictures: the lines of each, below the photos."""
-MOST = 5
-"""Views of such a picture."""
-
-
-def draw_lines(runs: Path, name: str) -> None:
-    """Write docs/images/tunnel/NAME.jpg, where the runs have all of it: photos, then what LINES says.
-
-    Args:
-        runs: Folder that `bench run tunnel --out` was given.
-        name: Key of LINES.
-    """
-    folders = [runs / "tunnel" / "tunnel" / line for line in LINES[name]]
-    if not all(folder.is_dir() for folder in folders):
-        return
-    views = sorted(path.name for path in folders[0].iterdir())[:MOST]
-    lines = [
-        np.hstack([_read(folder / view) for view in views])
-        for folder in (folders[0].parent / "truth", *folders)
-    ]
-    path = DOCS / "images" / "tunnel" / f"{name}.jpg"
-    cv2.imwrite(str(path), np.vstack(lines), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-
-
-def _read(path: Path) -> Image:
-    image = cv2.imread(str(path))
-    assert image is not None, path
-    return np.asarray(image, dtype=np.uint8)
-
 
 if __name__ == "__main__":
     main(TUNNEL)
     if len(sys.argv) > 1:
-        for picture in LINES:
-            draw_lines(Path(sys.argv[1]), picture)
+        tunnel = Path(sys.argv[1]) / "tunnel" / "tunnel"
+        for name, lines in LINES.items():
+            draw_lines(DOCS / "images" / "tunnel" / f"{name}.jpg", tunnel, lines)
