@@ -2,7 +2,8 @@
 
 import os
 import pickle
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from splatproof.base.errors import MissingError, SplatproofError
@@ -26,7 +27,8 @@ def run_on_ray(
     """Train each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
 
     One that is started here listens to this machine alone. A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
-    must lie where all machines read and write it. A task asks for its share of the threads as CPUs.
+    must lie where all machines read and write it. A machine that is silent for long enough that the cluster calls it dead
+    counts as dead, though it may train on: who trains a block holds its lock. A task asks for its share of the threads as CPUs.
 
     Args:
         jobs: One a block; what they hold must survive the way to another machine.
@@ -45,10 +47,14 @@ def run_on_ray(
     if started:
         ray.init(address=named or "local", include_dashboard=False,
                  log_to_driver=False, configure_logging=False)  # fmt: skip
-    reports = ray.remote(num_cpus=0)(Reports).remote()
+    here = ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(
+        ray.get_runtime_context().get_node_id(), soft=False
+    )  # with another machine the reports would be lost, and the run with them
+    reports = ray.remote(num_cpus=0, scheduling_strategy=here)(Reports).remote()
     train = ray.remote(num_cpus=each, max_retries=RETRIES)(train_remotely)
     waiting, running = list(range(len(jobs)))[::-1], dict[Any, int]()
     found: dict[int, BlockFacts] = {}
+    lost, places = Counter[int](), dict[int, str]()
     try:
         while waiting or running:
             while waiting and len(running) < workers:
@@ -56,11 +62,21 @@ def run_on_ray(
                 packed = ray.cloudpickle.dumps((Brought(), jobs[index]))
                 running[train.remote(packed, index, each, reports)] = index
             ready, _ = ray.wait(list(running), timeout=POLL_SECONDS)
-            for at in ray.get(reports.drain.remote()):
+            begun, told = ray.get(reports.drain.remote())
+            places |= begun
+            for at in told:
                 report(*at)
             for one in ready:
                 index = running.pop(one)
                 found[index] = _facts(ray, one, jobs[index])
+            for one in _stranded(ray, running, places):
+                index = running.pop(one)
+                ray.cancel(one, force=True)  # or the cluster would try it again, minutes later
+                lost[index] += 1
+                if lost[index] > RETRIES:
+                    raise _lost(jobs[index], f"its machine died {lost[index]} times")
+                del places[index]
+                waiting.append(index)
     finally:
         for one in running:
             ray.cancel(one, force=True)
@@ -70,12 +86,26 @@ def run_on_ray(
     return [found[index] for index in range(len(jobs))]
 
 
+Progress = tuple[int, int, int, dict[str, float]]
+"""Number of the job, steps that are done, steps in all, and values."""
+
+
 class Reports:
     """An actor that keeps what workers report until the driver asks."""
 
     def __init__(self) -> None:
         """Nothing was reported yet."""
-        self.waiting: list[tuple[int, int, int, dict[str, float]]] = []
+        self.waiting: list[Progress] = []
+        self.begun: dict[int, str] = {}
+
+    def begin(self, index: int, machine: str) -> None:
+        """Keep where a job is trained from now on.
+
+        Args:
+            index: Number of the job among those that are run.
+            machine: Ray's name of the machine.
+        """
+        self.begun[index] = machine
 
     def put(self, index: int, step: int, total: int, values: dict[str, float]) -> None:
         """Keep a worker's report.
@@ -88,9 +118,10 @@ class Reports:
         """
         self.waiting.append((index, step, total, values))
 
-    def drain(self) -> list[tuple[int, int, int, dict[str, float]]]:
-        """What was reported since the last call."""
-        out, self.waiting = self.waiting, []
+    def drain(self) -> tuple[dict[int, str], list[Progress]]:
+        """What was reported since the last call: machines of jobs that were begun, and progress."""
+        out = self.begun, self.waiting
+        self.begun, self.waiting = {}, []
         return out
 
 
@@ -103,25 +134,39 @@ def train_remotely(packed: bytes, index: int, threads: int, reports: Any) -> Blo
         threads: Torch's threads for it.
         reports: Handle of the actor that keeps the reports (Reports).
     """
+    import ray
+
     _, job = pickle.loads(packed)
+    reports.begin.remote(index, ray.get_runtime_context().get_node_id())
     with torch_threads(threads), alone(job):
         return train_block(job, lambda *at: reports.put.remote(index, *at))
 
 
 def _facts(ray: Any, one: Any, job: BlockJob) -> BlockFacts:
-    where = f"block {job.facts.block}"
     try:
         return ray.get(one)
     except ray.exceptions.RayTaskError as error:
         if isinstance(error.cause, SplatproofError):
-            raise type(error.cause)(f"{where}: {error.cause}") from None
+            raise type(error.cause)(f"block {job.facts.block}: {error.cause}") from None
         raise
     except ray.exceptions.RayError as error:
         line = " ".join(str(error).split())[:200]
-        raise SplatproofError(
-            f"{where}: lost on the cluster ({type(error).__name__}: {line}); the same command "
-            "continues from its checkpoint"
-        ) from None
+        raise _lost(job, f"{type(error).__name__}: {line}") from None
+
+
+def _stranded(ray: Any, running: Mapping[Any, int], places: Mapping[int, str]) -> list[Any]:
+    """Tasks on machines that the cluster calls dead.
+
+    The cluster itself notices a task's silence minutes later: until then its connection counts as open.
+    """
+    dead = {node["NodeID"] for node in ray.nodes() if not node["Alive"]}
+    return [one for one, index in running.items() if places.get(index) in dead]
+
+
+def _lost(job: BlockJob, why: str) -> SplatproofError:
+    return SplatproofError(
+        f"block {job.facts.block}: lost on the cluster ({why}); the same command continues from its checkpoint"
+    )
 
 
 def _ray(*, alone: bool) -> Any:
@@ -136,6 +181,7 @@ def _ray(*, alone: bool) -> Any:
     try:
         import ray
         import ray.exceptions
+        import ray.util.scheduling_strategies
     except ImportError:
         raise MissingError(
             "the engine 'ray' needs the package ray; run `pip install splatproof[distributed]`"

@@ -5,6 +5,7 @@ import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -136,3 +137,11 @@ def test_without_the_package_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingError, match=r"pip install splatproof\[distributed\]"):
         ray_executor.run_on_ray(jobs(tmp_path), 1, 1, nothing)
+
+
+def test_blocks_on_dead_machines_are_known_and_those_that_have_not_begun_are_not():
+    ray = SimpleNamespace(
+        nodes=lambda: [{"NodeID": "near", "Alive": True}, {"NodeID": "far", "Alive": False}]
+    )
+    running = {"first": 0, "second": 1, "waiting": 2}
+    assert ray_executor._stranded(ray, running, {0: "near", 1: "far"}) == ["second"]
