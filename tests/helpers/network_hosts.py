@@ -101,18 +101,8 @@ def hosts(count: int) -> Iterator[list[Host]]:
         _ip("link", "set", bridge, "up")
         for host in made:
             _ip("netns", "add", host.name)
-            _ip(
-                "link",
-                "add",
-                host.cable,
-                "type",
-                "veth",
-                "peer",
-                "name",
-                "eth0",
-                "netns",
-                host.name,
-            )
+            far = ("peer", "name", "eth0", "netns", host.name)
+            _ip("link", "add", host.cable, "type", "veth", *far)
             _ip("link", "set", host.cable, "master", bridge, "up")
             _ip("-n", host.name, "address", "add", f"{host.address}/24", "dev", "eth0")
             for device in ("lo", "eth0"):
