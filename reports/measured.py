@@ -50,7 +50,7 @@ class Measured:
     blocks how often the block was densified that was so least. -1: not known."""
     late_gain: float = 0.0
     """What the end of the run still gained in training: 20 log10 of the mean loss of the fifth before
-    the last over that of the last, dB. Infinite where the curve is too short to say."""
+    the last over that of the last, dB. Infinite where the curve is too short to say; 0 of a failed case."""
     counters: dict[str, int] = field(default_factory=dict)
     """Work that was done by name, see Result; exact, and compared only where code ran at the same SIMD
     level."""
@@ -95,7 +95,7 @@ def measured(result: Result) -> Measured:
         machine=", ".join(machine),
         data=data_digest(result),
         grown=_grown(result),
-        late_gain=_rounded(late_gain(result.curve)),
+        late_gain=0.0 if result.error else _rounded(late_gain(result.curve)),
         counters=dict(sorted(result.counters.items())),
         values=_finite(values),
         images={image.name: _finite(image.metrics) for image in result.images},

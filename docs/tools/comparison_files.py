@@ -100,7 +100,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     judged = {claim.metric for claim in load_claims(name, numbers())}
     new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
     rows, kept = joined(new, committed(docs / f"{name}.json"), load_suite(name).cases)
-    text = "[\n" + ",\n".join(json.dumps(row) for row in rows) + "\n]\n"
+    text = "[\n" + ",\n".join(json.dumps(row, allow_nan=False) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
         (case, folder, result) for case, folder, result in found

@@ -99,6 +99,11 @@ def test_the_difference_from_photos_counts_alone_where_it_is_known():
     assert loss_points(both) == loss_points(curve([1.0] * 8 + [0.5] * 2))
 
 
+def test_a_failed_case_is_plain_json():
+    failed = dataclasses.replace(result_of(), error="no point is seen", curve=(), metrics={})
+    assert json.dumps(dataclasses.asdict(measured(failed)), allow_nan=False)
+
+
 @given(st.lists(st.floats(0.01, 1), min_size=10, max_size=40), st.floats(0.1, 10))
 def test_the_late_gain_has_no_unit(losses: list[float], factor: float):
     scaled = [factor * x for x in losses]
