@@ -26,9 +26,10 @@ def run_on_ray(
 ) -> list[BlockFacts]:
     """Train each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
 
-    One that is started here listens to this machine alone. A block whose worker or machine dies goes on at another from its checkpoint, so the run's folder
-    must lie where all machines read and write it. A machine that is silent for long enough that the cluster calls it dead
-    counts as dead, though it may train on: who trains a block holds its lock. A task asks for its share of the threads as CPUs.
+    One that is started here listens to this machine alone. A block whose worker or machine dies goes
+    on at another from its checkpoint, so the run's folder must lie where all machines read and write
+    it. A machine that falls silent counts as dead as soon as the cluster calls it so; it may train on
+    unheard, for who trains a block holds its lock. A task asks for its share of the threads as CPUs.
 
     Args:
         jobs: One a block; what they hold must survive the way to another machine.
