@@ -21,7 +21,7 @@ docs: $(VENV)/.installed-docs
 # a worker a core; a file's tests share what its fixtures made, so they stay on one worker; the longest files come
 # first (tests/conftest.py), not those with most tests
 test: setup-dev
-	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 5
 
 # budgets of time and memory are measured alone; planted faults share nothing
 test-slow: setup-dev

@@ -34,7 +34,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 LONGEST = (
     "suites/test_reduced_suites.py",
+    "suites/test_reduced_unseen.py",
     "suites/test_reduced_street.py",
+    "suites/test_reduced_sparse.py",
     "suites/test_reduced_tunnel.py",
     "torture/test_torture.py",
     "fuzz/test_inputs.py",
