@@ -81,6 +81,7 @@ def measured(result: Result) -> Measured:
         "train_seconds": result.training_seconds,
         "cpu_seconds": result.cpu_seconds,
         "peak_memory_mb": result.peak_memory_mb,
+        "points": begun_with(result.curve),
     }
     machine = (f"{k} {result.environment[k]}" for k in ("cores", "simd", "backend")
                if k in result.environment)  # fmt: skip
@@ -129,6 +130,11 @@ def times_grown(curve: Curve) -> int:
     """How often the number of primitives went up from one point of a curve to the next."""
     counts = [values[COUNT] for _, values in curve if COUNT in values]
     return sum(after > before for before, after in itertools.pairwise(counts))
+
+
+def begun_with(curve: Curve) -> float:
+    """Number of primitives at the first point of a curve, before density control: nan where it has none."""
+    return next((values[COUNT] for _, values in curve if COUNT in values), math.nan)
 
 
 def loss_points(curve: Curve) -> list[tuple[int, float]]:

@@ -81,6 +81,11 @@ def test_growth_is_counted_and_pruning_is_not():
     assert times_grown([(10, {"loss": 1.0})]) == times_grown([]) == 0
 
 
+def test_a_model_begins_with_what_its_curve_begins_with():
+    assert measured(result_of(curve=tuple(curve([1.0] * 3, [5.0, 9.0, 4.0])))).values["points"] == 5
+    assert "points" not in measured(result_of(curve=((10, {"loss": 1.0}),))).values
+
+
 def test_the_late_gain_is_of_the_last_fifth_over_the_one_before():
     flat = curve([9.0] * 6 + [2.0, 2.0] + [1.0, 1.0])  # steps 70 and 80 against 90 and 100
     assert late_gain(flat) == pytest.approx(20 * math.log10(2))
