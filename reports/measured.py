@@ -46,8 +46,9 @@ class Measured:
     data: str = ""
     """Hash of the split and of the pixels of all truth images: cases that differ in it are not compared."""
     grown: int = 0
-    """How often the number of primitives went up between two points of the curve; of a scene trained in
-    blocks how often the block was densified that was so least. -1: not known."""
+    """How often the number of primitives went up between two points of the curve, 1 where some were added
+    and the number never went up; of a scene trained in blocks how often the block was densified that was so
+    least. -1: not known."""
     late_gain: float = 0.0
     """What the end of the run still gained in training: 20 log10 of the mean loss of the fifth before
     the last over that of the last, dB. Infinite where the curve is too short to say; 0 of a failed case."""
@@ -175,7 +176,11 @@ def _grown(result: Result) -> int:
     if "block_densifications" in result.metrics:
         return int(result.metrics["block_densifications"])
     # the count of a scene in blocks is the sum of those begun, and goes up with each
-    return max(0, times_grown(result.curve) - int(str(result.settings.get("blocks", 0))))
+    blocks = int(str(result.settings.get("blocks", 0)))
+    grown = max(0, times_grown(result.curve) - blocks)
+    # a densification that removes more than it adds lowers the count
+    hidden = not blocks and result.counters.get("rows_added", 0) > 0
+    return max(grown, int(hidden))
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

@@ -115,6 +115,14 @@ def test_the_late_gain_has_no_unit(losses: list[float], factor: float):
     assert late_gain(curve(scaled)) == pytest.approx(late_gain(curve(losses)), abs=1e-9)
 
 
+def test_growth_that_removal_hides_is_growth():
+    fallen = tuple(curve([1.0] * 3, [9.0, 7.0, 6.0]))
+    assert measured(result_of(curve=fallen, counters={"rows_added": 2})).grown == 1
+    assert measured(result_of(curve=fallen, counters={"rows_added": 0})).grown == 0
+    blocks = {"iterations": 5, "blocks": 2}  # there the coarse model's rows count, which is none of the blocks
+    assert measured(result_of(curve=fallen, counters={"rows_added": 2}, settings=blocks)).grown == 0
+
+
 def test_a_block_that_begins_is_no_growth():
     """The count of a scene in blocks is their sum: it goes up by a whole block when one begins."""
     counts = [100.0, 100.0, 250.0, 250.0]  # two blocks that never grow, one after the other
