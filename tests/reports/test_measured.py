@@ -119,7 +119,10 @@ def test_growth_that_removal_hides_is_growth():
     fallen = tuple(curve([1.0] * 3, [9.0, 7.0, 6.0]))
     assert measured(result_of(curve=fallen, counters={"rows_added": 2})).grown == 1
     assert measured(result_of(curve=fallen, counters={"rows_added": 0})).grown == 0
-    blocks = {"iterations": 5, "blocks": 2}  # there the coarse model's rows count, which is none of the blocks
+    blocks = {
+        "iterations": 5,
+        "blocks": 2,
+    }  # there the coarse model's rows count, which is none of the blocks
     assert measured(result_of(curve=fallen, counters={"rows_added": 2}, settings=blocks)).grown == 0
 
 

@@ -8,7 +8,9 @@ from splatproof.suites.suite_files import load_suite
 
 def test_unseen_runs_every_row(tmp_path, capsys, monkeypatch):
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    rows = rows_of(["run", "unseen", "--quick", "--engine", "inline", "--out", str(tmp_path)], capsys)
+    rows = rows_of(
+        ["run", "unseen", "--quick", "--engine", "inline", "--out", str(tmp_path)], capsys
+    )
     assert len(rows) == len(load_suite("unseen-quick").cases)
     assert all(row["psnr"] > 9 for row in rows)
     (own,) = [row for row in rows if row["variant"] == "own"]
