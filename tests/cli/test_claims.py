@@ -165,12 +165,12 @@ def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
 
 
 def test_the_reduced_form_runs_reduced_suites_and_checks_once(tmp_path: Path):
-    known = claim_sources.known(["tunnel", "pose_noise", "city"])
+    known = claim_sources.known(["tunnel", "minute", "city"])
     check = CheckClaim(text="t", check="same_seed", better="lower", bar=0.0)
-    reduced = claim_sources.in_quick_form([claim(), claim(suite="pose_noise")], known.suites)
+    reduced = claim_sources.in_quick_form([claim(), claim(suite="minute")], known.suites)
     work = claim_running.work_for(reduced, [check], known, tmp_path, quick=True)
     assert [suite.name for suite in work.suites] == ["tunnel-quick"]
-    assert work.notes == ("suite pose_noise has no reduced form",)
+    assert work.notes == ("suite minute has no reduced form",)
     assert work.checks == ("same_seed",)
     done = Checked(check="same_seed", values=(0.0,), unit="", compared="", reduced=True)
     write_checked(tmp_path / CHECKS_NAME, {"same_seed": done})
