@@ -82,7 +82,7 @@ def measured(result: Result) -> Measured:
         "train_seconds": result.training_seconds,
         "cpu_seconds": result.cpu_seconds,
         "peak_memory_mb": result.peak_memory_mb,
-        "points": begun_with(result.curve),
+        "points": math.nan if _blocks(result) else begun_with(result.curve),
     }
     machine = (f"{k} {result.environment[k]}" for k in ("cores", "simd", "backend")
                if k in result.environment)  # fmt: skip
@@ -134,7 +134,8 @@ def times_grown(curve: Curve) -> int:
 
 
 def begun_with(curve: Curve) -> float:
-    """Number of primitives at the first point of a curve, before density control: nan where it has none."""
+    """Number of primitives at the first point of a curve, which comes before the first densification of all
+    but the shortest runs; nan where no point says it."""
     return next((values[COUNT] for _, values in curve if COUNT in values), math.nan)
 
 
@@ -175,12 +176,16 @@ def _grown(result: Result) -> int:
     """How often the model grew; of blocks, which may have been trained for another row, that grown least."""
     if "block_densifications" in result.metrics:
         return int(result.metrics["block_densifications"])
-    # the count of a scene in blocks is the sum of those begun, and goes up with each
-    blocks = int(str(result.settings.get("blocks", 0)))
-    grown = max(0, times_grown(result.curve) - blocks)
+    grown, blocks = times_grown(result.curve), _blocks(result)
+    if blocks:  # the count is the sum of those begun, and goes up with each
+        return max(0, grown - blocks)
     # a densification that removes more than it adds lowers the count
-    hidden = not blocks and result.counters.get("rows_added", 0) > 0
-    return max(grown, int(hidden))
+    return max(grown, int(result.counters.get("rows_added", 0) > 0))
+
+
+def _blocks(result: Result) -> int:
+    """How many blocks a scene was trained in; 0: in none."""
+    return int(str(result.settings.get("blocks", 0)))
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

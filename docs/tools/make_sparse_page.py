@@ -28,7 +28,10 @@ comes out, 10,000 are drawn at random.
 - `cor-gs`: two fields that prune and regularise each other.
 - `stratosplat`: depths completed photo by photo under a layered memory, virtual Gaussians on planes beside explicit ones
   (the paper's completion network knows more of the world than our edge diffusion, which the matched points make up for);
-  `@explicit` without these, `@explicit-independent` each photo by itself, `@explicit-dense` from matched points.
+  `@explicit` without these, `@explicit-independent` each photo by itself, `@explicit-dense` from matched points;
+  `@accumulate` keeps every completed depth. `@dropout` and `@regularised` are ours: a fifth of the explicit Gaussians
+  hidden at the end; half of them, and a random background.
+- `~pose-noise-L1` to `L3`: the training cameras turned by 0.5, 1 or 2 degrees and shifted by 0.1, 0.2 or 0.5 % of the extent.
 """,
     printed=(
         Printed(

@@ -84,6 +84,9 @@ def test_growth_is_counted_and_pruning_is_not():
 def test_a_model_begins_with_what_its_curve_begins_with():
     assert measured(result_of(curve=tuple(curve([1.0] * 3, [5.0, 9.0, 4.0])))).values["points"] == 5
     assert "points" not in measured(result_of(curve=((10, {"loss": 1.0}),))).values
+    blocks = {"iterations": 5, "blocks": 2}  # the first point is of one block
+    whole = result_of(curve=tuple(curve([1.0] * 2, [5.0, 9.0])), settings=blocks)
+    assert "points" not in measured(whole).values
 
 
 def test_the_late_gain_is_of_the_last_fifth_over_the_one_before():
@@ -119,10 +122,7 @@ def test_growth_that_removal_hides_is_growth():
     fallen = tuple(curve([1.0] * 3, [9.0, 7.0, 6.0]))
     assert measured(result_of(curve=fallen, counters={"rows_added": 2})).grown == 1
     assert measured(result_of(curve=fallen, counters={"rows_added": 0})).grown == 0
-    blocks = {
-        "iterations": 5,
-        "blocks": 2,
-    }  # there the coarse model's rows count, which is none of the blocks
+    blocks = {"iterations": 5, "blocks": 2}  # what the coarse model added is no block's growth
     assert measured(result_of(curve=fallen, counters={"rows_added": 2}, settings=blocks)).grown == 0
 
 
