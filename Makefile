@@ -11,7 +11,7 @@ bench: setup
 	$(BIN)/bench report
 	@echo
 	@echo 'next, with photos of your own:'
-	@echo '  $(BIN)/bench ingest PHOTOS my_scene && $(BIN)/bench fit 3dgs my_scene --out my_model'
+	@echo '  $(BIN)/bench ingest PHOTOS my_scene && $(BIN)/bench fit auto my_scene --out my_model'
 
 # the site, from docs/ and the code; any warning is an error, and nothing is fetched
 docs: $(VENV)/.installed-docs

@@ -18,7 +18,8 @@ The scenes are `courtyard`, which splatproof makes itself, and drone photos of a
 change of light. Both methods are trained for about as many processor seconds on one thread each, as the tables show;
 opacities are never reset, for runs are shorter than the pause between two resets of the release. Protocols
 `quarter_seen` and `brighton_quarter` hold out one photo of four, `quarter_seen` only of those that show what training
-photos show too: trainings of their own, with more photos to judge by.
+photos show too: trainings of their own, with more photos to judge by. `courtyard/second` and `courtyard/third` are the
+same farm with other trees, tones and small things, seen from other places: what is judged on `quarter_seen` is the mean of the three.
 """,
     printed=(),
 )
