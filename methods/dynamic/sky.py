@@ -15,6 +15,8 @@ from splatproof.reference.types.render import RenderOutput
 
 SKY = "sky"
 """Name of the shared tensor: six faces of r x r texels of three channels."""
+LEARNS = 0.5
+"""Alpha from which a pixel teaches the sky behind it nothing."""
 RAY_BYTES = 2**28
 """Most bytes of looked-up places that are kept between steps."""
 
@@ -41,6 +43,10 @@ class Sky:
     ) -> Float[Tensor, "h w 3"]:
         """colour + (1 - alpha) sky; the colours as they are where there is no sky.
 
+        Pixels that are mostly covered teach it nothing (ours). Else the little that shimmers through a
+        street is painted on the sky behind it, in colours without bounds, for all to see from where
+        the street was not photographed.
+
         Args:
             shared: Shared tensors of a model; the one named SKY counts.
             camera: What was rendered from.
@@ -51,7 +57,9 @@ class Sky:
         """
         if SKY not in shared:
             return output.colour
-        return output.colour + (1 - output.alpha)[..., None] * self.image(shared[SKY], camera)
+        sky = self.image(shared[SKY], camera)
+        sky = torch.where((output.alpha < LEARNS)[..., None], sky, sky.detach())
+        return output.colour + (1 - output.alpha)[..., None] * sky
 
     def image(self, cube: Float[Tensor, "6 r r 3"], camera: Camera) -> Float[Tensor, "h w 3"]:
         """The sky alone, differentiable by its texels.
