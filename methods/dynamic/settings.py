@@ -17,6 +17,8 @@ class SkySettings:
     """SRGB of every texel at the start, 0 to 1 (the release: 0.5)."""
     rate: float = 0.01
     """Learning rate of the texels (the release: 0.01)."""
+    covered: float = 1.0
+    """Alpha, 0 to 1, from which a pixel teaches the sky nothing; 1: every pixel teaches it (both papers)."""
     weight: float = 0.05
     """Weight of the term that wants alpha 0 where masks show sky and 1 elsewhere (both papers: 0.05);
     0: masks are not read."""
@@ -24,7 +26,8 @@ class SkySettings:
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
         require(self.resolution >= 0, "sky.resolution", self.resolution, ">= 0")
-        require(0 <= self.initial <= 1, "sky.initial", self.initial, "0 to 1")
+        for name in ("initial", "covered"):
+            require(0 <= getattr(self, name) <= 1, f"sky.{name}", getattr(self, name), "0 to 1")
         for name in ("rate", "weight"):
             value = getattr(self, name)
             require(0 <= value < math.inf, f"sky.{name}", value, ">= 0")

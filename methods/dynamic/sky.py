@@ -15,8 +15,6 @@ from splatproof.reference.types.render import RenderOutput
 
 SKY = "sky"
 """Name of the shared tensor: six faces of r x r texels of three channels."""
-LEARNS = 0.5
-"""Alpha from which a pixel teaches the sky behind it nothing."""
 RAY_BYTES = 2**28
 """Most bytes of looked-up places that are kept between steps."""
 
@@ -34,8 +32,13 @@ def started(settings: SkySettings) -> dict[str, Tensor]:
 class Sky:
     """Draws the sky behind rendered images; where the pixels of a camera look is kept."""
 
-    def __init__(self) -> None:
-        """Start with no camera known."""
+    def __init__(self, covered: float = 1.0) -> None:
+        """Start with no camera known.
+
+        Args:
+            covered: Alpha from which a pixel teaches the sky nothing; 1: every pixel teaches it.
+        """
+        self.covered = covered
         self._places = TensorCache(RAY_BYTES)
 
     def behind(
@@ -43,9 +46,9 @@ class Sky:
     ) -> Float[Tensor, "h w 3"]:
         """colour + (1 - alpha) sky; the colours as they are where there is no sky.
 
-        Pixels that are mostly covered teach it nothing (ours). Else the little that shimmers through a
-        street is painted on the sky behind it, in colours without bounds, for all to see from where
-        the street was not photographed.
+        Pixels that are covered teach it nothing (ours). Else the little that shimmers through a street is
+        painted on the sky behind it, in colours without bounds, for all to see from where the street
+        was not photographed.
 
         Args:
             shared: Shared tensors of a model; the one named SKY counts.
@@ -58,7 +61,7 @@ class Sky:
         if SKY not in shared:
             return output.colour
         sky = self.image(shared[SKY], camera)
-        sky = torch.where((output.alpha < LEARNS)[..., None], sky, sky.detach())
+        sky = torch.where((output.alpha < self.covered)[..., None], sky, sky.detach())
         return output.colour + (1 - output.alpha)[..., None] * sky
 
     def image(self, cube: Float[Tensor, "6 r r 3"], camera: Camera) -> Float[Tensor, "h w 3"]:

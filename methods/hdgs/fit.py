@@ -86,6 +86,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[HdgsModel, Plan
     model = HdgsModel(
         parameters, schedules(settings, [*parameters.trained]), sizes=sizes, frame=frame,
         clock=clock, voxel=voxel / 2, ice=settings.ice, smoothing=settings.smoothing,
+        covered=settings.sky.covered,
     )  # fmt: skip
     image: tuple[ImageTerm, ...] = (Photometric(dssim=settings.dssim),)
     of_scene = scene_terms(

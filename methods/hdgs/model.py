@@ -78,6 +78,7 @@ class HdgsModel(Model):
         voxel: float,
         ice: Ice,
         smoothing: Smoothing,
+        covered: float = 1.0,
     ) -> None:
         """Take the tensors.
 
@@ -90,12 +91,13 @@ class HdgsModel(Model):
             voxel: Edge of the consistency step's voxels in the frame's unit.
             ice: Which parts of the consistency step run.
             smoothing: What is smoothed while training.
+            covered: Alpha from which a pixel teaches the sky nothing.
         """
         super().__init__(parameters, schedules)
         self.sizes, self.frame, self.clock, self.smoothing = sizes, frame, clock, smoothing
         self.voxel = voxel
         self.ice: Ice = ice
-        self.sky = Sky()
+        self.sky = Sky(covered)
         self._near: tuple[Tensor, Pairs] | None = None
 
     def anchors(self) -> MotionAnchors:

@@ -176,7 +176,9 @@ class Settings:
     )
     """The LiDAR's term, with depths in the model's unit (paper: weight 0.01, its unit unsaid; 0.1 gains 0.3 dB
     at moments between those that were trained on, one seed)."""
-    sky: SkySettings = field(default_factory=SkySettings)
+    sky: SkySettings = field(default_factory=lambda: SkySettings(covered=0.5))
+    """The sky; pixels that are mostly covered teach it nothing (ours: anchors leave the rims of what was
+    photographed open, where the street's leaks on the sky would be seen)."""
     depth: DepthSettings = field(default_factory=DepthSettings)
     rates: Rates = field(default_factory=Rates)
     density: HdgsDensity = field(default_factory=HdgsDensity)

@@ -63,7 +63,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[VibrationModel,
     model = VibrationModel(
         parameters, schedules(settings, size, [*parameters.trained]), clock=clock,
         motion=settings.motion, mode=settings.mode,
-        sh_every=settings.sh_interval * shrink(settings.iterations),
+        sh_every=settings.sh_interval * shrink(settings.iterations), covered=settings.sky.covered,
     )  # fmt: skip
     return model, Plan(
         steps=settings.iterations,

@@ -45,6 +45,7 @@ class VibrationModel(Model):
         motion: Motion,
         mode: Mode = "classic",
         sh_every: float = 0.0,
+        covered: float = 1.0,
     ) -> None:
         """Take the tensors.
 
@@ -55,6 +56,7 @@ class VibrationModel(Model):
             motion: Period, and what is smoothed while training.
             mode: How it is rasterized.
             sh_every: Steps until one more band of harmonics is drawn; 0: all from the start.
+            covered: Alpha from which a pixel teaches the sky nothing.
 
         Raises: KeyError or ValueError for rows that are missing or of another shape.
         """
@@ -65,7 +67,7 @@ class VibrationModel(Model):
                 raise ValueError(f"{name} has shape {tuple(parameters.rows[name].shape)}")
         self.clock, self.motion, self.sh_every = clock, motion, sh_every
         self.mode: Mode = mode
-        self.sky = Sky()
+        self.sky = Sky(covered)
 
     def _shape(self, name: str) -> tuple[int, ...]:
         """Shape of one row of a tensor."""

@@ -115,9 +115,25 @@ def test_it_is_behind_what_is_there_and_learns_only_there():
     again = cube.detach().clone().requires_grad_()
     Sky().behind({SKY: again}, where, output(alpha, colour)).sum().backward()
     assert again.grad is not None
-    # every transparent pixel's three channels leave exactly their share; the half covered one leaves none
-    left = (1 - alpha)[alpha < 0.5].sum()
-    assert float(again.grad.sum()) == pytest.approx(3 * float(left), rel=1e-5)
+    # every transparent pixel's three channels leave exactly their share
+    assert float(again.grad.sum()) == pytest.approx(3 * float((1 - alpha).sum()), rel=1e-5)
+
+
+@pytest.mark.parametrize("covered", [0.3, 0.8])
+def test_covered_pixels_teach_it_nothing_and_look_the_same(covered):
+    alpha = torch.rand(18, 24, generator=torch.Generator().manual_seed(4))
+    colour = torch.zeros(18, 24, 3)
+    cubes = [torch.rand(6, 4, 4, 3).requires_grad_() for _ in range(2)]
+    cubes[1].data.copy_(cubes[0].data)
+    images = [
+        Sky(share).behind({SKY: cube}, camera(1), output(alpha, colour))
+        for cube, share in zip(cubes, (covered, 1.0), strict=True)
+    ]
+    torch.testing.assert_close(images[0], images[1])
+    images[0].sum().backward()
+    assert cubes[0].grad is not None
+    left = (1 - alpha)[alpha < covered].sum()
+    assert float(cubes[0].grad.sum()) == pytest.approx(3 * float(left), rel=1e-5)
 
 
 def test_the_gradient_by_each_texel_is_that_of_plain_indexing():
