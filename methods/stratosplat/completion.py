@@ -72,6 +72,10 @@ def completed(
 ) -> DenseCloud:
     """Complete the depth of every training view and merge them all.
 
+    A view without points waits until a completed one overlaps it. One that none ever does is not
+    completed, which is ours: the paper's views all overlap, and photos spread over a whole flight do
+    not. It is trained on like the others, from what the others show and from virtual Gaussians.
+
     Args:
         scene: With sparse points and training views, which may have depth priors.
         settings: Memory, order, size and guidance.
@@ -80,7 +84,7 @@ def completed(
         generator: Source of the denoiser's noise and of a random order.
         report: Told one line about what is odd.
 
-    Raises: DataError for views that nothing can bring to the scene's scale.
+    Raises: DataError if no view shows a sparse point.
 
     Source: StratoSplat, Sec. 3.2.
     """
@@ -90,26 +94,29 @@ def completed(
     asked = AdaptationSettings(
         visible_weight=settings.visible_weight, guidance_steps=settings.guidance_steps
     )
-    for index in ranks:
-        photo = photos[index]
-        nothing = torch.zeros(photo.image.shape[:2], dtype=torch.float64)
-        guide, visible = nothing, nothing.bool()
-        if guided:
-            guide, visible = guide_depth.render(memory, photo.camera)
-        if not len(photo.sparse.depths) and not bool(visible.any()):
-            raise DataError(
-                f"scene {scene.name!r}: view {photo.name} shows no sparse point and overlaps no "
-                "completed view, so nothing says how far away it is; leave the view out, give it "
-                "points with --points triangulated, or take init = 'sfm'"
+    left = [photos[index] for index in ranks]
+    while left:
+        later: list[Photo] = []
+        for photo in left:
+            nothing = torch.zeros(photo.image.shape[:2], dtype=torch.float64)
+            guide, visible = nothing, nothing.bool()
+            if guided:
+                guide, visible = guide_depth.render(memory, photo.camera)
+            if not len(photo.sparse.depths) and not bool(visible.any()):
+                later.append(photo)  # one that is completed after it may reach it
+                continue
+            depth = adapt_view(
+                EdgeDiffusion(prior=photo.prior), photo.image, photo.sparse, guide, visible, asked,
+                generator,
+            )  # fmt: skip
+            front = depth.reshape(-1) > photo.camera.near
+            memory = layered_depth.insert(
+                memory, unproject(photo.camera, depth)[front], photo.image.reshape(-1, 3)[front]
             )
-        depth = adapt_view(
-            EdgeDiffusion(prior=photo.prior), photo.image, photo.sparse, guide, visible, asked,
-            generator,
-        )  # fmt: skip
-        front = depth.reshape(-1) > photo.camera.near
-        memory = layered_depth.insert(
-            memory, unproject(photo.camera, depth)[front], photo.image.reshape(-1, 3)[front]
-        )
+        if len(later) == len(left):
+            report(_alone(later))
+            break
+        left = later
     if memory.unseen:
         report(f"layered memory: {memory.unseen} samples lie outside its camera and are left out")
     if memory.forced:
@@ -118,6 +125,16 @@ def completed(
         positions=memory.positions, colours=memory.colours, unseen=memory.unseen,
         forced=memory.forced,
     )  # fmt: skip
+
+
+def _alone(photos: list[Photo]) -> str:
+    """What is told of views that nothing brings to the scene's scale."""
+    names = ", ".join(sorted(photo.name for photo in photos))
+    return (
+        f"not completed, for nothing says how far away what they show is: {len(photos)} views without "
+        f"a point that overlap no completed view ({names}); --points triangulated or a photo between "
+        "them and the others may help"
+    )
 
 
 def _seen(scene: Scene) -> list[tuple[View, Float[Tensor, "m 3"]]]:
@@ -157,7 +174,8 @@ def _start(scene: Scene, photos: list[Photo], settings: Completion) -> LayeredDe
     if not ranges:
         raise DataError(
             f"scene {scene.name!r}: no training view shows a sparse point, so nothing says how far "
-            "away anything is; make points with --points triangulated, or take init = 'sfm'"
+            "away anything is; make points with --points triangulated, take photos that overlap, or "
+            "take init = 'sfm', which starts from points drawn at random"
         )
     whole = (min(low for low, _ in ranges), max(high for _, high in ranges))
     pairs = [

@@ -104,7 +104,6 @@ def started(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
 
     if not settings.completes:
         return pointed().points
-    initialise.require_points(scene)
     key = run_key(scene, settings, run, *_priors(scene, settings))
     path = None if run.folder is None else run.folder / "checkpoint" / "completion.safetensors"
     points = _kept(path, key)

@@ -143,9 +143,32 @@ def test_a_view_without_points_is_guided_by_the_others():
     assert error(found) < 0.1
 
 
-def test_a_view_without_points_or_memory_is_refused_by_name():
-    with pytest.raises(DataError, match=r"view 2.png shows no sparse point .* leave the view out"):
-        cloud(without_points(aerial_scene(), view=2), guided=False, guidance_steps=1)
+def test_a_view_without_points_or_memory_is_left_out_by_name():
+    told: list[str] = []
+    asked = {"guided": False, "guidance_steps": 1, "memory": "accumulate"}
+    alone = cloud(without_points(aerial_scene(), view=2), told=told, **asked)
+    assert "1 views without" in told[0]
+    assert "2.png" in told[0]
+    assert len(alone.positions) < 0.8 * len(cloud(aerial_scene(), **asked).positions)
+
+
+@pytest.mark.parametrize("order", ["coverage", "distance", "random"])
+def test_a_view_without_points_waits_for_one_that_reaches_it(monkeypatch, order):
+    """Without sparse points in the memory nothing guides the first view that shows none."""
+    real = completion.guide_depth.render
+    asked: list[str] = []
+
+    def late(memory, seen_from):
+        asked.append(str(seen_from.centre.tolist()))
+        depth, visible = real(memory, seen_from)
+        return depth, visible & (len(asked) > 3)
+
+    monkeypatch.setattr(completion.guide_depth, "render", late)
+    told: list[str] = []
+    cloud(without_points(aerial_scene(), view=2), order=order, guidance_steps=1, told=told)
+    assert len(asked) == 4  # three views once, the one without points again
+    assert asked.count(asked[-1]) == 2
+    assert not any("not completed" in line for line in told)
 
 
 def test_no_view_with_points_is_refused():

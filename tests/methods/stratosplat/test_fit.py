@@ -175,7 +175,9 @@ def test_noise_is_not_taken_twice(scene):
 
 
 def test_a_scene_without_points_is_refused(scene):
-    with pytest.raises(DataError, match="0 sparse points.*--points triangulated"):
+    with pytest.raises(
+        DataError, match="shows a sparse point.*--points triangulated.*init = 'sfm'"
+    ):
         fit(without_points(scene), SHORT, RUN)
 
 
