@@ -12,7 +12,7 @@ from comparison_page import Page, is_half, render_page
 from kept_rows import Picture, committed, joined, pictures_of
 from matplotlib.axes import Axes
 from printed_tables import Printed
-from strips import crops, save_strips
+from strips import crops, file_name, save_strips
 
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.reference.types.result import Result
@@ -108,7 +108,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         and not result.error
         and case.seed == 0 and not is_half(case.row)
     ]  # fmt: skip
-    curves = _curves(shown, name, docs, "curves_later" if kept else "curves")
+    curves = _curves(shown, name, docs, later=bool(kept))
     listing = docs / f"{name}_pictures.json"
     before = [Picture(**entry) for entry in committed(listing)] if kept else []
     pictures = pictures_of([*curves, *_strips(shown, comparison, docs)], before, rows)
@@ -144,8 +144,12 @@ def _strips(shown: Shown, comparison: Comparison, docs: Path) -> list[Picture]:
     return made
 
 
-def _curves(shown: Shown, name: str, docs: Path, stem: str) -> list[Picture]:
-    """Loss and number of Gaussians over the steps, a line a row that was run now."""
+def _curves(shown: Shown, name: str, docs: Path, *, later: bool) -> list[Picture]:
+    """Loss and number of Gaussians over the steps, a line a row that was run now.
+
+    What is run later gets a picture of its own, named after its first row, so that the curves of rows
+    that were run before stay on the page.
+    """
     drawn = [(case.row, result.curve) for case, _, result in shown if result.curve]
     if not drawn:
         return []
@@ -160,9 +164,10 @@ def _curves(shown: Shown, name: str, docs: Path, stem: str) -> list[Picture]:
     _titled(losses, "training loss, mean of 10 points")
     _titled(counts, "Gaussians")
     counts.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    stem = f"curves_{file_name(drawn[0][0])}" if later else "curves"
     path = docs / "images" / name / f"{stem}.png"
     save(figure, path)
-    which = "" if stem == "curves" else ", of rows that were run later"
+    which = f", of {', '.join(row for row, _ in drawn)}" if later else ""
     return [Picture(path=path.relative_to(docs).as_posix(),
                     caption=f"Training loss and number of Gaussians over the steps{which}, seed 0.")]  # fmt: skip
 
