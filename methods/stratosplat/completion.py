@@ -131,9 +131,9 @@ def _alone(photos: list[Photo]) -> str:
     """What is told of views that nothing brings to the scene's scale."""
     names = ", ".join(sorted(photo.name for photo in photos))
     return (
-        f"not completed, for nothing says how far away what they show is: {len(photos)} views without "
-        f"a point that overlap no completed view ({names}); --points triangulated or a photo between "
-        "them and the others may help"
+        f"left out of the completion, for they show no point and overlap no completed view, so nothing "
+        f"says how far away what they show is: {names}; --points triangulated, or photos between them "
+        "and the others, may help"
     )
 
 
