@@ -5,13 +5,18 @@ from typing import Any
 
 import pandas as pd
 
-from splatproof.reference.types.result import MOMENTS
 from splatproof.reports.frames import ENVIRONMENT, FACTS, cases_of, count_distinct, groups, records
 
 DATA = ("model_sha256", "cameras_sha256", "photos_sha256", "files_sha256")
 """Facts of a scene that name its files, and nothing of code or machine."""
+OF_PLACES = (
+    "python", "splatproof", "torch", "numpy", "pycolmap", "opencv-contrib-python-headless", "commit",
+    "platform", "cpu", "cores", "threads", "simd", "backend", "memory", "compiler", "gpu", "gsplat",
+)  # fmt: skip
+"""What the environment of a record says of machine and code. It also keeps what methods tell of their own
+work, such as a plan, which differs from seed to seed and makes nothing incomparable."""
 OF_METHODS = ("gradients by",)
-"""What the environment of a record says that a method decides and no machine."""
+"""What a method tells that times of one row depend on, and that may differ between rows."""
 MIN_SEEDS = 3
 """A row with fewer seeds is shown but not ranked."""
 
@@ -70,9 +75,8 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
     Args:
         cases: Rows of `results_frame`.
     """
-    names = [str(name) for name in cases.columns if str(name).startswith(ENVIRONMENT)]
-    lasting = [n for n in names if n.removeprefix(ENVIRONMENT) not in MOMENTS]
-    odd = [n.removeprefix(ENVIRONMENT) for n in lasting if _differs(cases, n)]
+    names = [name for name in (*OF_PLACES, *OF_METHODS) if ENVIRONMENT + name in cases]
+    odd = [name for name in names if _differs(cases, name)]
     if not odd:
         return []
     where = f"measured in different environments (other {', '.join(odd)})"
@@ -81,9 +85,9 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
 
 def _differs(cases: pd.DataFrame, name: str) -> bool:
     """Whether a value of the environment differs where methods do not bring the difference."""
-    if name.removeprefix(ENVIRONMENT) in OF_METHODS:
-        return any(count_distinct(own, name) > 1 for _, own in groups(cases, "row"))
-    return count_distinct(cases, name) > 1
+    if name in OF_METHODS:
+        return any(count_distinct(own, ENVIRONMENT + name) > 1 for _, own in groups(cases, "row"))
+    return count_distinct(cases, ENVIRONMENT + name) > 1
 
 
 def unranked_reason(seeds: int, rules: dict[str, object]) -> str:

@@ -16,8 +16,10 @@ from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore, Result
 from splatproof.reports import text
+from splatproof.reports.comparable import OF_PLACES
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.table import Row, Table
+from splatproof.suites.environment import environment
 
 
 def seeds(count: int = 3, **named: object) -> list[Result]:
@@ -218,7 +220,7 @@ def test_settings_by_scene_are_one_row_with_a_warning_on_the_mean():
 def test_times_of_two_machines_are_not_compared():
     slow = of(seeds(method="b", psnr=20.0), stages={"train": 400.0})
     assert "train_seconds" in rows(only_table([*seeds(), *slow]))["3dgs"].best
-    moved = of(slow, environment={"machine": "other"})
+    moved = of(slow, environment={"cpu": "other"})
     table = only_table([*seeds(), *moved])
     assert any("different environments" in warning for warning in table.warnings)
     assert "train_seconds" not in rows(table)["3dgs"].best
@@ -231,6 +233,22 @@ def test_a_path_of_gradients_that_the_method_decides_is_no_other_machine():
     assert not only_table([*ours, *other]).warnings
     mixed = [*ours[:2], *of(ours[2:], environment={"gradients by": "autograd"})]
     assert any("gradients by" in warning for warning in only_table([*mixed, *other]).warnings)
+
+
+def test_what_methods_tell_of_their_work_is_no_other_machine():
+    """A plan's facts differ from seed to seed."""
+    planned = [
+        only
+        for seed, one in enumerate(seeds(method="auto", psnr=26.0))
+        for only in of([one], environment=one.environment | {"plan: steps": str(seed)})
+    ]
+    table = only_table([*seeds(), *planned])
+    assert not table.warnings
+    assert "train_seconds" in {name for row in table.rows for name in row.best}
+
+
+def test_whatever_says_where_a_result_was_made_is_compared():
+    assert set(environment("cpu")) <= set(OF_PLACES)
 
 
 def test_variants_say_in_which_settings_they_differ():
