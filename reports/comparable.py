@@ -15,6 +15,8 @@ OF_PLACES = (
 )  # fmt: skip
 """What the environment of a record says of machine and code. It also keeps what methods tell of their own
 work, such as a plan, which differs from seed to seed and makes nothing incomparable."""
+WEIGHTS = "weights of "
+"""How the environment names the file of a metric's network, which has to be the same one, too."""
 OF_METHODS = ("gradients by",)
 """What a method tells that times of one row depend on, and that may differ between rows."""
 MIN_SEEDS = 3
@@ -75,7 +77,8 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
     Args:
         cases: Rows of `results_frame`.
     """
-    names = [name for name in (*OF_PLACES, *OF_METHODS) if ENVIRONMENT + name in cases]
+    told = [str(c).removeprefix(ENVIRONMENT) for c in cases if str(c).startswith(ENVIRONMENT)]
+    names = [n for n in told if n in OF_PLACES + OF_METHODS or n.startswith(WEIGHTS)]
     odd = [name for name in names if _differs(cases, name)]
     if not odd:
         return []

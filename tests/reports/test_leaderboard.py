@@ -247,6 +247,15 @@ def test_what_methods_tell_of_their_work_is_no_other_machine():
     assert "train_seconds" in {name for row in table.rows for name in row.best}
 
 
+def test_other_weights_of_a_metric_are_told():
+    other = [
+        only
+        for one in seeds(method="b")
+        for only in of([one], environment=one.environment | {"weights of lpips": "0" * 64})
+    ]
+    assert any("weights of lpips" in warning for warning in only_table([*seeds(), *other]).warnings)
+
+
 def test_whatever_says_where_a_result_was_made_is_compared():
     assert set(environment("cpu")) <= set(OF_PLACES)
 

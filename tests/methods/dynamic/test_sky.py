@@ -93,9 +93,8 @@ def test_a_sky_that_is_a_smooth_function_of_direction_is_seen_as_it_is():
     place = (torch.stack([u, v], dim=-1).reshape(-1, 2).double() + 0.5) * 2 / side - 1
     centres = off_cube(face, place.repeat(6, 1))
     cube = (centres / centres.norm(dim=1, keepdim=True)).reshape(6, side, side, 3).float()
-    where = turned(
-        camera(2), 40, 1
-    )  # the camera's own rotation equals its transpose, this one does not
+    # The camera's own rotation equals its transpose, which would hide one the wrong way round.
+    where = turned(camera(2), 40, 1)
     image = Sky().image(cube, where)
     # The middle of pixel (3, 5) as projection sees it, an arbitrary way off.
     for row, column in ((3, 5), (17, 0), (0, 23)):
