@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.resize import resample, scale_intrinsics
+from splatproof.methods.stratosplat.denoiser import PhotoDiffusion
 from splatproof.methods.stratosplat.prior_depth import relative_depth
 from splatproof.methods.stratosplat.settings import Completion
 from splatproof.reference.layered_memory import depth_adaptation, guide_depth, layered_depth
@@ -19,7 +20,6 @@ from splatproof.reference.layered_memory.depth_adaptation import (
     adapt_view,
     sparse_depths,
 )
-from splatproof.reference.layered_memory.edge_diffusion import EdgeDiffusion
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
 from splatproof.reference.layered_memory.nadir_reference import nadir_reference
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
@@ -106,8 +106,8 @@ def completed(
                 later.append(photo)  # one that is completed after it may reach it
                 continue
             depth = adapt_view(
-                EdgeDiffusion(prior=photo.prior), photo.image, photo.sparse, guide, visible, asked,
-                generator,
+                PhotoDiffusion(photo.image, photo.prior), photo.image, photo.sparse, guide, visible,
+                asked, generator,
             )  # fmt: skip
             front = depth.reshape(-1) > photo.camera.near
             memory = layered_depth.insert(
@@ -157,7 +157,7 @@ def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
     prior = None
     if view.load_prior is not None:
         prior = relative_depth(view.load_prior(), sparse, (size[1], size[0]))
-    # float32: the smoothing of EdgeDiffusion is what takes the time
+    # float32: what the kernel of PhotoDiffusion takes
     return Photo(
         name=view.name, camera=small, image=resample(view.load(), size, "area"), sparse=sparse,
         prior=prior,

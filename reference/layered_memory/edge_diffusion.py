@@ -64,7 +64,7 @@ class EdgeDiffusion:
             step: Number of the step; not used, since noise is smoothed alike in each.
         """
         del step
-        return self._smooth(latent, image)
+        return self.smooth(latent, image)
 
     def advance(
         self, latent: Float[Tensor, "h w"], clean: Float[Tensor, "h w"], step: int
@@ -94,25 +94,62 @@ class EdgeDiffusion:
             latent: Clean depth logits.
             image: The view's photo, sRGB in [0, 1]; values stop where it changes.
         """
-        added = self._smooth(latent, image)
+        added = self.smooth(latent, image)
         return torch.sigmoid(added if self.prior is None else added + self.prior.to(added))
 
-    def _smooth(
+    def smooth(
         self, values: Float[Tensor, "h w"], image: Float[Tensor, "h w 3"]
     ) -> Float[Tensor, "h w"]:
-        """Sweeps of exchange with the four neighbours, weighted exp(-(|dI| / contrast)^2)."""
-        across = self._weights(image[:, 1:] - image[:, :-1])
-        down = self._weights(image[1:] - image[:-1])
-        for _ in range(self.sweeps):
-            flow_x = across * (values[:, 1:] - values[:, :-1])
-            flow_y = down * (values[1:] - values[:-1])
-            change = torch.zeros_like(values)
-            change[:, :-1] += flow_x
-            change[:, 1:] -= flow_x
-            change[:-1] += flow_y
-            change[1:] -= flow_y
-            values = values + 0.25 * change  # 1/4: stable for four neighbours of weight <= 1
-        return values
+        """`sweeps` sweeps of exchange between the image's edges.
 
-    def _weights(self, difference: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w"]:
-        return torch.exp(-difference.square().sum(dim=-1) / self.contrast**2)
+        Args:
+            values: What is smoothed.
+            image: The view's photo, sRGB in [0, 1]; values stop where it changes.
+        """
+        return diffused(values, *exchange_weights(image, self.contrast), self.sweeps)
+
+
+def exchange_weights(
+    image: Float[Tensor, "h w 3"], contrast: float
+) -> tuple[Float[Tensor, "h w-1"], Float[Tensor, "h-1 w"]]:
+    """How much neighbouring pixels exchange, 0 to 1: exp(-(|dI| / contrast)^2).
+
+    Args:
+        image: The photo, sRGB in [0, 1].
+        contrast: Colour difference (of 1) at which the exchange falls to 1/e.
+
+    Returns: Weight of each pixel and the one to its right, and of each pixel and the one below.
+
+    Source: Perona and Malik 1990, Eq. 9.
+    """
+
+    def weights(difference: Tensor) -> Tensor:
+        return torch.exp(-difference.square().sum(dim=-1) / contrast**2)
+
+    return weights(image[:, 1:] - image[:, :-1]), weights(image[1:] - image[:-1])
+
+
+def diffused(
+    values: Float[Tensor, "h w"],
+    across: Float[Tensor, "h w-1"],
+    down: Float[Tensor, "h-1 w"],
+    sweeps: int,
+) -> Float[Tensor, "h w"]:
+    """Sweeps of exchange with the four neighbours. Linear, and a symmetric map: it is its own gradient's.
+
+    Args:
+        values: What is smoothed.
+        across: Weight, 0 to 1, of the exchange with the pixel to the right.
+        down: Weight, 0 to 1, of the exchange with the pixel below.
+        sweeps: Number of sweeps; values travel about its root in pixels.
+    """
+    for _ in range(sweeps):
+        flow_x = across * (values[:, 1:] - values[:, :-1])
+        flow_y = down * (values[1:] - values[:-1])
+        change = torch.zeros_like(values)
+        change[:, :-1] += flow_x
+        change[:, 1:] -= flow_x
+        change[:-1] += flow_y
+        change[1:] -= flow_y
+        values = values + 0.25 * change  # 1/4: stable for four neighbours of weight <= 1
+    return values

@@ -447,6 +447,9 @@ def adapt_colours_backward(
 ) -> None:
     """Gradients by everything from the gradient by the adapted colours."""
 
+def diffuse(values: Tensor, across: Tensor, down: Tensor, sweeps: int, smoothed: Tensor) -> None:
+    """Sweeps of exchange with the four neighbours into the given array."""
+
 class Field:
     """Places, and the grids and network that give them values."""
 

@@ -145,6 +145,12 @@ def _weak(rung: float) -> Problem:
     return replace(plain, given={"gradient": plain.given["gradient"] / rung})
 
 
+def _stark(rung: float) -> Problem:
+    """A photo with `rung` times the contrast: in the end no two pixels exchange anything."""
+    plain = COMPONENTS["edge diffusion"].problem(COMPONENTS["edge diffusion"].tiny)
+    return replace(plain, given={name: rung * value for name, value in plain.given.items()})
+
+
 LADDERS = (
     Ladder(component="rasterizer", name="longest axis / shortest", rungs=decades(1, 6),
            problem=_scene(_needles)),
@@ -173,6 +179,7 @@ LADDERS = (
     # from 10^4 on every float32 sine of where a child stands is off: the code has it times 8
     Ladder(component="hierarchy", name="times as large an anchor", rungs=decades(0, 3),
            problem=_leaf("hierarchy", "log_scales", lambda v, h: v + math.log(h))),
+    Ladder(component="edge diffusion", name="times the contrast", rungs=decades(-3, 6), problem=_stark),
     Ladder(component="soft rank", name="spread / temperature", rungs=decades(0, 8, 2),
            problem=_leaf("soft rank", "values", lambda v, h: v * h * TEMPERATURE)),
 )  # fmt: skip

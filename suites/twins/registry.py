@@ -1,6 +1,7 @@
 """All components that have twins. Put a new one here and it is timed, judged, plotted and tested."""
 
 from splatproof.suites.twins.anchors import DECODING
+from splatproof.suites.twins.diffusion import DIFFUSION
 from splatproof.suites.twins.files import PACKING
 from splatproof.suites.twins.hierarchy import HIERARCHY
 from splatproof.suites.twins.images import LOSS, SSIM
@@ -14,7 +15,7 @@ from splatproof.suites.twins.twin import Component
 COMPONENTS: dict[str, Component] = {
     component.name: component
     for component in (
-        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, SOFT_RANK, STITCHING, PACKING,
-        TRAINING,
+        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, DIFFUSION, SOFT_RANK,
+        STITCHING, PACKING, TRAINING,
     )
 }  # fmt: skip

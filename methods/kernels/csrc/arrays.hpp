@@ -72,6 +72,7 @@ void bind_attention(nb::module_& m);
 void bind_codec(nb::module_& m);
 void bind_colour_head(nb::module_& m);
 void bind_consistency(nb::module_& m);
+void bind_diffusion(nb::module_& m);
 void bind_field(nb::module_& m);
 void bind_moving_anchors(nb::module_& m);
 void bind_raster(nb::module_& m);

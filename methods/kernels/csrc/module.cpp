@@ -35,6 +35,7 @@ NB_MODULE(_ext, m) {
   bind_codec(m);
   bind_colour_head(m);
   bind_consistency(m);
+  bind_diffusion(m);
   bind_field(m);
   bind_moving_anchors(m);
   bind_raster(m);
