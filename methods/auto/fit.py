@@ -14,13 +14,15 @@ import torch
 from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
+from splatproof.methods.auto.base import Base, finished, following, prepare, started
+from splatproof.methods.auto.completion import planned_completion
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
-from splatproof.methods.auto.moving import finished, prepare, without_what_is_lacking
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
+    RANDOM_POINTS,
     AutoPlan,
     Choice,
     candidates,
@@ -37,8 +39,8 @@ from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import exposed
-from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.initialise import with_random_points
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.remembering import remembering
 from splatproof.methods.training.resolution import Resolution
@@ -66,6 +68,8 @@ class Planned:
 
     plan: AutoPlan
     facts: SceneFacts
+    start: Scene | None = None
+    """The scene with the points that training starts from, where they had to be made for the plan."""
 
 
 def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
@@ -88,17 +92,17 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
     if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
         chosen, spent = build(Settings, told["settings"], str(kept)), float(told["spent"])
-        moves = bool(told["moves"])
+        base: Base = told["base"]
         choices = tuple(Choice(**one) for one in told["choices"])
-        start = _started(scene, chosen, run)
+        start = _started(scene, chosen, run, base)
     else:
         made = planned(scene, settings, run)
-        chosen, choices, moves = made.plan.settings, made.plan.choices, made.plan.moves
-        start = _started(scene, chosen, run)
+        chosen, choices, base = made.plan.settings, made.plan.choices, made.plan.base
+        start = made.start or _started(scene, chosen, run, base)
         spent = time.perf_counter() - began
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            stored = {"key": key, "settings": asdict(chosen), "moves": moves,
+            stored = {"key": key, "settings": asdict(chosen), "base": base,
                       "spent": spent, "choices": [asdict(one) for one in choices]}  # fmt: skip
             write_text(kept, json.dumps(stored))
     run.on_stage("plan", spent)  # of the first attempt, where this one goes on
@@ -107,11 +111,11 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
         run.on_fact(f"plan: {one.component}", f"{one.value} ({one.because})")
     run.on_fact("planned settings", json.dumps(asdict(chosen)))
 
-    finish = partial(finished, scene=scene, backend=run.backend, moves=moves)
+    finish = partial(finished, scene=scene, backend=run.backend, base=base)
 
     def prepared() -> tuple[Model, Plan]:
         began = time.perf_counter()
-        model, plan = prepare(start, chosen, run, moves=moves)
+        model, plan = prepare(start, chosen, run, base)
         plan = replace(plan, key=key)
         if settings.steps is None:
             preparing = time.perf_counter() - began
@@ -149,9 +153,9 @@ def read_ahead(scene: Scene, seconds: float) -> None:
         list(pool.map(read, scene.train_views))
 
 
-def _started(scene: Scene, chosen: Settings, run: Run) -> Scene:
+def _started(scene: Scene, chosen: Settings, run: Run, base: Base) -> Scene:
     with threads(run.threads):
-        return threedgs.started(scene, chosen, run)
+        return started(scene, chosen, run, base)
 
 
 class Recount:
@@ -210,10 +214,11 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
     Raises: DataError for a scene that cannot be trained on.
     """
     clock = time.perf_counter
-    started = clock()
+    began = clock()
     with threads(run.threads):
         read_ahead(scene, READING * settings.seconds)
-        facts = facts_of(scene, run.image_bytes)
+        pointed = with_random_points(scene, RANDOM_POINTS, run.seed)
+        facts = facts_of(pointed, run.image_bytes)
         chosen = usual(settings, facts)
         matching = planned_matching(scene, settings, facts, chosen.most_points, run)
         chosen = replace(
@@ -221,14 +226,31 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             dense=replace(chosen.dense, partners=matching.partners),
         )  # fmt: skip
         moves, motion = planned_motion(scene, settings, facts)
-        if moves:
-            chosen = without_what_is_lacking(chosen)
-        speed = measure(scene, chosen, run, moves=moves)
+        completes, completion = planned_completion(settings, facts)
+        base: Base = "stratosplat" if completes else "pvg" if moves else "3dgs"
+        chosen = following(chosen, base)
+        start = started(scene, chosen, run, base) if completes else None
+        speed = measure(start or scene, chosen, run, base)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
-    left = settings.seconds * (1 - RESERVE) - (clock() - started) - matching.seconds
-    choices = (matching.choice, *motion, *choices)
-    made = plan(settings, facts, chosen, choices, speed, left, available_mb(), moves=moves)
-    return Planned(plan=made, facts=facts)
+    left = settings.seconds * (1 - RESERVE) - (clock() - began)
+    if start is None:
+        left -= matching.seconds
+    drawn = Choice(
+        component="start", value=f"{RANDOM_POINTS:,} points drawn in sight of the cameras",
+        because="the scene has none; --points triangulated may find some",
+    )  # fmt: skip
+    choices = (
+        *(() if len(scene.points) else (drawn,)),
+        matching.choice,
+        *motion,
+        *completion,
+        *choices,
+    )
+    points = len(start.points) if start else facts.points
+    made = plan(
+        settings, replace(facts, points=points), chosen, choices, speed, left, available_mb(), base
+    )
+    return Planned(plan=made, facts=facts, start=start)
 
 
 def _probed(

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from splatproof.base.memory import MEBIBYTE
+from splatproof.methods.auto.base import Base
 from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
@@ -41,12 +42,19 @@ LEAST_EXPOSURE = 0.02
 """Spread of the photos' brightness, natural logarithm, from which exposures are tried."""
 GROWTH_A_PASS = 1.25
 """Largest factor by which a densification is taken to raise the number of Gaussians."""
+FEW_STEPS = 3000
+"""Steps that a run may have however few its photos: Gaussians are not there yet when six photos have been looked at
+`MOST_VISITS` times. Held-out photos, one seed, 1,500, 3,000 and 6,000 steps from six photos: caliterra 22.9, 24.7 and
+24.5 dB, brighton_beach 17.7, 18.1 and 17.8, courtyard (1,500 and 3,000) 22.8 and 22.8; from three of aerial-sparse/town
+21.7 and 21.9."""
 LEAST_STEPS, MOST_STEPS = 100, 30_000
 """Steps of the shortest run that is planned, and of the longest."""
 MOST_VISITS = 250
 """How often a training photo is looked at, at most: what is learnt after that is these photos by heart. Held-out
 training photos of brighton_beach at 250 px, one seed: 20.2 dB after 80 visits, 20.0 dB after 400; photos of
 aerial-sparse/town: 27.5 dB after 200, 27.6 dB after 425."""
+RANDOM_POINTS = 10_000
+"""Points that training starts from where structure from motion left none: drawn in sight of the cameras."""
 LEAST_GAUSSIANS = 1000
 """Gaussians that a plan allows however few pixels there are."""
 MEMORY_SHARE = 0.8
@@ -75,8 +83,8 @@ class AutoPlan:
     """Settings for one scene, machine and budget, and the reasons."""
 
     settings: Settings
-    moves: bool
-    """Whether Gaussians move, as method pvg's: `moving.moving` says what follows of the settings."""
+    base: Base
+    """Method whose model is trained: `splatproof.methods.auto.base` says what follows of the settings."""
     choices: tuple[Choice, ...]
     seconds: float
     """Wall seconds that training is expected to take."""
@@ -109,6 +117,7 @@ def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
         dropout=0.2 if asked.dropout is None else asked.dropout,
         widest=WIDEST if asked.widest is None else asked.widest,
         exposure=asked.exposure or "off",
+        random_points=RANDOM_POINTS,
         dense_cell=asked.dense_cell or 0.0,
         most_points=max(1, facts.width * facts.height // PIXELS_A_POINT)
         if asked.most_points is None
@@ -253,8 +262,7 @@ def plan(
     speed: Speed,
     seconds: float,
     free: float = math.inf,
-    *,
-    moves: bool = False,
+    base: Base = "3dgs",
 ) -> AutoPlan:
     """Number of Gaussians and of steps for the seconds that are left.
 
@@ -266,7 +274,7 @@ def plan(
         speed: How fast this machine trains such photos.
         seconds: Wall seconds that training may take.
         free: Megabytes of this machine's memory that are free; inf: not known, memory bounds nothing.
-        moves: Whether Gaussians move.
+        base: What is trained.
     """
     most, why = most_gaussians(asked, facts, settings.sh_degree, free)
     pace = asked.pace or PACE
@@ -304,7 +312,7 @@ def plan(
             f"with {start:,} points"
         )
         if count > bound:
-            count, reason = bound, f"a photo seen more than {MOST_VISITS} times is learnt by heart"
+            count, reason = bound, "more of these photos would be learnt by heart"
     else:
         count, reason = asked.steps, "given"
     if asked.db:
@@ -318,20 +326,20 @@ def plan(
         expects=f"each photo {count * settings.views_per_step / facts.views:.0f} times",
     ))  # fmt: skip
     return AutoPlan(
-        settings=settings, moves=moves, choices=tuple(told),
+        settings=settings, base=base, choices=tuple(told),
         seconds=training_seconds(settings, facts, speed, count),
     )  # fmt: skip
 
 
 def most_steps(settings: Settings, views: int) -> int:
-    """Steps after which each photo has been looked at `MOST_VISITS` times; `LEAST_STEPS` at least.
+    """Steps after which each photo has been looked at `MOST_VISITS` times; `FEW_STEPS` steps' views at least.
 
     Args:
         settings: Views a step.
         views: Number of training photos.
     """
-    visits = MOST_VISITS * views // settings.views_per_step
-    return min(MOST_STEPS, max(LEAST_STEPS, visits))
+    looks = max(MOST_VISITS * views, FEW_STEPS)
+    return min(MOST_STEPS, max(LEAST_STEPS, looks // settings.views_per_step))
 
 
 def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed) -> int:

@@ -7,7 +7,7 @@ from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Pace
 from splatproof.methods.training.schedules import require, require_cell
 
-LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0}
+LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0, "completed": False}
 """Settings that Gaussians that move do not have, and the values that stand for going without."""
 
 
@@ -52,6 +52,9 @@ class AutoSettings:
     is left. None: planned."""
     motion: bool | None = None
     """Whether Gaussians move, as method pvg's do, by the scene's times and LiDAR sweeps. None: planned."""
+    completed: bool | None = None
+    """Whether the depth of each photo is completed before training, and virtual Gaussians fill what photos do
+    not show, as in method stratosplat. None: planned."""
     exposure: Exposure | None = None
     """What is learnt of each photo beside the scene. None: planned."""
 

@@ -4,7 +4,7 @@ import statistics
 import time
 from dataclasses import dataclass, replace
 
-from splatproof.methods.auto.moving import prepare
+from splatproof.methods.auto.base import Base, prepare
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import started as pointed
 from splatproof.methods.threedgs.settings import Settings
@@ -37,38 +37,38 @@ class Speed:
         return self.pixels / factor**2 + self.gaussian * gaussians
 
 
-def measure(scene: Scene, settings: Settings, run: Run, *, moves: bool = False) -> Speed:
+def measure(scene: Scene, settings: Settings, run: Run, base: Base = "3dgs") -> Speed:
     """Train a few steps at full and at half size from the start points; they are thrown away.
 
     Args:
         scene: With the points to start from.
         settings: What is trained.
         run: Threads and backend; its folder is not written to.
-        moves: Whether Gaussians move. Then photos cannot be shrunk, and the whole step is taken to go by the
-            Gaussians: steps that turn out faster are added later, slower ones would have come too late.
+        base: What is trained. Photos of Gaussians that move cannot be shrunk, and the whole step is taken to go by
+            the Gaussians: steps that turn out faster are added later, slower ones would have come too late.
     """
     scene = pointed(scene, replace(settings, dense_cell=0.0), run)
-    if moves:
+    if base == "pvg":
         swept = tuple(index for index in scene.train if scene.views[index].load_sweep is not None)
         few = replace(scene, train=swept[:: max(1, len(swept) // VIEWS)][:VIEWS])
-        seconds, gaussians = _step(few, settings, run, 1.0, moves=True)
+        seconds, gaussians = _step(few, settings, run, 1.0, base)
         return Speed(pixels=0.0, gaussian=seconds / gaussians)
     views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     few = replace(scene, train=views)
-    full, half = (_step(few, settings, run, factor)[0] for factor in (1.0, 2.0))
+    full, half = (_step(few, settings, run, factor, base)[0] for factor in (1.0, 2.0))
     pixels = min(full, max(0.0, (full - half) * 4 / 3))
     return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points))
 
 
 def _step(
-    scene: Scene, settings: Settings, run: Run, factor: float, *, moves: bool = False
+    scene: Scene, settings: Settings, run: Run, factor: float, base: Base
 ) -> tuple[float, int]:
     """Median wall seconds of a step whose photos are shrunk by a factor, and the number of Gaussians."""
     settings = replace(
         settings, iterations=30_000, dense_cell=0.0,
         resolution=Resolution(coarsest=factor, full_from=1.0),
     )  # fmt: skip
-    model, plan = prepare(scene, settings, run, moves=moves)
+    model, plan = prepare(scene, settings, run, base)
     trainer = Trainer(model, plan, replace(run, folder=None))
     times = []
     for index in range(WARM + len(scene.train) + TIMED):

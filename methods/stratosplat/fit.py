@@ -68,14 +68,27 @@ def prepare(scene: Scene, settings: StratoSplat, run: Run) -> tuple[Model, Plan]
     """
     shown = disturbed(scene, settings.noise_of("train"), run.seed)
     start = replace(shown, points=started(scene, settings, run))
+    model, plan = prepare_from(start, settings, run)
+    return model, replace(plan, key=run_key(scene, settings, run, *_priors(scene, settings)))
+
+
+def prepare_from(start: Scene, settings: StratoSplat, run: Run) -> tuple[Model, Plan]:
+    """As `prepare`, from the points that the scene has.
+
+    Args:
+        start: With the points that explicit Gaussians start from, which planes and field cover too.
+        settings: What is chosen about the method; nothing of its start and its noise counts.
+        run: The run; its seed draws the field.
+
+    Raises: DataError for a scene that cannot be trained on.
+    """
     explicits, plan = prepare_explicit(start, settings, run)
-    plan = replace(plan, key=run_key(scene, settings, run, *_priors(scene, settings)))
     if settings.planes.field == "none":
         return explicits, plan
     planes = settings.planes
     return HybridModel(
         explicits.gaussians(), settings.rates, extent=initialise.extent(start),
-        stack=stack_of(start.points.positions.double(), scene.up, planes.count), planes=planes,
+        stack=stack_of(start.points.positions.double(), start.up, planes.count), planes=planes,
         field=drawn_field(planes, torch.Generator().manual_seed(run.seed)), mode=settings.mode,
         sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
     ), replace(plan, native=False)  # fmt: skip

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from helpers.aerial_scene import without_points
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.auto import fit as auto
@@ -63,6 +64,16 @@ def test_a_plan_of_other_wishes_is_made_anew(tmp_path):
     assert told["settings"]["iterations"] == 20
 
 
+def test_a_scene_without_points_starts_from_drawn_ones():
+    scene = tiny_scene()
+    facts: dict[str, str] = {}
+    fit(without_points(scene), ASKED, Run(threads=1, on_fact=facts.__setitem__))
+    assert facts["plan: start"].startswith("10,000 points drawn")
+    assert facts["plan: points"].startswith("108 of 10,000")  # a photo has 432 pixels
+    fit(scene, ASKED, Run(threads=1, on_fact=(facts := {}).__setitem__))
+    assert "plan: start" not in facts
+
+
 def test_steps_follow_the_speed_of_the_machine():
     found = planned(tiny_scene(), AutoSettings(seconds=3.0, probe_share=0.0), Run(threads=1))
     assert found.plan.settings.iterations >= 100
@@ -89,9 +100,9 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
     assert names == [
-        "matched points", "exposure", "blocks", "points", "Gaussians", "largest scale", "steps",
+        "matched points", "completed depths", "exposure", "blocks", "points", "Gaussians", "largest scale", "steps",
     ]  # fmt: skip
-    assert found.plan.choices[1].because.startswith("probe: ")
+    assert found.plan.choices[2].because.startswith("probe: ")
 
 
 def goal_of(db: float) -> tuple[dict[str, str], dict[str, int]]:

@@ -4,7 +4,6 @@ import time
 from dataclasses import fields, replace
 
 import pytest
-import torch
 
 from helpers.tiny_drive import tiny_drive
 from helpers.tiny_scene import tiny_scene
@@ -14,16 +13,14 @@ from splatproof.datasets.procedural import street
 from splatproof.datasets.procedural.exporting import make_scene
 from splatproof.methods.auto import facts as facts_module
 from splatproof.methods.auto import fit as fitting
+from splatproof.methods.auto.base import following, moving, prepare
 from splatproof.methods.auto.facts import PAIRS, SceneFacts, facts_of, moving_share
 from splatproof.methods.auto.fit import RESERVE, Recount, fit
 from splatproof.methods.auto.motion import LEAST_MOVING, planned_motion
-from splatproof.methods.auto.moving import moving, prepare, without_what_is_lacking
 from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import LACKING, AutoSettings
-from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.sweep_points import TimedPoints
-from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.metrics.protocol_files import load_protocol
@@ -73,7 +70,7 @@ def test_what_is_fixed_is_kept():
         AutoSettings(motion=True, dropout=0.1)
 
 
-WITHOUT = AutoSettings(coarsest=1.0, opacity_weight=0.0, dropout=0.0)
+WITHOUT = AutoSettings(coarsest=1.0, opacity_weight=0.0, dropout=0.0, completed=False)
 
 
 @pytest.mark.parametrize("name", sorted(LACKING))
@@ -155,7 +152,7 @@ def test_a_drive_in_which_nothing_moves_is_told_from_one_with_a_car(
 
 def test_what_moves_follows_the_plan():
     settings = replace(
-        without_what_is_lacking(usual(AutoSettings(sh_degree=1), facts())), iterations=123,
+        following(usual(AutoSettings(sh_degree=1), facts()), "pvg"), iterations=123,
         exposure="gain",
     )  # fmt: skip
     settings = replace(settings, density=replace(settings.density, most=777, pace="even"))
@@ -166,46 +163,3 @@ def test_what_moves_follows_the_plan():
     assert found.sky.weight > 0
     clear = replace(DRIVE, views=tuple(replace(view, load_sky=None) for view in DRIVE.views))
     assert moving(settings, clear).sky.resolution == 0
-
-
-def renders(model: Reconstruction, scene: Scene) -> list[torch.Tensor]:
-    return [model.render(view.without_truth()).colour for view in scene.views]
-
-
-def test_the_same_plan_gives_the_same_moving_model_which_is_saved_and_loaded(tmp_path):
-    told: dict[str, str] = {}
-    one = fit(DRIVE, ASKED, Run(threads=1, on_fact=told.__setitem__))
-    again = fit(DRIVE, ASKED, Run(threads=1))
-    assert one.kind == "pvg"
-    assert told["plan: motion"] == "Gaussians that move (as method pvg's) (given)"
-    save_model(one, tmp_path / "model", Origin(method="auto"))
-    loaded = load_reconstruction(tmp_path / "model")
-    for other in (again, loaded):
-        for a, b in zip(renders(one, DRIVE), renders(other, DRIVE), strict=True):
-            assert torch.equal(a, b)
-    still = fit(DRIVE, replace(ASKED, motion=False), Run(threads=1))
-    assert still.kind == "explicit"
-
-
-class Killed(Exception):
-    """Stands for a kill between two steps."""
-
-
-def test_a_killed_run_goes_on_to_the_same_moving_model(tmp_path):
-    def killing(step, total, values):
-        if step == 20:
-            raise Killed
-
-    run = Run(threads=1, folder=tmp_path, checkpoint_seconds=0.0)
-    with pytest.raises(Killed):
-        fit(DRIVE, ASKED, replace(run, report=killing))
-    found = renders(fit(DRIVE, ASKED, run), DRIVE)
-    for a, b in zip(renders(fit(DRIVE, ASKED, Run(threads=1)), DRIVE), found, strict=True):
-        assert torch.equal(a, b)
-
-
-def test_a_moving_model_ends_where_photos_kept_back_are_good_enough():
-    told: dict[str, str] = {}
-    run = Run(threads=1, on_fact=told.__setitem__)
-    fit(DRIVE, replace(ASKED, steps=60, db=1.0), run)
-    assert told["quality asked for"].startswith("reached: ")

@@ -15,6 +15,7 @@ from splatproof.methods.auto.planner import (
     candidates,
     coarsest,
     compete,
+    most_steps,
     plan,
     training_mb,
     training_seconds,
@@ -43,7 +44,7 @@ def test_training_fits_into_the_seconds(speed, seconds):
     steps = found.settings.iterations
     assert found.seconds <= seconds or steps == 100
     assert (
-        steps == 250 * FACTS.views
+        steps == most_steps(found.settings, FACTS.views)
         or training_seconds(found.settings, FACTS, speed, steps + 1) > seconds
     )
 
@@ -52,6 +53,11 @@ def test_training_fits_into_the_seconds(speed, seconds):
 def test_more_seconds_never_mean_fewer_steps(seconds, more):
     short, long = (planned(AutoSettings(), seconds=s) for s in (seconds, seconds * more))
     assert long.settings.iterations >= short.settings.iterations
+
+
+@pytest.mark.parametrize(("views", "steps"), [(1, 3000), (12, 3000), (13, 3250), (1000, 30_000)])
+def test_few_photos_have_steps_enough_and_many_are_not_learnt_by_heart(views, steps):
+    assert most_steps(usual(AutoSettings(), FACTS), views) == steps
 
 
 def test_a_file_has_a_bound():
@@ -127,7 +133,7 @@ def test_exposures_compete_where_photos_differ():
 def test_no_photo_is_learnt_by_heart(views, seconds):
     facts = replace(FACTS, views=views)
     found = plan(AutoSettings(), facts, usual(AutoSettings(), facts), (), SPEED, seconds)
-    most = max(100, 250 * views)
+    most = max(3000, 250 * views)
     assert found.settings.iterations <= most
     (told,) = (choice for choice in found.choices if choice.component == "steps")
     by_heart = "learnt by heart" in told.because

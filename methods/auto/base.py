@@ -1,6 +1,7 @@
-"""What a plan trains: Gaussians that stand still, as method 3dgs's, or that move, as method pvg's."""
+"""What a plan trains: the model of another method, with the settings that were planned."""
 
 from dataclasses import fields, replace
+from typing import Literal
 
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
@@ -11,20 +12,30 @@ from splatproof.methods.models.exposure import explicit
 from splatproof.methods.pvg import fit as pvg
 from splatproof.methods.pvg.settings import MovingDensity
 from splatproof.methods.pvg.settings import Settings as MovingSettings
+from splatproof.methods.stratosplat import fit as stratosplat
+from splatproof.methods.stratosplat.settings import StratoSplat
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
+from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution
 from splatproof.reference.types.scene import Scene
 
+Base = Literal["3dgs", "pvg", "stratosplat"]
+"""Method whose model is trained: Gaussians that stand still; that move; that stand still, start from completed
+depths, and have virtual ones beside them."""
 
-def without_what_is_lacking(settings: Settings) -> Settings:
-    """Planned settings without what Gaussians that move do not have.
+
+def following(settings: Settings, base: Base) -> Settings:
+    """Planned settings as far as a base follows them: Gaussians that move do without some.
 
     Args:
-        settings: As they would be if everything stood still.
+        settings: As they would be of method 3dgs.
+        base: What is trained.
     """
+    if base != "pvg":
+        return settings
     return replace(
         settings, resolution=Resolution(), opacity_weight=0.0, dropout=0.0, random_background=False
     )
@@ -48,32 +59,62 @@ def moving(settings: Settings, scene: Scene) -> MovingSettings:
     )  # fmt: skip
 
 
-def prepare(scene: Scene, settings: Settings, run: Run, *, moves: bool) -> tuple[Model, Plan]:
+def completing(settings: Settings) -> StratoSplat:
+    """Settings of method stratosplat for a plan: its own start, memory and planes, and all that was planned.
+
+    Args:
+        settings: What was planned.
+    """
+    return StratoSplat(**{part.name: getattr(settings, part.name) for part in fields(Settings)})
+
+
+def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
+    """The scene with the points that training starts from.
+
+    Args:
+        scene: As a method gets it.
+        settings: What was planned.
+        run: Seed of the draws and bound on photos in memory; nothing is written to its folder.
+        base: What is trained.
+
+    Raises: As methods 3dgs and stratosplat.
+    """
+    if base != "stratosplat":
+        return threedgs.started(scene, settings, run)
+    points = stratosplat.started(scene, completing(settings), replace(run, folder=None))
+    found = replace(scene, points=points)
+    return with_at_most(found, settings.most_points) if settings.most_points else found
+
+
+def prepare(scene: Scene, settings: Settings, run: Run, base: Base) -> tuple[Model, Plan]:
     """The model at its start, and the plan of its training.
 
     Args:
         scene: The scene, with the points to start from.
         settings: What was planned.
         run: The run.
-        moves: Whether Gaussians move.
+        base: What is trained.
 
-    Raises: As methods 3dgs and pvg.
+    Raises: As methods 3dgs, pvg and stratosplat.
     """
-    if not moves:
+    if base == "3dgs":
         return threedgs.prepare(scene, settings, run)
+    if base == "stratosplat":
+        return stratosplat.prepare_from(scene, completing(settings), run)
     model, plan = pvg.prepare(scene, moving(settings, scene), run)
     return model, replace(plan, widest=settings.widest)
 
 
-def finished(model: Model, scene: Scene, backend: str, *, moves: bool) -> Reconstruction:
+def finished(model: Model, scene: Scene, backend: str, base: Base) -> Reconstruction:
     """What a training leaves behind.
 
     Args:
         model: The model after its last step.
         scene: What it was trained on; its shift and units count.
         backend: Name of the rasterizer.
-        moves: Whether Gaussians move.
+        base: What was trained.
     """
-    if moves:
-        return DecodedModel.of(pvg.KIND, model, scene, backend)
-    return explicit(model, scene, backend)
+    if base == "3dgs":
+        return explicit(model, scene, backend)
+    kind = pvg.KIND if base == "pvg" else stratosplat.KIND
+    return DecodedModel.of(kind, model, scene, backend)
