@@ -13,7 +13,7 @@ VIRTUAL_STEP = 2.5e-6
 """CPU seconds a virtual Gaussian of a training step: the field and its gradients, rasterizing."""
 EXPLICIT_STEP = 0.8e-6
 """CPU seconds an explicit Gaussian of a step beside what 3dgs says: gradients go through a graph."""
-COMPLETED_PIXEL = 1.5e-4
+COMPLETED_PIXEL = 8e-6
 """CPU seconds a pixel of a photo whose depth is completed."""
 VIRTUAL_BYTES = 1200
 """Bytes of the graph of a virtual Gaussian."""
