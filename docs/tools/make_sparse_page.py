@@ -21,8 +21,9 @@ starts from points matched between the training photos besides (DPGS's initialis
 comes out, 10,000 are drawn at random.
 
 - `3dgs`: the release's method, with no idea that views are few.
-- `auto`: the control, ours: 3dgs by the plan of method auto, 3,000 steps, from the same matched points, with a random background, a
-  fifth of the Gaussians hidden at the end, a pull on opacities, and bounds on number and scale.
+- `auto`: the control, ours: 3dgs as method auto plans it, told not to complete depths (which it would here), 3,000 steps, from the
+  same matched points, with a random background, a fifth of the Gaussians hidden at the end, a pull on opacities, and
+  bounds on number and scale.
 - `fsgs` without a depth prior: unpooling and its density control. `~depth-own`: its depth term on our own network's
   prior, which was trained on other kinds of worlds (**out of domain** in every scene of this suite; records say so in
   `depth_prior_domain`); `~depth-oracle+noise` and `~depth-oracle`: true depth, disturbed or not, as bounds.

@@ -13,7 +13,7 @@ from splatproof.methods.pvg import fit as pvg
 from splatproof.methods.pvg.settings import MovingDensity
 from splatproof.methods.pvg.settings import Settings as MovingSettings
 from splatproof.methods.stratosplat import fit as stratosplat
-from splatproof.methods.stratosplat.settings import StratoSplat
+from splatproof.methods.stratosplat.settings import Planes, StratoSplat
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
@@ -25,17 +25,17 @@ from splatproof.reference.types.scene import Scene
 Base = Literal["3dgs", "pvg", "stratosplat"]
 """Method whose model is trained: Gaussians that stand still; that move; that stand still, start from completed
 depths, and have virtual ones beside them."""
+STRIDE = 4
+"""Pixels between the rays that virtual Gaussians lie on: from six photos of caliterra 24.9 dB after 800 steps, and with the
+method's usual 2 24.7 dB in twice the time."""
 
 
-def following(settings: Settings, base: Base) -> Settings:
-    """Planned settings as far as a base follows them: Gaussians that move do without some.
+def without_what_is_lacking(settings: Settings) -> Settings:
+    """Planned settings without what Gaussians that move do not have.
 
     Args:
         settings: As they would be of method 3dgs.
-        base: What is trained.
     """
-    if base != "pvg":
-        return settings
     return replace(
         settings, resolution=Resolution(), opacity_weight=0.0, dropout=0.0, random_background=False
     )
@@ -59,13 +59,14 @@ def moving(settings: Settings, scene: Scene) -> MovingSettings:
     )  # fmt: skip
 
 
-def completing(settings: Settings) -> StratoSplat:
-    """Settings of method stratosplat for a plan: its own start, memory and planes, and all that was planned.
+def completed(settings: Settings) -> StratoSplat:
+    """Settings of method stratosplat for a plan: its own start and memory, and all that was planned.
 
     Args:
         settings: What was planned.
     """
-    return StratoSplat(**{part.name: getattr(settings, part.name) for part in fields(Settings)})
+    planned = {part.name: getattr(settings, part.name) for part in fields(Settings)}
+    return StratoSplat(**planned, planes=Planes(stride=STRIDE))
 
 
 def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
@@ -81,7 +82,7 @@ def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
     """
     if base != "stratosplat":
         return threedgs.started(scene, settings, run)
-    points = stratosplat.started(scene, completing(settings), replace(run, folder=None))
+    points = stratosplat.started(scene, completed(settings), replace(run, folder=None))
     found = replace(scene, points=points)
     return with_at_most(found, settings.most_points) if settings.most_points else found
 
@@ -100,7 +101,7 @@ def prepare(scene: Scene, settings: Settings, run: Run, base: Base) -> tuple[Mod
     if base == "3dgs":
         return threedgs.prepare(scene, settings, run)
     if base == "stratosplat":
-        return stratosplat.prepare_from(scene, completing(settings), run)
+        return stratosplat.prepare_from(scene, completed(settings), run)
     model, plan = pvg.prepare(scene, moving(settings, scene), run)
     return model, replace(plan, widest=settings.widest)
 

@@ -56,6 +56,8 @@ class SceneFacts:
     """Median number of other training views that see at least a tenth of a view's points."""
     angle: float
     """Median over points of the largest angle between two of its rays, degrees; nan: not known."""
+    down: float
+    """Least cosine, -1 to 1, of the angle between the direction that a view looks in and straight down."""
     bare: float
     """Share, 0 to 1, of cells of 16 x 16 pixels that no sparse point is seen in."""
     detail: float
@@ -108,6 +110,7 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
         coverage=_coverage(views, positions),
         neighbours=_neighbours(seen),
         angle=_angle(torch.stack([view.camera.centre for view in views]), positions, seen),
+        down=min(float(view.camera.rotation[2] @ -scene.up.double()) for view in views),
         bare=float(np.mean([_bare(view, positions, seen, row) for row, view in chosen])),
         detail=float(np.mean([_detail(photo) for photo in photos])),
         noise=float(np.median([noise(photo) for photo in photos])),

@@ -14,11 +14,17 @@ import torch
 from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
-from splatproof.methods.auto.base import Base, finished, following, prepare, started
-from splatproof.methods.auto.completion import planned_completion
+from splatproof.methods.auto.base import (
+    Base,
+    finished,
+    prepare,
+    started,
+    without_what_is_lacking,
+)
+from splatproof.methods.auto.completion import completing, planned_completion
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, keep_back
-from splatproof.methods.auto.matching import planned_matching
+from splatproof.methods.auto.matching import CELL, planned_matching
 from splatproof.methods.auto.motion import planned_motion
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
@@ -120,7 +126,7 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
         if settings.steps is None:
             preparing = time.perf_counter() - began
             left = settings.seconds * (1 - RESERVE) - spent - preparing
-            most = most_steps(chosen, len(plan.views))
+            most, _ = most_steps(chosen, len(plan.views), base)
             plan = replace(plan, recount=Recount(chosen, left, most, told_steps))
         trained = exposed(model, chosen.exposure, plan.views)
         if goal is not None:
@@ -226,9 +232,12 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             dense=replace(chosen.dense, partners=matching.partners),
         )  # fmt: skip
         moves, motion = planned_motion(scene, settings, facts)
-        completes, completion = planned_completion(settings, facts)
+        completes, completion = planned_completion(settings, facts, moves=moves)
         base: Base = "stratosplat" if completes else "pvg" if moves else "3dgs"
-        chosen = following(chosen, base)
+        if completes:
+            chosen = completing(replace(chosen, dense_cell=chosen.dense_cell or CELL), settings)
+        elif moves:
+            chosen = without_what_is_lacking(chosen)
         start = started(scene, chosen, run, base) if completes else None
         speed = measure(start or scene, chosen, run, base)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)

@@ -47,6 +47,9 @@ FEW_STEPS = 3000
 `MOST_VISITS` times. Held-out photos, one seed, 1,500, 3,000 and 6,000 steps from six photos: caliterra 22.9, 24.7 and
 24.5 dB, brighton_beach 17.7, 18.1 and 17.8, courtyard (1,500 and 3,000) 22.8 and 22.8; from three of aerial-sparse/town
 21.7 and 21.9."""
+COMPLETED_STEPS = 1000
+"""Steps from completed depths after which nothing more is gained: from six photos of caliterra and of brighton_beach 24.7
+and 17.5 dB after 400 steps as after 800."""
 LEAST_STEPS, MOST_STEPS = 100, 30_000
 """Steps of the shortest run that is planned, and of the longest."""
 MOST_VISITS = 250
@@ -277,6 +280,8 @@ def plan(
         base: What is trained.
     """
     most, why = most_gaussians(asked, facts, settings.sh_degree, free)
+    if base == "stratosplat" and facts.points > most:
+        most, why = facts.points, "one for each completed point"
     pace = asked.pace or PACE
     settings = replace(settings, density=replace(settings.density, most=most, pace=pace))
     told = list(choices)
@@ -306,13 +311,14 @@ def plan(
         else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on",
     ))  # fmt: skip
     if asked.steps is None:
-        count, bound = steps_in(seconds, settings, facts, speed), most_steps(settings, facts.views)
+        count = steps_in(seconds, settings, facts, speed)
+        bound, enough = most_steps(settings, facts.views, base)
         reason = (
             f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(float(start)):.1f} ms at full size "
             f"with {start:,} points"
         )
         if count > bound:
-            count, reason = bound, "more of these photos would be learnt by heart"
+            count, reason = bound, enough
     else:
         count, reason = asked.steps, "given"
     if asked.db:
@@ -331,15 +337,20 @@ def plan(
     )  # fmt: skip
 
 
-def most_steps(settings: Settings, views: int) -> int:
-    """Steps after which each photo has been looked at `MOST_VISITS` times; `FEW_STEPS` steps' views at least.
+def most_steps(settings: Settings, views: int, base: Base = "3dgs") -> tuple[int, str]:
+    """Most steps that pay, and why: each photo looked at `MOST_VISITS` times, all together `FEW_STEPS` times.
 
     Args:
         settings: Views a step.
         views: Number of training photos.
+        base: What is trained.
     """
-    looks = max(MOST_VISITS * views, FEW_STEPS)
-    return min(MOST_STEPS, max(LEAST_STEPS, looks // settings.views_per_step))
+    if base == "stratosplat":
+        looks, why = COMPLETED_STEPS, "more gain nothing from completed depths"
+    else:
+        looks = max(MOST_VISITS * views, FEW_STEPS)
+        why = "in more these photos would be learnt by heart"
+    return min(MOST_STEPS, max(LEAST_STEPS, looks // settings.views_per_step)), why
 
 
 def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed) -> int:

@@ -26,6 +26,8 @@ def told(facts: SceneFacts) -> list[tuple[str, str, str]]:
                             f"{facts.neighbours:.0f} neighbours")),
         ("baselines", known(facts.angle, f"{facts.angle:.0f} degrees"),
          "median over points of the widest angle between two rays"),
+        ("directions", f"{math.degrees(math.acos(min(1.0, max(-1.0, facts.down)))):.0f} degrees",
+         "that a photo looks away from straight down, at most"),
         ("detail", f"{facts.detail:.1f} of 255", "what a photo loses when it is halved"),
         ("noise", f"{facts.noise:.1f} of 255", "below it no training can tell right from wrong"),
         ("exposure", known(facts.exposure, f"{100 * math.expm1(facts.exposure):.1f} %"),

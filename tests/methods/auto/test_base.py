@@ -1,6 +1,6 @@
 """Plans whose model is another method's: runs by them are like any other run of auto."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import pytest
 import torch
@@ -8,11 +8,13 @@ import torch
 from helpers.aerial_scene import aerial_scene
 from helpers.tiny_drive import tiny_drive
 from splatproof.methods.auto import fit as fitting
+from splatproof.methods.auto.base import STRIDE, completed
 from splatproof.methods.auto.fit import fit
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.threedgs.settings import Settings
 from splatproof.reference.types.scene import Scene
 
 SHORT = AutoSettings(seconds=20.0, steps=30, probe_share=0.0)
@@ -87,6 +89,15 @@ def test_a_killed_run_goes_on_to_the_same_model_by_its_plan(planned, tmp_path, m
         fit(planned.scene, planned.asked, replace(run, report=killing))
     monkeypatch.setattr(fitting, "planned", lambda *_: pytest.fail("planned again"))
     assert same(straight, fit(planned.scene, planned.asked, run), planned.scene)
+
+
+def test_what_is_completed_follows_the_plan():
+    settings = Settings(iterations=123, sh_degree=1, dropout=0.4, widest=0.7, exposure="gain")
+    found = completed(settings)
+    for part in fields(Settings):
+        assert getattr(found, part.name) == getattr(settings, part.name)
+    assert found.init == "layered"
+    assert found.planes.stride == STRIDE
 
 
 def test_a_training_ends_where_photos_kept_back_are_good_enough():

@@ -6,9 +6,10 @@ import pytest
 
 from helpers.aerial_scene import aerial_scene
 from splatproof.base.errors import UsageError
-from splatproof.methods.auto.completion import FEW, planned_completion
+from splatproof.methods.auto.completion import DROPOUT, FEW, SEEN, completing, planned_completion
 from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import planned
+from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
 
@@ -16,17 +17,42 @@ FACTS = facts_of(aerial_scene(), 2**20)
 ASKED = AutoSettings(seconds=20.0, probe_share=0.0)
 
 
-def test_nothing_is_completed_unasked_and_of_few_photos_it_is_told():
-    found, (choice,) = planned_completion(ASKED, replace(FACTS, views=FEW))
-    assert (found, choice.value) == (False, "none")
-    assert planned_completion(ASKED, replace(FACTS, views=FEW + 1)) == (False, ())
+AERIAL = replace(FACTS, views=6, coverage=2.5, down=1.0)
+
+
+@pytest.mark.parametrize(
+    ("known", "done", "because"),
+    [
+        ({}, True, "each place is in 2.5 of 6 photos"),
+        ({"coverage": SEEN}, False, "each place is in 4.0 of 6 photos"),
+        ({"down": 0.0}, False, "a photo looks 90 degrees away from straight down"),
+    ],
+)
+def test_depths_are_completed_where_few_photos_from_the_air_see_a_place(known, done, because):
+    found, (choice,) = planned_completion(ASKED, replace(AERIAL, **known), moves=False)
+    assert (found, choice.because) == (done, because)
+
+
+def test_nothing_is_completed_where_nobody_would_expect_it():
+    assert planned_completion(ASKED, replace(AERIAL, views=FEW + 1), moves=False) == (False, ())
+    assert planned_completion(ASKED, AERIAL, moves=True) == (False, ())
+
+
+def test_a_bound_on_the_file_leaves_no_room_for_virtual_gaussians():
+    found, (choice,) = planned_completion(replace(ASKED, megabytes=2.0), AERIAL, moves=False)
+    assert not found
+    assert choice.because.startswith("megabytes is given")
+    with pytest.raises(
+        UsageError, match="completed is True, expected False, or None, where megabytes"
+    ):
+        AutoSettings(completed=True, megabytes=2.0)
 
 
 @pytest.mark.parametrize("fixed", [False, True])
 @pytest.mark.parametrize("views", [3, 100])
 def test_what_is_fixed_is_kept(fixed, views):
     asked = replace(ASKED, completed=fixed)
-    found, (choice,) = planned_completion(asked, replace(FACTS, views=views))
+    found, (choice,) = planned_completion(asked, replace(AERIAL, views=views), moves=False)
     assert (found, choice.because) == (fixed, "given")
 
 
@@ -43,3 +69,14 @@ def test_the_number_of_completed_points_is_planned_with():
     told = {choice.component: choice for choice in found.plan.choices}
     assert told["points"].value.startswith(f"{len(found.start.points):,} of ")
     assert planned(scene, replace(ASKED, completed=False), Run(threads=1)).start is None
+
+
+def test_what_is_fixed_of_the_settings_stays():
+    plain = usual(ASKED, FACTS)
+    assert completing(plain, ASKED).dropout == DROPOUT
+    asked = replace(
+        ASKED, dropout=0.1, opacity_weight=0.3, coarsest=4.0, gradient=1e-3, most_points=77
+    )
+    found = completing(usual(asked, FACTS), asked)
+    assert (found.dropout, found.opacity_weight, found.resolution.coarsest) == (0.1, 0.3, 4.0)
+    assert (found.density.gradient, found.most_points) == (1e-3, 77)

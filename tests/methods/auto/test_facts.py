@@ -98,7 +98,7 @@ def test_a_moved_scene_has_the_same_facts():
     points = replace(scene.points, positions=scene.points.positions @ turn.T + shift)
     before, after = (
         facts_of(scene, ROOM),
-        facts_of(replace(scene, views=views, points=points), ROOM),
+        facts_of(replace(scene, views=views, points=points, up=turn @ scene.up), ROOM),
     )
     for name, value in asdict(before).items():
         assert getattr(after, name) == pytest.approx(value, abs=1e-6, nan_ok=True), name

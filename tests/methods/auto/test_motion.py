@@ -13,7 +13,7 @@ from splatproof.datasets.procedural import street
 from splatproof.datasets.procedural.exporting import make_scene
 from splatproof.methods.auto import facts as facts_module
 from splatproof.methods.auto import fit as fitting
-from splatproof.methods.auto.base import following, moving, prepare
+from splatproof.methods.auto.base import moving, prepare, without_what_is_lacking
 from splatproof.methods.auto.facts import PAIRS, SceneFacts, facts_of, moving_share
 from splatproof.methods.auto.fit import RESERVE, Recount, fit
 from splatproof.methods.auto.motion import LEAST_MOVING, planned_motion
@@ -33,7 +33,7 @@ ASKED = AutoSettings(seconds=20.0, steps=30, probe_share=0.0, motion=True)
 def facts(**more) -> SceneFacts:
     found = SceneFacts(
         views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
-        angle=30.0, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=12, swept=True,
+        angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=12, swept=True,
         moving=0.02, image_bytes=1,
     )  # fmt: skip
     return replace(found, **more)
@@ -152,7 +152,7 @@ def test_a_drive_in_which_nothing_moves_is_told_from_one_with_a_car(
 
 def test_what_moves_follows_the_plan():
     settings = replace(
-        following(usual(AutoSettings(sh_degree=1), facts()), "pvg"), iterations=123,
+        without_what_is_lacking(usual(AutoSettings(sh_degree=1), facts())), iterations=123,
         exposure="gain",
     )  # fmt: skip
     settings = replace(settings, density=replace(settings.density, most=777, pace="even"))
