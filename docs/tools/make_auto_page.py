@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from kept_rows import committed, joined
 from make_minute_page import MACHINE, planned_lines, spread
 
 from splatproof.reference.types.result import Result
@@ -43,6 +44,8 @@ class Row:
     machine: str
     plan: dict[str, str]
     """What was chosen, and why."""
+    ssim: float | None = None
+    """Mean over the scored views; None: not kept, as of older rows."""
 
 
 def row_of(result: Result) -> Row:
@@ -53,7 +56,7 @@ def row_of(result: Result) -> Row:
     """
     return Row(
         scene=result.scene, protocol=result.protocol, row=result.row, seed=result.seed,
-        psnr=result.metrics["psnr"], primitives=result.primitives,
+        psnr=result.metrics["psnr"], ssim=result.metrics["ssim_3dgs"], primitives=result.primitives,
         seconds=sum(result.stages.get(name, 0.0) for name in ("plan", "init", "train")),
         machine=", ".join(f"{name} {result.environment.get(name, '')}" for name in MACHINE),
         plan={
@@ -65,16 +68,19 @@ def row_of(result: Result) -> Row:
 
 
 def collect(runs: Path, docs: Path) -> None:
-    """Write auto.json from the records of the suite's runs.
+    """Write auto.json from the records of the suite's runs; rows that the runs lack are kept, see `joined`.
 
     Args:
         runs: Folder that `bench run auto --out` was given.
         docs: Folder of the page.
     """
-    folders = [runs / SUITE / case.folder for case in load_suite(SUITE).cases]
+    cases, kept = load_suite(SUITE).cases, docs / f"{SUITE}.json"
+    folders = [runs / SUITE / case.folder for case in cases]
     results = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
-    lines = ",\n".join(json.dumps(asdict(row_of(one))) for one in results if not one.error)
-    (docs / f"{SUITE}.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    new = [asdict(row_of(one)) for one in results if not one.error]
+    rows, _ = joined(new, committed(kept), cases)
+    lines = ",\n".join(map(json.dumps, rows))
+    kept.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,16 +192,18 @@ def table(rows: Sequence[Row]) -> str:
     }
     auto = {row.seed: row.psnr for row in rows if row.row == AUTO}
     lines = [
-        "| row | seeds | PSNR | less auto's | seconds | Gaussians |",
-        "|---|---:|---:|---:|---:|---:|",
+        "| row | seeds | PSNR | less auto's | SSIM | seconds | Gaussians |",
+        "|---|---:|---:|---:|---:|---:|---:|",
     ]
     for name, found in sorted(
         own.items(), key=lambda pair: -summarise([row.psnr for row in pair[1]]).mean
     ):
         paired = [row.psnr - auto[row.seed] for row in found if row.seed in auto]
+        alike = [row.ssim for row in found if row.ssim is not None]
         less = f"{summarise(paired).mean:+.2f}" if paired and name != AUTO else ""
         lines.append(
             f"| {name} | {len(found)} | {spread([row.psnr for row in found], 2)} | {less} | "
+            f"{spread(alike, 3) if alike else ''} | "
             f"{spread([row.seconds for row in found], 0)} | "
             f"{summarise([float(row.primitives) for row in found]).mean:,.0f} |"
         )
@@ -210,7 +218,8 @@ HEAD = """\
 `@full-size` photos from the start, `@matched` points and `@sparse-points` without, `@opacity-term` and
 `@no-opacity-term`, `@dropout` 0.4 and `@no-dropout`, `@gains` for each photo, `@fewer` and `@more` Gaussians
 (pull from which they are split 8e-4 and 2e-4), `@even-pace` growth to the cap on Gaussians, alone and with the pull of
-`@more`, `@unbounded` scales, `@still` where things move, `@no-probe`. *Regret* is what the best of them has more than auto: the best of ten is
+`@more`, `@unbounded` scales, `@still` where things move, `@no-probe`; of few photos `@completed` depths with virtual Gaussians and `@explicit`
+ones alone, where PSNR says little: look at SSIM, and at the pictures. *Regret* is what the best of them has more than auto: the best of ten is
 partly the luckiest of ten, so auto's regret is overstated, most with one seed. Auto is *near* where the whole 95 % interval
 of at least three seeds lies below 0.2 dB, with at most 1.2 times the Gaussians. Machine: {machines}.
 """
