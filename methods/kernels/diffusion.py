@@ -39,18 +39,20 @@ def diffused(
 class _Diffuse(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor, across: Tensor, down: Tensor, sweeps: int):
-        ctx.weights, ctx.sweeps = (across.detach().contiguous(), down.detach().contiguous()), sweeps
-        return _diffused(values, *ctx.weights, sweeps)
+        weights = (across.detach().contiguous(), down.detach().contiguous())
+        ctx.weights, ctx.sweeps = weights, sweeps
+        return _diffused(values, weights, sweeps)
 
     @staticmethod
     def backward(ctx: Any, *grad_outputs: Tensor):
         # each sweep is I + L / 4 with L symmetric, so the map is its own transpose
-        return _diffused(grad_outputs[0], *ctx.weights, ctx.sweeps), None, None, None
+        return _diffused(grad_outputs[0], ctx.weights, ctx.sweeps), None, None, None
 
 
-def _diffused(values: Tensor, across: Tensor, down: Tensor, sweeps: int) -> Tensor:
+def _diffused(values: Tensor, weights: tuple[Tensor, Tensor], sweeps: int) -> Tensor:
     held = plain(values)
     assert held is not None
     smoothed = torch.empty_like(held)
+    across, down = weights
     _ext.diffuse(held, across, down, sweeps, smoothed)
     return smoothed
