@@ -20,6 +20,7 @@ _WHERE = {
     "ms_ssim_kornia": "ssim",
     "psnr": "pixel",
     "ssim_3dgs": "ssim",
+    "ssim_contrast": "ssim",
     "ssim_kornia": "ssim",
     "ssim_skimage": "ssim",
     "ssim_valid": "ssim",

@@ -10,6 +10,7 @@ from splatproof.metrics.pixel import psnr as psnr
 from splatproof.metrics.registry import find_metric as find_metric
 from splatproof.metrics.ssim import ms_ssim_kornia as ms_ssim_kornia
 from splatproof.metrics.ssim import ssim_3dgs as ssim_3dgs
+from splatproof.metrics.ssim import ssim_contrast as ssim_contrast
 from splatproof.metrics.ssim import ssim_kornia as ssim_kornia
 from splatproof.metrics.ssim import ssim_skimage as ssim_skimage
 from splatproof.metrics.ssim import ssim_valid as ssim_valid

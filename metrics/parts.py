@@ -13,7 +13,14 @@ from splatproof.metrics.gradient import gradient_map
 from splatproof.metrics.ldr_flip import flip_map
 from splatproof.metrics.pairs import Pair, check_pair, mean_over
 from splatproof.metrics.pixel import psnr_of_mse
-from splatproof.metrics.ssim import WINDOW, kornia_map, skimage_map, ssim_map, windows_valid
+from splatproof.metrics.ssim import (
+    WINDOW,
+    contrast_map,
+    kornia_map,
+    skimage_map,
+    ssim_map,
+    windows_valid,
+)
 
 PARTS = ("moving", "vehicles", "people", "still")
 """What `Protocol.parts` may name: all that moves, either kind of it, all that does not."""
@@ -94,10 +101,17 @@ def _inside(pair: Pair, where: Bool[np.ndarray, "h w"]) -> float:
     return mean_over(ssim_map(pair.image, pair.target), where & inside)
 
 
+def _contrast(pair: Pair, where: Bool[np.ndarray, "h w"]) -> float:
+    """SSIM's contrast term over `where`, of windows that lie inside the image."""
+    inside = windows_valid(np.ones_like(where), WINDOW, beyond_border=False)
+    return mean_over(contrast_map(pair.image, pair.target), where & inside)
+
+
 OVER: dict[str, Callable[[Pair, Bool[np.ndarray, "h w"]], float]] = {
     "psnr": _psnr,
     "ssim_3dgs": lambda pair, where: mean_over(ssim_map(pair.image, pair.target), where),
     "ssim_valid": _inside,
+    "ssim_contrast": _contrast,
     "ssim_skimage": lambda pair, where: mean_over(skimage_map(pair), where),
     "ssim_kornia": lambda pair, where: mean_over(kornia_map(pair), where),
     "flip": lambda pair, where: mean_over(flip_map(pair), where),

@@ -146,6 +146,14 @@ _ALL = (
         source="Zhao et al. 2017 as in kornia.losses.MS_SSIMLoss: full-size Gaussians, not a pyramid",
     ),
     Metric(
+        name="ssim_contrast",
+        function=ssim.ssim_contrast,
+        unit="",
+        higher_is_better=True,
+        range=(0.0, 1.0),
+        source="Wang et al. 2004, Eq. 9: the contrast term alone, windows inside the image only",
+    ),
+    Metric(
         name="flip",
         function=ldr_flip.flip,
         unit="",

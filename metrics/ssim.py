@@ -162,6 +162,58 @@ def ms_ssim_kornia(
     return mean_over(similarity, windows_valid(pair.valid, SCALES_WINDOW, beyond_border=True))
 
 
+def ssim_contrast(
+    image: Float[Tensor, "h w 3"],
+    target: Float[Tensor, "_h _w 3"],
+    mask: Bool[Tensor, "_h _w"] | None = None,
+) -> float:
+    """The contrast term of SSIM alone: whether there is as much detail as in the truth, wherever it stands.
+
+    A smear has too little of it, noise too much. PSNR, SSIM and FLIP ask where each leaf stands, and so
+    prefer a smear to leaves that stand elsewhere; this one does not ask at all: read it beside them.
+
+    Args:
+        image: What is scored, in [0, 1], both sides at least 11.
+        target: The truth, in [0, 1].
+        mask: True where a pixel counts; the mean is then over windows that are fully valid.
+    Returns: Mean over windows and channels, in [0, 1], 1 for equal local contrasts; nan without a window.
+    Raises: DataError, see metrics.pairs.check_pair.
+    Source: Wang et al. 2004, Eq. 9, c(x, y), over the windows of `ssim_valid`.
+    """
+    pair = check_pair(image, target, mask, window=WINDOW, metric="ssim_contrast")
+    counted = windows_valid(pair.valid, WINDOW, beyond_border=False)
+    return mean_over(contrast_map(pair.image, pair.target), counted)
+
+
+def contrast_map(
+    image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
+) -> Float[np.ndarray, "h w 3"]:
+    """c = (2 sx sy + C2) / (sx^2 + sy^2 + C2) at each pixel and channel under the 11x11 Gaussian.
+
+    Args:
+        image: What is scored, in [0, 1]; float64, since E[x^2] - E[x]^2 cancels.
+        target: The truth, in [0, 1]; float64.
+    """
+    sx, sy = (
+        np.maximum(blurred(values * values) - blurred(values) ** 2, 0) for values in (image, target)
+    )
+    return (2 * np.sqrt(sx * sy) + C2) / (sx + sy + C2)
+
+
+def blurred(
+    values: Float[np.ndarray, "h w 3"], window: int = WINDOW, sigma: float = SIGMA
+) -> Float[np.ndarray, "h w 3"]:
+    """Gaussian mean about each pixel, zeros beyond the border.
+
+    Args:
+        values: Of each pixel and channel.
+        window: Side of the window in pixels.
+        sigma: Standard deviation in pixels.
+    """
+    # OpenCV's constant border is zero and its kernel the normalised, truncated Gaussian.
+    return cv2.GaussianBlur(values, (window, window), sigma, borderType=cv2.BORDER_CONSTANT)
+
+
 def ssim_map(
     image: Float[np.ndarray, "h w 3"], target: Float[np.ndarray, "h w 3"]
 ) -> Float[np.ndarray, "h w 3"]:
@@ -189,8 +241,7 @@ def similarity_terms(
     """
 
     def blur(values: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
-        # OpenCV's constant border is zero and its kernel the normalised, truncated Gaussian.
-        return cv2.GaussianBlur(values, (window, window), sigma, borderType=cv2.BORDER_CONSTANT)
+        return blurred(values, window, sigma)
 
     mx, my = blur(x), blur(y)
     sx, sy, sxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my

@@ -70,7 +70,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/compression/mixing": ("gaps", "columns", "harmonics"),
     "reference/compression/range_coder": ("gaps", "columns", "harmonics"),
     "reference/compression/logistic": ("logistic",),
-    "metrics/ssim": ("ssim_3dgs", "ssim_valid", "ssim"),
+    "metrics/ssim": ("ssim_3dgs", "ssim_valid", "ssim_contrast", "ssim"),
     "metrics/ldr_flip": ("flip",),
     "metrics/colour_difference": ("delta_e_76", "delta_e_2000"),
     "metrics/gradient": ("gradient_l1",),

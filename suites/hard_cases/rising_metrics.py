@@ -25,6 +25,13 @@ def _metric(name: str):
     return run
 
 
+def _contrast(rung: float, image: Tensor, truth: Tensor) -> Tensor:
+    """What a picture's contrast term lacks of 1, which falls as the square of how much it differs."""
+    close = (image - truth) / rung + truth
+    lacks = 1 - find_metric("ssim_contrast").function(close, truth, None)
+    return rung**2 * torch.tensor([lacks]).to(image)
+
+
 def _seam(rung: float, image: Tensor, truth: Tensor, weights: Tensor) -> Tensor:
     """Two blocks, one of which shows ever less of the pixels, at ever larger depth."""
     shares = torch.stack([weights, weights / rung], dim=-1)
@@ -97,6 +104,8 @@ CASES = (
            rungs=(1.0, 1e1, 1e2, 1e3), inputs=lambda h: _pair(), more=tenth, reason="as of delta_e_76"),
     Rising(component="gradient_l1", name="times as alike", run=_metric("gradient_l1"),
            rungs=(1.0, 1e1, 1e2, 1e3), inputs=lambda h: _pair(), more=tenth, reason="as of delta_e_76"),
+    Rising(component="ssim_contrast", name="times as alike", run=_contrast,
+           rungs=(1.0, 1e1, 1e2), inputs=lambda h: _pair(), more=tenth, reason="as of delta_e_76"),
     Rising(component="seam", name="times as faint, and as far", run=_seam, rungs=(1.0, 1e2, 1e4),
            inputs=lambda h: (*_pair(), uniform(SIDE, SIDE))),
     Rising(component="seam, released", name="distance from the origin", run=_released, rungs=(1.0, 1e2, 1e4),

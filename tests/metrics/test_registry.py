@@ -13,6 +13,7 @@ from splatproof.metrics.registry import BUILT_IN, find_metric, load_weights
 
 WINDOWS = {
     "ssim_3dgs": 11, "ssim_valid": 11, "ssim_skimage": 7, "ssim_kornia": 11, "ms_ssim_kornia": 33,
+    "ssim_contrast": 11,
 }  # fmt: skip
 WITHOUT_WEIGHTS = [metric for metric in BUILT_IN.values() if metric.load_weights is None]
 ALL = pytest.mark.parametrize("metric", WITHOUT_WEIGHTS, ids=lambda metric: metric.name)
