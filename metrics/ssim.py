@@ -206,7 +206,7 @@ def blurred(
     """Gaussian mean about each pixel, zeros beyond the border.
 
     Args:
-        values: Of each pixel and channel.
+        values: One for each pixel and channel.
         window: Side of the window in pixels.
         sigma: Standard deviation in pixels.
     """
