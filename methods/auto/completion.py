@@ -27,13 +27,14 @@ DROPOUT = 0.5
 
 
 def planned_completion(
-    asked: AutoSettings, facts: SceneFacts, *, moves: bool
+    asked: AutoSettings, facts: SceneFacts, *, points: int, moves: bool
 ) -> tuple[bool, tuple[Choice, ...]]:
     """Complete the depth of each photo where few photos from the air see each place.
 
     Args:
         asked: The budget; `completed` may be fixed.
         facts: What was measured.
+        points: Number of the scene's own points: without any nothing says how far away anything is.
         moves: Whether Gaussians move: then nothing is completed.
 
     Source: ours; what is done: StratoSplat, Sec. 3.
@@ -43,6 +44,8 @@ def planned_completion(
         return asked.completed, (_choice(asked.completed, "given"),)
     if moves or facts.views > FEW:
         return False, ()  # nobody would expect it
+    if not points:
+        return False, (_choice(False, "the scene has no point"),)
     if not facts.coverage < SEEN:
         return False, (_choice(False, told),)
     if facts.down < DOWN:

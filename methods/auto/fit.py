@@ -24,7 +24,7 @@ from splatproof.methods.auto.base import (
 from splatproof.methods.auto.completion import completing, planned_completion
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, keep_back
-from splatproof.methods.auto.matching import CELL, planned_matching
+from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
@@ -33,14 +33,13 @@ from splatproof.methods.auto.planner import (
     Choice,
     candidates,
     compete,
-    most_steps,
     plan,
-    training_seconds,
     usual,
 )
 from splatproof.methods.auto.probe import PIXELS, better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed, measure
+from splatproof.methods.auto.steps import most_steps, training_seconds
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
@@ -232,10 +231,12 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             dense=replace(chosen.dense, partners=matching.partners),
         )  # fmt: skip
         moves, motion = planned_motion(scene, settings, facts)
-        completes, completion = planned_completion(settings, facts, moves=moves)
+        completes, completion = planned_completion(
+            settings, facts, points=len(scene.points), moves=moves
+        )
         base: Base = "stratosplat" if completes else "pvg" if moves else "3dgs"
         if completes:
-            chosen = completing(replace(chosen, dense_cell=chosen.dense_cell or CELL), settings)
+            chosen = completing(chosen, settings)
         elif moves:
             chosen = without_what_is_lacking(chosen)
         start = started(scene, chosen, run, base) if completes else None
@@ -248,13 +249,8 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         component="start", value=f"{RANDOM_POINTS:,} points drawn in sight of the cameras",
         because="the scene has none; --points triangulated may find some",
     )  # fmt: skip
-    choices = (
-        *(() if len(scene.points) else (drawn,)),
-        matching.choice,
-        *motion,
-        *completion,
-        *choices,
-    )
+    lacking = () if len(scene.points) else (drawn,)
+    choices = (*lacking, matching.choice, *motion, *completion, *choices)
     points = len(start.points) if start else facts.points
     made = plan(
         settings, replace(facts, points=points), chosen, choices, speed, left, available_mb(), base

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from helpers.aerial_scene import aerial_scene
+from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import UsageError
 from splatproof.methods.auto.completion import DROPOUT, FEW, SEEN, completing, planned_completion
 from splatproof.methods.auto.facts import facts_of
-from splatproof.methods.auto.fit import planned
+from splatproof.methods.auto.fit import fit, planned
+from splatproof.methods.auto.method import cost
 from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
@@ -29,17 +30,36 @@ AERIAL = replace(FACTS, views=6, coverage=2.5, down=1.0)
     ],
 )
 def test_depths_are_completed_where_few_photos_from_the_air_see_a_place(known, done, because):
-    found, (choice,) = planned_completion(ASKED, replace(AERIAL, **known), moves=False)
+    found, (choice,) = planned_completion(ASKED, replace(AERIAL, **known), points=9, moves=False)
     assert (found, choice.because) == (done, because)
 
 
 def test_nothing_is_completed_where_nobody_would_expect_it():
-    assert planned_completion(ASKED, replace(AERIAL, views=FEW + 1), moves=False) == (False, ())
-    assert planned_completion(ASKED, AERIAL, moves=True) == (False, ())
+    assert planned_completion(ASKED, replace(AERIAL, views=FEW + 1), points=9, moves=False) == (
+        False,
+        (),
+    )
+    assert planned_completion(ASKED, AERIAL, points=9, moves=True) == (False, ())
+
+
+def test_without_any_point_nothing_is_completed_and_training_starts_all_the_same():
+    found, (choice,) = planned_completion(ASKED, AERIAL, points=0, moves=False)
+    assert (found, choice.because) == (False, "the scene has no point")
+    scene = without_points(aerial_scene().for_training())
+    assert fit(scene, replace(ASKED, steps=20), Run(threads=1)).kind == "explicit"
+
+
+def test_points_are_matched_for_the_completion_only_where_that_is_planned():
+    asked = replace(ASKED, completed=True, dense_cell=0.0)
+    assert (
+        planned(aerial_scene().for_training(), asked, Run(threads=1)).plan.settings.dense_cell == 0
+    )
 
 
 def test_a_bound_on_the_file_leaves_no_room_for_virtual_gaussians():
-    found, (choice,) = planned_completion(replace(ASKED, megabytes=2.0), AERIAL, moves=False)
+    found, (choice,) = planned_completion(
+        replace(ASKED, megabytes=2.0), AERIAL, points=9, moves=False
+    )
     assert not found
     assert choice.because.startswith("megabytes is given")
     with pytest.raises(
@@ -52,7 +72,9 @@ def test_a_bound_on_the_file_leaves_no_room_for_virtual_gaussians():
 @pytest.mark.parametrize("views", [3, 100])
 def test_what_is_fixed_is_kept(fixed, views):
     asked = replace(ASKED, completed=fixed)
-    found, (choice,) = planned_completion(asked, replace(AERIAL, views=views), moves=False)
+    found, (choice,) = planned_completion(
+        asked, replace(AERIAL, views=views), points=9, moves=False
+    )
     assert (found, choice.because) == (fixed, "given")
 
 
@@ -69,6 +91,16 @@ def test_the_number_of_completed_points_is_planned_with():
     told = {choice.component: choice for choice in found.plan.choices}
     assert told["points"].value.startswith(f"{len(found.start.points):,} of ")
     assert planned(scene, replace(ASKED, completed=False), Run(threads=1)).start is None
+
+
+def test_memory_is_told_of_completed_depths_where_they_may_be():
+    scene = aerial_scene().for_training()
+    plain, may, asked = (
+        cost(replace(ASKED, completed=fixed), scene).memory_mb for fixed in (False, None, True)
+    )
+    assert plain < may == asked
+    many = replace(scene, train=scene.train * FEW)
+    assert cost(ASKED, many).memory_mb < cost(replace(ASKED, completed=True), many).memory_mb
 
 
 def test_what_is_fixed_of_the_settings_stays():

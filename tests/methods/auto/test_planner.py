@@ -15,15 +15,14 @@ from splatproof.methods.auto.planner import (
     candidates,
     coarsest,
     compete,
-    most_steps,
     plan,
     training_mb,
-    training_seconds,
     usual,
 )
 from splatproof.methods.auto.probe import better
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
+from splatproof.methods.auto.steps import most_steps, training_seconds
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,

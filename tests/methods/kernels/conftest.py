@@ -1,7 +1,9 @@
-"""Kernels are tested in two threads, also where a worker of pytest-xdist has only one."""
+"""Kernels are tested in two threads, also where a worker of pytest-xdist has only one, and at each SIMD level."""
 
 import pytest
 import torch
+
+from splatproof import _ext
 
 
 @pytest.fixture(autouse=True)
@@ -11,3 +13,12 @@ def _two_threads():
     torch.set_num_threads(2)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture(params=_ext.simd_levels())
+def simd_level(request):
+    """Each level that this machine has, in use for the test."""
+    before = _ext.simd_level()
+    _ext.set_simd_level(request.param)
+    yield request.param
+    _ext.set_simd_level(before)

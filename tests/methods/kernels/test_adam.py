@@ -5,19 +5,10 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatproof import _ext
 from splatproof.methods.kernels import adam
 
 SHAPES = [(37, 3), (37,), (37, 15, 3), (37, 4)]
 RATES = [1e-2, 3e-3, 1e-4, 5e-2]
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def gradients(seed: int, step: int) -> list[torch.Tensor]:

@@ -8,7 +8,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.kernels import anchors as native
 from splatproof.reference.anchors import scaffold
 from splatproof.reference.anchors.scaffold import Anchors, Decoder
@@ -22,14 +21,6 @@ CAMERA = torch.tensor([0.3, -0.2, 0.5])
 NEAR = 1e-4
 """Anchors with a unit or an opacity this close to the bend or end of its activation, where rounding decides (float32
 leaves 1e-6 of numbers of about 1), are given no weight in the comparison."""
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,14 +17,6 @@ BOUND = 5e-6
 1,200 cases at all SIMD levels the largest was 2.1e-6."""
 
 
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
-
-
 def drawn(
     n: int, taking: int, width: int, out: int, seed: int
 ) -> tuple[Tensor, Tensor, list[Tensor]]:

@@ -5,7 +5,6 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatproof import _ext
 from splatproof.methods.kernels.blocks import block_weights, render_blocks
 from splatproof.methods.kernels.rasterizer import rasterize
 from splatproof.reference.rasterizer import rasterize as reference
@@ -13,14 +12,6 @@ from splatproof.reference.types.gaussians import Gaussians
 from splatproof.suites.hard_cases.gaussian_scenes import random_scene
 
 BACKGROUND = torch.tensor([0.2, 0.5, 0.7])
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def model_of(scene) -> Gaussians:

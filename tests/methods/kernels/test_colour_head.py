@@ -8,7 +8,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.kernels import colour_head as native
 from splatproof.reference.anchors.lighting_appearance import mix_colours
 from splatproof.reference.types import mlp
@@ -19,14 +18,6 @@ BOUND = 1e-5
 cases at all SIMD levels the largest was 1.2e-6."""
 NEAR = 1e-4
 """Gaussians with a unit this close to its bend, where rounding decides, have no weight in the loss."""
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def drawn(m: int, n: int, one: int, two: int, seed: int) -> tuple[list[Tensor], Tensor]:

@@ -18,14 +18,6 @@ WRONG = 1e-3
 """What a lost exchange does at least."""
 
 
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
-
-
 def drawn(height: int, width: int, contrast: float, seed: int) -> tuple[Tensor, Tensor, Tensor]:
     g = torch.Generator().manual_seed(seed)
     image = torch.rand(height, width, 3, generator=g)

@@ -6,7 +6,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.kernels import field as native
 from splatproof.reference.layered_memory import coordinate_field
 from splatproof.reference.layered_memory.coordinate_field import CoordinateField
@@ -16,14 +15,6 @@ BOUND = 1e-5
 network's at least of the root of the number of places: it is a sum over all of them, and where a network has one
 hidden unit nothing else of its tensor is large when that sum cancels (3e-5 of such a sum was found). Over 180 cases
 at all SIMD levels the largest was 1.8e-6."""
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def drawn(

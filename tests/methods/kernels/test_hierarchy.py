@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.hdgs import decode as twin
 from splatproof.methods.hdgs import networks as nets
 from splatproof.methods.kernels import hierarchy as native
@@ -32,14 +31,6 @@ TIME = 0.4
 NEAR = 1e-4
 """Anchors with a hidden unit this close to the bend of its activation, where rounding decides (float32 leaves 1e-5 of
 numbers of about 1 after some layers), are given no weight in the comparison."""
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 @dataclass(frozen=True, kw_only=True)

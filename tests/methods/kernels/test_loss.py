@@ -7,7 +7,6 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from splatproof import _ext
 from splatproof.methods.kernels import loss as native
 from splatproof.reference.checks.agreement import compare_gradients
 from splatproof.reference.supervision import losses as reference
@@ -16,14 +15,6 @@ from splatproof.reference.supervision import losses as reference
 # 1.3e-6. A single window may lose more: SSIM subtracts squares of order 1 and divides by C2 = 9e-4.
 VALUE = 3e-6
 GRADIENT = 1e-4
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def pair(height: int, width: int, channels: int, seed: int):

@@ -29,14 +29,6 @@ PICTURES = ("colour", "alpha", "depth", "distance", "median_depth")
 SEEN = {"pixels": 0, "discontinuities": 0, "scenes": 0}
 
 
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
-
-
 def run(rasterize, scene: GaussianScene, dtype: torch.dtype, weights, **options):
     """Pictures, and the gradients of a weighted sum of them by everything."""
     leaves = scene.arguments(dtype)

@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.kernels import rasterizer as native
 from splatproof.reference.rasterizer import compositing, projection, rotation
 from splatproof.reference.rasterizer.spherical_harmonics import seen_colours
@@ -18,14 +17,6 @@ ROUNDING = 2e-5
 FULL = 1e-2
 """Light that is left before the Gaussian of alpha 0.99 or less that would leave less than 1e-4."""
 SEEDS = range(4)
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 def crowded(seed: int) -> GaussianScene:

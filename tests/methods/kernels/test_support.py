@@ -8,7 +8,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from splatproof import _ext
 from splatproof.methods.hdgs.consistency import Ice, Pairs, pairs, supported_by_products
 from splatproof.methods.kernels import support as native
 from splatproof.reference.anchors import support_network
@@ -20,14 +19,6 @@ PARTS: dict[Ice, tuple[bool, bool]] = {"full": (True, True), "no-mod": (False, T
 """Whether the step is modulated and gated."""
 BOUND = 5e-5
 """Of errors as a share of the tensor's largest, absolute below 1."""
-
-
-@pytest.fixture(params=_ext.simd_levels())
-def simd_level(request):
-    before = _ext.simd_level()
-    _ext.set_simd_level(request.param)
-    yield request.param
-    _ext.set_simd_level(before)
 
 
 Case = tuple[SupportNetwork, dict[str, Tensor], Pairs, Tensor]
