@@ -112,3 +112,10 @@ def test_what_is_fixed_of_the_settings_stays():
     found = completing(usual(asked, FACTS), asked)
     assert (found.dropout, found.opacity_weight, found.resolution.coarsest) == (0.1, 0.3, 4.0)
     assert (found.density.gradient, found.most_points) == (1e-3, 77)
+
+
+def test_completed_points_are_as_many_as_asked_for_at_most():
+    asked = replace(ASKED, completed=True, most_points=50, steps=10)
+    found = planned(aerial_scene().for_training(), asked, Run(threads=1))
+    assert found.start is not None
+    assert 10 < len(found.start.points) <= 50
