@@ -58,6 +58,8 @@ _ALL = (
         for what in BLOCKS
         for ratio in ("std", "max")
     ),
+    _metric("four_machine_seconds", "wall seconds if four machines had trained the blocks, longest first, and one did "
+            "all other stages (suites/scene_scores/block_balance.py)", unit="s"),
     _metric("block_densifications", "times that the block was densified that was so least", None),
     _metric("retention", "share of all blocks' trained Gaussians that the merge kept", None, most=1.0),
     _metric("edge_cut", "edges of a grid of voxels, 64 along the scene, between voxels of two blocks "

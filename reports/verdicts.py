@@ -22,17 +22,20 @@ Verdict = Literal[
     "not testable here",
 ]  # fmt: skip
 """undecided: of a claim with a bar, whose interval lies on both sides of it."""
-HALF = "half"
-"""Variant that is its method with half the steps: what the second half of a run still gains."""
+HALF, DOUBLE = "half", "double"
+"""Variants that are their method with half and with twice the steps: what further steps would still give."""
 SETTLED = 0.3
-"""dB that the second half of a run's steps may gain whatever the difference: a third of the papers' usual
-effects, and above what seeds move."""
+"""dB that further steps may give whatever the difference: a third of the papers' usual effects, and above
+what seeds move."""
 SETTLED_SHARE = 0.1
 """The same of values that are no dB, as a share of the value."""
 
-TIMES = ("train_seconds", "render_ms", "seconds_max_over_mean", "seconds_std_over_mean")
+TIMES = (
+    "train_seconds", "four_machine_seconds", "render_ms", "seconds_max_over_mean",
+    "seconds_std_over_mean",
+)  # fmt: skip
 """Metrics that other work on the machine changes."""
-TOTALS = ("train_seconds", "cpu_seconds")
+TOTALS = ("train_seconds", "four_machine_seconds", "cpu_seconds")
 """Metrics that are sums over a run's steps: with half of them there is half of it, and nothing has changed."""
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
@@ -168,26 +171,25 @@ def still_changing(
 ) -> str:
     """Why runs were too short to bear a difference; empty where they were not.
 
-    What the second half of the steps changed (against the row method@half) is about what all further
-    steps could change, where each doubling changes half as much as the one before. A run is long enough
-    if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself, which then keeps its
-    sign. A PSNR that falls has settled. Of several scenes it is the mean that counts, as it is of the
-    difference. Where there is no row of half the steps, what the last fifth of the run gained in training
+    What all further steps could change is known from a row of half or of twice the steps, see `further_gain`.
+    A run is long enough if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself,
+    which then keeps its sign. A PSNR that falls has settled. Of several scenes it is the mean that counts,
+    as it is of the difference. Where there is no such row, what the last fifth of the run gained in training
     loss stands in for a gain in PSNR.
 
     Args:
         claim: What is judged.
         chosen: Runs of its rows.
         difference: What they differ by, as it is compared.
-        runs: All cases of the suite, those of half the steps among them.
+        runs: All cases of the suite, those of half and twice the steps among them.
     """
     decibels = claim.metric.endswith("psnr")
     late = []
     for row in dict.fromkeys(run.row for run in chosen):
         own = [run for run in chosen if run.row == row]
-        change = _mean_half_gain(own, claim.metric, runs)
+        change = _mean_further_gain(own, claim.metric, runs)
         value = float(np.mean([abs(run.values.get(claim.metric, math.nan)) for run in own]))
-        told = f"the second half of its steps changed {claim.metric} by {change:+.2g}"
+        told = f"further steps would change {claim.metric} by about {change:+.2g}"
         bound = max(abs(difference), SETTLED if decibels else SETTLED_SHARE * value)
         if math.isnan(change):
             change = float(np.mean([run.late_gain for run in own]))
@@ -200,36 +202,50 @@ def still_changing(
     return "; ".join(late)
 
 
-def _mean_half_gain(own: Sequence[Measured], metric: str, runs: Sequence[Measured]) -> float:
-    """`half_gain` of a row, mean of the scenes that have a row of half the steps; nan where none has."""
+def _mean_further_gain(own: Sequence[Measured], metric: str, runs: Sequence[Measured]) -> float:
+    """`further_gain` of a row, mean of the scenes that have a row of other length; nan where none has."""
     scenes = {run.scene: run for run in own}.values()
-    gains = [gain for run in scenes if not math.isnan(gain := half_gain(run, metric, runs))]
+    gains = [gain for run in scenes if not math.isnan(gain := further_gain(run, metric, runs))]
     return float(np.mean(gains)) if gains else math.nan
 
 
-def half_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
-    """How much better a method is than with half its steps, over the seeds that both have.
+def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
+    """What all steps beyond a method's own would give, if each doubling gives half as much as the one before.
+
+    That is as much as the second half of its steps gave (against the row method@half), and twice what
+    twice the steps give (method@double): the latter is measured where the former is foretold, and counts
+    where both are there.
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
-            as its method, and a row whose own depth prior has no row of half the steps as many as with
+            as its method, and a row whose own depth prior has no row of other length as many as with
             another.
         metric: Name of a value of cases.
         runs: All cases of the suite.
-    Returns: Mean difference, of sums over steps that of the second half of the steps to the first; nan
-        where there are no two such rows.
+    Returns: Mean over the seeds that both rows have, of sums over steps without what the steps
+        themselves add; nan where there are no two such rows.
+    Source: ours.
     """
+    beyond = 2 * _doubling_gain(run, metric, runs, DOUBLE)
+    return _doubling_gain(run, metric, runs, HALF) if math.isnan(beyond) else beyond
+
+
+def _doubling_gain(run: Measured, metric: str, runs: Sequence[Measured], variant: str) -> float:
+    """Mean of the longer row less the shorter one, of a method and its variant of other length."""
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    halves = [r for r in alike if r.row == r.named(HALF) and r.named() == run.named(axes=_axes(r))]
-    halves = [r for r in halves if _axes(r) == _axes(run)] or halves
+    others = [
+        r for r in alike if r.row == r.named(variant) and r.named() == run.named(axes=_axes(r))
+    ]
+    others = [r for r in others if _axes(r) == _axes(run)] or others
     before = 2 if metric in TOTALS else 1
-    gains = [
-        whole.values[metric] - before * half.values[metric]
-        for half in halves
+    pairs = [
+        (whole, other) if variant == DOUBLE else (other, whole)
+        for other in others
         for whole in alike
-        if (whole.row, whole.seed) == (half.named(), half.seed)
-        and metric in whole.values and metric in half.values
+        if (whole.row, whole.seed) == (other.named(), other.seed)
+        and metric in whole.values and metric in other.values
     ]  # fmt: skip
+    gains = [longer.values[metric] - before * short.values[metric] for short, longer in pairs]
     return float(np.mean(gains)) if gains else math.nan
 
 

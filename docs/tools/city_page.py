@@ -183,6 +183,8 @@ their 95 % intervals; differences of rows are judged, image by image, on the [cl
 - `blockgaussian@sideways` is `@coarse` that also compares views from beside a photo, `@terms` (`~depth-sweep`: depth of matched
   photos) that also has inverse depth and volume; `vastgaussian@appearance` is `@coarse` with a network of each photo's
   appearance, `@gain` with three gains a photo.
+- `@half` and `@double` have half and twice the steps: what further steps would still change, by which the claims page tells
+  rows that are too short to judge.
 - Seams are scored on the pixels whose surface lies within a normalised distance of 1.1 of two regions or more of the
   row's partition (`metrics/seam_partition.py`), whatever the merge kept: rows of one partition are compared on the
   same pixels, rows of different partitions are not. `3dgs` has no partition and no seam.

@@ -13,7 +13,7 @@ from printed_tables import Printed, printed_tables
 from splatproof.reports.claims.claim import Claim
 from splatproof.reports.measured import Measured
 from splatproof.reports.statistics import summarise
-from splatproof.reports.verdicts import HALF, SETTLED, Judged, Verdict, judge
+from splatproof.reports.verdicts import DOUBLE, HALF, SETTLED, Judged, Verdict, judge
 from splatproof.suites.suite_files import suite_names
 
 Cell = tuple[str, str, int]
@@ -142,7 +142,7 @@ def _side_by_side(page: Page, scene: str) -> str:
     for name in named:
         own = [[r.values.get("psnr") for r in done if (r.row, r.protocol) == (name, p)]
                for p in protocols]  # fmt: skip
-        if any(own) and not is_half(name):
+        if any(own) and not is_length(name):
             lines.append(f"| {name} | " + " | ".join(number(values, 2) for values in own) + " |")
     return "\n".join(lines) + "\n"
 
@@ -152,7 +152,7 @@ def _place(page: Page, scene: str, protocol: str) -> str:
     rows = [r for r in page.rows if (r.scene, r.protocol) == (scene, protocol)]
     named = [row for s, p, row in page.planned if (s, p) == (scene, protocol)]
     texts = [f"## {scene}, protocol {protocol}\n"]
-    whole = [name for name in named if not is_half(name)]
+    whole = [name for name in named if not is_length(name)]
     if table := _table(rows, whole, QUALITY):
         texts.append(table)
     if lengths := _lengths(rows, named):
@@ -163,9 +163,9 @@ def _place(page: Page, scene: str, protocol: str) -> str:
     return "\n".join(texts)
 
 
-def is_half(row: str) -> bool:
-    """Whether a row is its method with half the steps."""
-    return row.partition("~")[0].endswith(f"@{HALF}")
+def is_length(row: str) -> bool:
+    """Whether a row is its method with half or twice the steps."""
+    return row.partition("~")[0].endswith((f"@{HALF}", f"@{DOUBLE}"))
 
 
 def _table(rows: Sequence[Measured], named: Sequence[str], cells: Sequence[Cell]) -> str:
@@ -234,5 +234,6 @@ excludes 0 on the claimed side and reaches half the printed effect; *direction o
 excludes 0 on the other side. A claim with a bar *holds* where the whole interval reaches it and is *undecided* where
 the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or a row
 still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
-the other: by the row `@half`, which has half the steps, or, without one, by the training loss of the last fifth.
+the other: by the rows `@half` and `@double`, which have half and twice the steps, or, without one, by the training
+loss of the last fifth.
 """

@@ -1,11 +1,15 @@
 """How evenly a model's blocks shared the work."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.metrics.balance import spread
+from splatproof.suites.city_plan import makespan
+
+MACHINES = 4
+"""How many machines train the blocks whose wall time is simulated."""
 
 FIELDS = {
     "load": "load",
@@ -39,6 +43,27 @@ def retention(blocks: Sequence[BlockFacts]) -> dict[str, float]:
     """
     trained = sum(block.primitives for block in blocks)
     return {"retention": sum(block.kept for block in blocks) / trained} if trained else {}
+
+
+def four_machine_seconds(
+    stages: Mapping[str, float], blocks: Sequence[BlockFacts]
+) -> dict[str, float]:
+    """four_machine_seconds: wall seconds of the whole if MACHINES machines had trained the blocks, those
+    first that take longest, and one of them did all else; nothing if a block's seconds are not known.
+
+    What is sent between machines is not counted. Seconds are those that were measured, so other work on the
+    machine, blocks trained at the same time among it, counts as if it were everywhere.
+
+    Args:
+        stages: Measured wall seconds of each stage, "blocks" among them.
+        blocks: One a block.
+    Source: list scheduling by longest first, Graham 1969; `suites.city_plan.makespan`.
+    """
+    if "blocks" not in stages or not all(block.seconds for block in blocks):
+        return {}
+    alone = sum(seconds for name, seconds in stages.items() if name != "blocks")
+    longest_first = sorted((block.seconds for block in blocks), reverse=True)
+    return {"four_machine_seconds": alone + makespan(longest_first, MACHINES)}
 
 
 def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:

@@ -13,6 +13,7 @@ from splatproof.reference.types.scene import Scene
 from splatproof.suites.scene_scores.block_balance import (
     balance_metrics,
     fewest_densifications,
+    four_machine_seconds,
     retention,
 )
 from splatproof.suites.scene_scores.seams import score_seams
@@ -25,8 +26,8 @@ def city_scores(
     images: tuple[ImageScore, ...],
     folder: Path,
 ) -> tuple[tuple[ImageScore, ...], dict[str, float]]:
-    """The images' scores with their seam metrics, and the scene's: seams, balance, densifications, retention,
-    edge cut, packed bytes.
+    """The images' scores with their seam metrics, and the scene's: seams, balance, seconds on four machines,
+    densifications, retention, edge cut, packed bytes.
 
     The scene's seam metrics pool the seam pixels of all test views, as the paper defines them; they
     are not means of the images' values, of which those without a seam pixel are nan.
@@ -44,6 +45,7 @@ def city_scores(
         whole["packed_bytes"] = float(len(model.packed))
     blocks = model.block_facts
     whole |= balance_metrics(blocks) | fewest_densifications(blocks) | retention(blocks)
+    whole |= four_machine_seconds(model.stage_seconds, blocks)
     if len(model.regions) > 1 and len(scene.points):
         owners = nearest_region(model.regions, scene.points.positions)
         whole["edge_cut"] = float(edge_cut(ground(scene), owners, len(model.regions)))

@@ -188,12 +188,32 @@ def with_halves(gain: float, effect: float = 0.1, metric: str = "psnr") -> list[
 
 def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_settled():
     assert verdict(found=with_halves(SETTLED - 0.1)).verdict == "direction only"
-    assert "the second half of its steps changed psnr by +0.4" in too_short(with_halves(0.4))
+    assert "further steps would change psnr by about +0.4" in too_short(with_halves(0.4))
     # what is still to come cannot turn a difference that is larger
     assert verdict(found=with_halves(0.4, effect=0.6)).verdict == "holds"
     assert verdict(found=with_halves(0.4, effect=-0.6)).verdict == "contradicted"
     # that scores fell says the run was long enough
     assert verdict(found=with_halves(-1.0)).verdict == "direction only"
+
+
+def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
+    """Each doubling is taken to give half as much as the one before: all to come is twice the next one."""
+    still = with_halves(SETTLED + 1.0)
+
+    def doubled(gain: float) -> list[Measured]:
+        longer = [
+            dataclasses.replace(one, row=f"{one.row}@double", late_gain=0.0, values={
+                name: value + gain for name, value in one.values.items()
+            })
+            for one in still if one.seed == 0 and "@" not in one.row
+        ]  # fmt: skip
+        return [*longer, *still]
+
+    assert verdict(found=doubled(SETTLED / 2 - 0.01)).verdict == "direction only"
+    assert verdict(found=doubled(-1.0)).verdict == "direction only"
+    assert "psnr by about +0.36" in too_short(doubled(0.18))
+    without = [one for one in doubled(0.18) if not one.row.endswith("@half")]
+    assert "psnr by about +0.36" in too_short(without)
 
 
 def test_of_several_scenes_what_the_second_half_gave_is_their_mean():
@@ -221,7 +241,7 @@ def test_sizes_have_to_have_settled_too():
         dataclasses.replace(one, values={**one.values, "disk_mb": 5.0}) if one.row == "a" else one
         for one in with_halves(2.0, metric="disk_mb")
     ]
-    assert "b: the second half" not in verdict(claim, smaller).reason
+    assert "b: further steps" not in verdict(claim, smaller).reason
     assert "training loss" in too_short(runs(0.0, late_gain=9.0), claim)
 
 
@@ -251,7 +271,7 @@ def test_a_variant_needs_as_many_steps_as_its_method():
 
     for row in ("b@no-x", "b~depth-oracle"):
         claim = dataclasses.replace(CLAIM, row=row)
-        assert f"{row}: the second half" in too_short(renamed(row), claim)
+        assert f"{row}: further steps" in too_short(renamed(row), claim)
     # a row of half the steps with the same prior says more than one without
     found = renamed("b~depth-oracle")
     own = [dataclasses.replace(one, row="b@half~depth-oracle", values=found[0].values)
