@@ -94,7 +94,8 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(claim, "not testable here", fault, seeds)
     found = paired_difference(tables, generator)
     beyond = found.mean if claim.other or claim.bar is None else found.mean - claim.bar
-    if not claim.before_training and (still := still_changing(claim, every, beyond, runs)):
+    settled = claim.before_training or claim.fixed_length
+    if not settled and (still := still_changing(claim, every, beyond, runs)):
         return replace(_without(claim, "too short to judge", still, seeds), difference=found)
     verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)

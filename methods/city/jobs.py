@@ -15,6 +15,7 @@ from splatproof.methods.city.block_work import Start, block_work, start_of
 from splatproof.methods.city.coarse import coarse_roles
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition import Partition
+from splatproof.methods.city.planted import NO_PLANT, PlantSettings, planted_views
 from splatproof.methods.city.point_roles import LEFT_OUT, Auxiliary, Surrounding, roles_of
 from splatproof.methods.city.train_block import BlockJob, read_gaussians
 from splatproof.methods.contracts.run import Run
@@ -50,6 +51,7 @@ def block_jobs(
     even: Even = "steps",
     side: SideSettings = NO_SIDES,
     terms: BlockTerms = NO_TERMS,
+    planted: PlantSettings = NO_PLANT,
 ) -> tuple[BlockJob, ...]:
     """A job for each block, in a folder that is named by what the block is trained from.
 
@@ -70,6 +72,7 @@ def block_jobs(
         even: What all blocks have equally many of.
         side: Side views of each block, on spirals around its own points.
         terms: What each block minimises beside its photos.
+        planted: What is made wrong about each block's photos.
     """
     place = ground(scene)
     views, notes = zip(*(trained_on(place, found, b) for b in range(len(found.views))), strict=True)
@@ -83,7 +86,7 @@ def block_jobs(
         _job(place, found, block, replace(settings, iterations=steps[block]), run, cache,
              views=views[block], note=notes[block], auxiliary=auxiliary, follow=follow,
              surrounding=surrounding, sampling=sampling, coarse=coarse, side=side, terms=terms,
-             start=start, roles=None if roles is None else roles[block])
+             planted=planted, start=start, roles=None if roles is None else roles[block])
         for block in range(len(views))
     )  # fmt: skip
 
@@ -147,6 +150,7 @@ def _job(
     coarse: Path | None,
     side: SideSettings,
     terms: BlockTerms,
+    planted: PlantSettings,
     start: Start,
     roles: Int8[Tensor, " m"] | None,
 ) -> BlockJob:
@@ -162,8 +166,11 @@ def _job(
     if side.every:
         alone = torch.where(own, 0, LEFT_OUT).to(of_points)
         sides = side_cameras(_part(scene, views, alone), side)
+    if planted != NO_PLANT:
+        wrong = planted_views(scene, planted, block, len(found.regions), place.frame)
+        scene = replace(scene, views=wrong)
     job = BlockJob(
-        scene=_part(scene, views, of_points), settings=settings, sides=sides, side=side,
+        scene=_part(scene, views, of_points), settings=settings, planted=planted, sides=sides, side=side,
         block_terms=terms, roles=kept,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note,

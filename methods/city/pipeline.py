@@ -103,7 +103,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
             surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
             sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
-            terms=settings.block_terms,
+            terms=settings.block_terms, planted=settings.planted,
         )  # fmt: skip
         told = stages.run("blocks", partial(_blocks, jobs, run, progress))
         facts = tuple(BlockFacts(**block) for block in told["blocks"])

@@ -6,6 +6,7 @@ from typing import Literal
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms
 from splatproof.methods.city.jobs import Even
 from splatproof.methods.city.partition import PartitionSettings
+from splatproof.methods.city.planted import NO_PLANT, PlantSettings
 from splatproof.methods.city.point_roles import Auxiliary, Surrounding
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
@@ -75,6 +76,9 @@ class CitySettings(Settings):
     block_terms: BlockTerms = NO_TERMS
     """What each block minimises beside its photos or in their place: depth, views from beside, volume (BlockGaussian,
     StitchGS), colours in each photo's appearance (VastGaussian)."""
+    planted: PlantSettings = NO_PLANT
+    """What is made wrong about each block's photos, so that there is a seam to be seen and mended: for trials of
+    metrics and merges only."""
     merge: Merge = "hard"
     """How blocks become one model. hard: each keeps what lies within its own bounds; sis: beyond
     them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a

@@ -17,6 +17,7 @@ from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms, with_appearance
+from splatproof.methods.city.planted import NO_PLANT, PlantSettings
 from splatproof.methods.city.point_roles import (
     GHOST,
     LEFT_OUT,
@@ -83,6 +84,8 @@ class BlockJob:
     """How often side views come, and who refines them."""
     block_terms: BlockTerms = NO_TERMS
     """What is minimised beside the photos."""
+    planted: PlantSettings = NO_PLANT
+    """What was made wrong about the photos of the scene's views."""
     seed: int = 0
     backend: str = "cpu"
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -104,6 +107,8 @@ class BlockJob:
             facts += [asdict(self.side), poses]
         if self.block_terms != NO_TERMS:
             facts += [asdict(self.block_terms), self.scene.facts.get("depth_prior_sha256", "")]
+        if self.planted != NO_PLANT:
+            facts.append(asdict(self.planted))
         digest.update(json.dumps(facts).encode())
         return digest.hexdigest()
 

@@ -54,6 +54,9 @@ class Claim:
     """Protocol under which it is judged; empty: the only one there is."""
     before_training: bool = False
     """Whether the metric is settled before training: partitions of points and views."""
+    fixed_length: bool = False
+    """Whether it is about rows of just these lengths, as one of equal time is: what further steps would
+    change is not asked then."""
     missing: str = ""
     """What would be needed to test it here, is not there, and cannot be read off the suite and the
     methods; empty: nothing."""

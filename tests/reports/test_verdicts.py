@@ -196,6 +196,14 @@ def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_set
     assert verdict(found=with_halves(-1.0)).verdict == "direction only"
 
 
+def test_a_claim_of_just_these_lengths_does_not_ask_what_further_steps_would_change():
+    found = with_halves(9.0)
+    assert "further steps" in too_short(found)
+    fixed = dataclasses.replace(CLAIM, fixed_length=True)
+    assert verdict(fixed, found).verdict == "direction only"
+    assert "never densified" in too_short(runs(1.0, grown=0), fixed)
+
+
 def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
     """Each doubling is taken to give half as much as the one before: all to come is twice the next one."""
     still = with_halves(SETTLED + 1.0)
