@@ -1,8 +1,7 @@
 """Make docs/city.md: python docs/tools/make_city_page.py RUNS
 
-Reads the records of `bench run city --out RUNS` and of `bench run city-short --out RUNS`, whichever are
-there, and writes docs/city.json, docs/city_short.json, docs/images/city/*.jpg and the page, with
-docs/city_findings.md in it, which is written by hand. Without RUNS the page is made again from these
+Reads the records of `bench run city --out RUNS` and writes docs/city.json, docs/images/city/*.jpg and the page,
+with docs/city_findings.md in it, which is written by hand. Without RUNS the page is made again from these
 files and the pictures that are there. Rows that RUNS lacks are kept as they were committed.
 """
 
@@ -28,44 +27,46 @@ from splatproof.suites.suite_files import Case, load_suite
 FOLDER = Path(__file__).parents[1]
 ROWS, PAGE, LIST = FOLDER / "city.json", FOLDER / "city.md", FOLDER / "city_pictures.json"
 FINDINGS = FOLDER / "city_findings.md"
-SHORT, SHORT_LIST = FOLDER / "city_short.json", FOLDER / "city_short_pictures.json"
 IMAGES = FOLDER / "images" / "city"
 QUALITY = 88
 HEIGHT = 300
 """Pixels that pictures are enlarged to."""
 ZOOM = 72
 """Side of the part of a view that is shown enlarged at a seam, in pixels."""
-MERGES = ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs")
-SHORT_ROWS = (
-    "3dgs", "citygaussian", "stitchgs@hard", "stitchgs@merge", "stitchgs@hard-gcr", "stitchgs@gcr",
-)  # fmt: skip
+MERGES = {
+    "": ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs"),
+    "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@small"),
+    **{
+        f"_{plant}": tuple(
+            f"stitchgs@{plant}-{merge}" for merge in ("hard", "hard-gcr", "gcr", "fade", "walls")
+        )
+        for plant in ("light", "place")
+    },
+}
+"""Rows of one training from the hard cut to the last way to mend it, by the ending of their pictures' names."""
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 
 def page() -> str:
     """The page from the committed rows and list of pictures."""
-    rows, short = (json.loads(path.read_text(encoding="utf-8")) for path in (ROWS, SHORT))
-    pictures, few = (
-        [Picture(**entry) for entry in json.loads(path.read_text(encoding="utf-8"))]
-        for path in (LIST, SHORT_LIST)
-    )
-    findings = FINDINGS.read_text(encoding="utf-8")
-    return render_city(rows, pictures, findings, short=short, short_pictures=few)
+    rows = json.loads(ROWS.read_text(encoding="utf-8"))
+    pictures = [Picture(**entry) for entry in json.loads(LIST.read_text(encoding="utf-8"))]
+    return render_city(rows, pictures, FINDINGS.read_text(encoding="utf-8"))
 
 
-def cases(runs: Path, suite: str = "city") -> dict[tuple[str, str], tuple[Case, Path]]:
+def cases(runs: Path) -> dict[tuple[str, str], tuple[Case, Path]]:
     """Finished cases of seed 0 by scene and row, in the suite's order."""
     found = {}
-    for case in load_suite(suite).cases:
-        folder = runs / suite / case.folder
+    for case in load_suite("city").cases:
+        folder = runs / "city" / case.folder
         if (folder / "record.json").exists() and not read_record(folder).error and case.seed == 0:
             found[case.scene_name, case.row] = (case, folder)
     return found
 
 
-def records(runs: Path, suite: str) -> list[dict]:
+def records(runs: Path) -> list[dict]:
     """One row a record."""
-    folders = [path.parent for path in (runs / suite).rglob("record.json")]
+    folders = [path.parent for path in (runs / "city").rglob("record.json")]
     return [row_of(read_record(folder)) for folder in folders]
 
 
@@ -137,59 +138,47 @@ def pictures(runs: Path) -> list[Picture]:
             )
             shown.append(Picture(path=path, caption=f"{scene}: sparse points by the block that owns "
                                  "their place, from above."))  # fmt: skip
-        rows = [r for r in MERGES if (scene, r) in found]
-        if len(rows) < 2:
-            continue
-        scores = read_record(found[scene, rows[0]][1]).images
-        best = max(scores, key=lambda image: image.metrics["seam_coverage"]).name
-        view = picture_name(best)
-        hard, last = found[scene, rows[0]][1], found[scene, rows[-1]][1]
-        tiles = [
-            labelled(load(last / kind / view), text)
-            for kind, text in (("truth", "photo"), ("renders", rows[-1]), ("seams", "seam mask"),
-                               ("blocks", "blocks"), ("errors", "FLIP error"))
-        ]  # fmt: skip
-        shown.append(Picture(path=save(f"{name}_view.jpg", tiles), caption=f"{scene}, test view {best}: "
-                             "photo, render, seam mask of the partition, blocks, error."))  # fmt: skip
-        top, left = seam_place(hard, view)
-        part = np.s_[top : top + ZOOM, left : left + ZOOM]
-        tiles = [labelled(load(hard / "truth" / view)[part], "photo")]
-        tiles += [labelled(load(found[scene, r][1] / "renders" / view)[part], r) for r in rows]
-        shown.append(Picture(path=save(f"{name}_seam.jpg", tiles), caption=f"{scene}, test view {best}, "
-                             "enlarged at a seam: hard merge, then stitched, refined, walls moved, compressed."))  # fmt: skip
+        for ending, merges in MERGES.items():
+            rows = [row for row in merges if (scene, row) in found]
+            if len(rows) > 1:
+                shown += seam_pictures(
+                    scene, f"{name}{ending}", {r: found[scene, r][1] for r in rows}
+                )
     return shown
 
 
-def short_pictures(runs: Path) -> list[Picture]:
-    """The view with most seam pixels, enlarged there: photo and all rows of suite city-short."""
-    found, shown = cases(runs, "city-short"), []
-    for scene in dict.fromkeys(scene for scene, _ in found):
-        rows = [row for row in SHORT_ROWS if (scene, row) in found]
-        hard = found[scene, "stitchgs@hard"][1]
-        best = max(read_record(hard).images, key=lambda image: image.metrics["seam_coverage"]).name
-        view = picture_name(best)
-        top, left = seam_place(hard, view)
-        part = np.s_[top : top + ZOOM, left : left + ZOOM]
-        tiles = [labelled(load(hard / "truth" / view)[part], "photo")]
-        tiles += [labelled(load(found[scene, r][1] / "renders" / view)[part], r) for r in rows]
-        shown.append(Picture(path=save(f"{scene}_short_seam.jpg", tiles), caption=f"{scene}, test view "
-                             f"{best}, enlarged at a seam of stitchgs: rows of city-short."))  # fmt: skip
-    return shown
+def seam_pictures(scene: str, name: str, rows: dict[str, Path]) -> list[Picture]:
+    """The view with most seam pixels: whole as the last row shows it, and each row enlarged at the seam."""
+    folders = list(rows.values())
+    hard, last = folders[0], folders[-1]
+    scores = read_record(hard).images
+    best = max(scores, key=lambda image: image.metrics["seam_coverage"]).name
+    view = picture_name(best)
+    tiles = [
+        labelled(load(last / kind / view), text)
+        for kind, text in (("truth", "photo"), ("renders", list(rows)[-1]), ("seams", "seam mask"),
+                           ("blocks", "blocks"), ("errors", "FLIP error"))
+    ]  # fmt: skip
+    whole = Picture(path=save(f"{name}_view.jpg", tiles), caption=f"{scene}, test view {best}: "
+                    "photo, render, seam mask of the partition, blocks, error.")  # fmt: skip
+    top, left = seam_place(hard, view)
+    part = np.s_[top : top + ZOOM, left : left + ZOOM]
+    tiles = [labelled(load(hard / "truth" / view)[part], "photo")]
+    tiles += [labelled(load(folder / "renders" / view)[part], row) for row, folder in rows.items()]
+    zoomed = Picture(path=save(f"{name}_seam.jpg", tiles),
+                     caption=f"{scene}, test view {best}, enlarged at a seam: {', '.join(rows)}.")  # fmt: skip
+    return [whole, zoomed]
 
 
 def main() -> None:
     """Write rows, pictures and page."""
-    runs = Path(sys.argv[1]) if len(sys.argv) > 1 else None
-    for suite, rows, list_, draw in (
-        ("city", ROWS, LIST, pictures), ("city-short", SHORT, SHORT_LIST, short_pictures),
-    ):  # fmt: skip
-        if runs is None or not (runs / suite).is_dir():
-            continue
-        every, kept = joined(records(runs, suite), committed(rows), load_suite(suite).cases)
-        rows.write_text(json.dumps(every, indent=1) + "\n", encoding="utf-8")
-        before = [Picture(**entry) for entry in committed(list_)] if kept else []
-        drawn = [vars(picture) for picture in pictures_of(draw(runs), before, every)]
-        list_.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
+    if len(sys.argv) > 1:
+        runs = Path(sys.argv[1])
+        every, kept = joined(records(runs), committed(ROWS), load_suite("city").cases)
+        ROWS.write_text(json.dumps(every, indent=1) + "\n", encoding="utf-8")
+        before = [Picture(**entry) for entry in committed(LIST)] if kept else []
+        drawn = [vars(picture) for picture in pictures_of(pictures(runs), before, every)]
+        LIST.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
 
 

@@ -160,7 +160,9 @@ def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
         "3dgs@half",
     }
     assert {case.protocol.name for case in suite.cases} == {"tunnel"}
-    in_blocks = claim(suite="city", row="stitchgs", other="3dgs", protocol="city_400", scenes=("caliterra",))
+    in_blocks = claim(
+        suite="city", row="stitchgs", other="3dgs", protocol="city_400", scenes=("caliterra",)
+    )
     (city,) = claim_running.work_for([in_blocks], [], known, tmp_path, quick=False).suites
     methods = ("stitchgs", "3dgs")
     lengths = {f"{method}@{length}" for method in methods for length in ("half", "double")}

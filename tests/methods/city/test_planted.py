@@ -77,7 +77,9 @@ def test_jobs_have_what_is_planted_and_keys_of_their_own(tmp_path):
     def jobs(planted: PlantSettings):
         return block_jobs(SCENE, found, Settings(iterations=3), Run(), tmp_path, planted=planted)
 
-    plain, lit, moved = (jobs(p) for p in (NO_PLANT, PlantSettings(light=0.2), PlantSettings(shift=0.1)))
+    plain, lit, moved = (
+        jobs(p) for p in (NO_PLANT, PlantSettings(light=0.2), PlantSettings(shift=0.1))
+    )
     for block in range(2):
         keys = {one[block].key for one in (plain, lit, moved)}
         assert len(keys) == 3
