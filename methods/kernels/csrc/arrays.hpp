@@ -76,6 +76,7 @@ void bind_diffusion(nb::module_& m);
 void bind_field(nb::module_& m);
 void bind_moving_anchors(nb::module_& m);
 void bind_raster(nb::module_& m);
+void bind_stored(nb::module_& m);
 void bind_training(nb::module_& m);
 
 }  // namespace splat

@@ -39,5 +39,6 @@ NB_MODULE(_ext, m) {
   bind_field(m);
   bind_moving_anchors(m);
   bind_raster(m);
+  bind_stored(m);
   bind_training(m);
 }

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int64
 from torch import Tensor
 
+from splatproof.methods.kernels import stored_harmonics as native
 from splatproof.reference.compression.quantisers import (
     FRACTION,
     MOST_LOGIT,
@@ -55,6 +56,27 @@ def stored_harmonics(
 ) -> Float[Tensor, "n r 3"]:
     """View-dependent colour on the steps of each Gaussian's class, with the gradient of the values themselves.
 
+    By the kernel where it can.
+
+    Args:
+        rest: SH coefficients without DC.
+        log_scales: Logarithms of scales, on their steps.
+        logits: Opacity logits, on their steps.
+        steps: The file's.
+    """
+    if rest.device.type == "cpu" and rest.dtype == torch.float32:
+        return native.stored_harmonics(rest, log_scales, logits, steps)
+    return stored_harmonics_torch(rest, log_scales, logits, steps)
+
+
+def stored_harmonics_torch(
+    rest: Float[Tensor, "n r 3"],
+    log_scales: Float[Tensor, "n 3"],
+    logits: Float[Tensor, " n"],
+    steps: Steps,
+) -> Float[Tensor, "n r 3"]:
+    """The same on any device and in any precision.
+
     Args:
         rest: SH coefficients without DC.
         log_scales: Logarithms of scales, on their steps.
@@ -99,7 +121,7 @@ def harmonic_steps(
     parts = [k * fact for k, fact in zip(steps.weights, facts, strict=True)]
     total = torch.stack(parts).sum(dim=0)
     shift = ((total + (1 << FRACTION - 1)) >> FRACTION).clamp(-WIDEST, WIDEST)
-    return (steps.harmonics * torch.exp2(shift.double())).float()[:, None, None]
+    return (steps.harmonics * torch.exp2(shift.double())).to(log_scales)[:, None, None]
 
 
 def rate(rows: Mapping[str, Tensor], steps: Steps) -> Float[Tensor, ""]:
