@@ -64,9 +64,7 @@ def planted_views(
 
 
 def _changed(view: View, factors: Float[Tensor, "3"], move: Float[Tensor, "3"]) -> View:
-    return replace(
-        view, camera=_moved(view.camera, move), load=partial(_lit, view.load, factors)
-    )
+    return replace(view, camera=_moved(view.camera, move), load=partial(_lit, view.load, factors))
 
 
 def _moved(camera: Camera, move: Float[Tensor, "3"]) -> Camera:

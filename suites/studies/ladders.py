@@ -13,6 +13,7 @@ from splatproof.suites.twins.random_scenes import speed_scene
 from splatproof.suites.twins.ranks import TEMPERATURE
 from splatproof.suites.twins.rasterizers import activated_scene
 from splatproof.suites.twins.registry import COMPONENTS
+from splatproof.suites.twins.stored import harmonics
 from splatproof.suites.twins.twin import Problem
 
 
@@ -151,6 +152,11 @@ def _stark(rung: float) -> Problem:
     return replace(plain, given={name: rung * value for name, value in plain.given.items()})
 
 
+def _fine(rung: float) -> Problem:
+    """Colours of codes `rung` times as far apart: less and less room for their fractions in float32."""
+    return harmonics(COMPONENTS["stored harmonics"].tiny, rung)
+
+
 LADDERS = (
     Ladder(component="rasterizer", name="longest axis / shortest", rungs=decades(1, 6),
            problem=_scene(_needles)),
@@ -180,6 +186,7 @@ LADDERS = (
     Ladder(component="hierarchy", name="times as large an anchor", rungs=decades(0, 3),
            problem=_leaf("hierarchy", "log_scales", lambda v, h: v + math.log(h))),
     Ladder(component="edge diffusion", name="times the contrast", rungs=decades(-3, 6), problem=_stark),
+    Ladder(component="stored harmonics", name="times the codes", rungs=decades(0, 4), problem=_fine),
     Ladder(component="soft rank", name="spread / temperature", rungs=decades(0, 8, 2),
            problem=_leaf("soft rank", "values", lambda v, h: v * h * TEMPERATURE)),
 )  # fmt: skip

@@ -9,6 +9,7 @@ from splatproof.suites.twins.optimizers import ADAM
 from splatproof.suites.twins.ranks import SOFT_RANK
 from splatproof.suites.twins.rasterizers import PIPELINE, RASTERIZER
 from splatproof.suites.twins.stitching import STITCHING
+from splatproof.suites.twins.stored import STORED
 from splatproof.suites.twins.training import TRAINING
 from splatproof.suites.twins.twin import Component
 
@@ -16,6 +17,6 @@ COMPONENTS: dict[str, Component] = {
     component.name: component
     for component in (
         RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, DIFFUSION, SOFT_RANK,
-        STITCHING, PACKING, TRAINING,
+        STITCHING, STORED, PACKING, TRAINING,
     )
 }  # fmt: skip

@@ -59,6 +59,18 @@ def test_cameras_move_along_the_ground_by_the_share_that_is_asked_for(shift: flo
     assert_close(moved[:, 2], torch.zeros(len(moved)).double(), rtol=0, atol=1e-9)
     assert_close(moved.norm(dim=1), torch.full((len(moved),), shift * extent(SCENE)).double())
     assert float(moved.sum(dim=0).norm()) < 1e-6 * len(moved)
+    first = torch.tensor([shift * extent(SCENE), 0.0, 0.0]).double()
+    assert_close(moved[0], first, rtol=1e-6, atol=1e-9)  # block 0: along the flight
+
+
+def test_no_photo_becomes_brighter_than_white():
+    bright = replace(
+        SCENE,
+        views=tuple(replace(one, load=lambda: torch.full((3, 4, 3), 0.9)) for one in SCENE.views),
+    )
+    seen = planted_views(bright, PlantSettings(light=0.5), 0, 2, FRAME)[0].load()
+    assert seen[..., 0].unique().tolist() == [1.0]
+    assert_close(seen[..., 1], torch.full((3, 4), 0.9 * math.exp(-0.25)))
 
 
 def test_what_moves_with_the_cameras_looks_the_same():

@@ -41,7 +41,11 @@ def in_the_file(rest: Tensor, log_scales: Tensor, logits: Tensor) -> tuple[Tenso
 @settings(
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
-@given(count=st.integers(0, 1100), coefficients=st.sampled_from([0, 3, 8, 15, 17]), seed=st.integers(0, 2**16))
+@given(
+    count=st.integers(0, 1100),
+    coefficients=st.sampled_from([0, 3, 8, 15, 17]),
+    seed=st.integers(0, 2**16),
+)
 def test_it_is_what_the_file_gives_back(simd_level, count, coefficients, seed):
     rest, log_scales, logits = drawn(count, coefficients, seed)
     want, unsure = in_the_file(rest, log_scales, logits)

@@ -55,7 +55,9 @@ def test_retention_is_the_share_of_trained_gaussians_that_are_left():
 def test_four_machines_take_the_longest_block_and_all_that_one_machine_does():
     block = BlockFacts(block=0, views=1, points=2, load=3, seconds=10.0)
     stages = {"coarse": 5.0, "blocks": 99.0, "refine": 2.0}
-    assert four_machine_seconds(stages, [block, replace(block, seconds=4.0)]) == {"four_machine_seconds": 17.0}
+    assert four_machine_seconds(stages, [block, replace(block, seconds=4.0)]) == {
+        "four_machine_seconds": 17.0
+    }
     # of six blocks two machines have two each: 10, 10, 10, 4 + 3 and no more than that
     six = [replace(block, seconds=s) for s in (3.0, 10.0, 4.0, 10.0, 10.0, 1.0)]
     assert four_machine_seconds(stages, six) == {"four_machine_seconds": 17.0}
