@@ -63,6 +63,13 @@ def test_cameras_move_along_the_ground_by_the_share_that_is_asked_for(shift: flo
     assert_close(moved[0], first, rtol=1e-6, atol=1e-9)  # block 0: along the flight
 
 
+def test_the_ground_is_that_of_the_frame():
+    frame = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]).double()  # up is x
+    after = planted_views(SCENE, PlantSettings(shift=0.2), 0, 2, frame)[0].camera.centre
+    move = after - SCENE.views[0].camera.centre
+    assert_close(move, torch.tensor([0.0, 0.2 * extent(SCENE), 0.0]).double())
+
+
 def test_no_photo_becomes_brighter_than_white():
     bright = replace(
         SCENE,
