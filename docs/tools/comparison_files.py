@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import fmean
 
-from comparison_page import Page, is_half, render_page
+from comparison_page import Page, is_length, render_page
 from kept_rows import Picture, committed, joined, pictures_of
 from matplotlib.axes import Axes
 from printed_tables import Printed
@@ -106,7 +106,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         (case, folder, result) for case, folder, result in found
         if (case.scene_name, case.protocol.name) == (comparison.scene, comparison.protocol)
         and not result.error
-        and case.seed == 0 and not is_half(case.row)
+        and case.seed == 0 and not is_length(case.row)
     ]  # fmt: skip
     curves = _curves(shown, name, docs, later=bool(kept))
     listing = docs / f"{name}_pictures.json"

@@ -16,7 +16,7 @@ from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size,
 
 STEPS = Steps(position=0.01, log_scale=0.1, opacity=0.1, rotation_bits=8, dc=0.05, harmonics=0.04,
               weights=(-50_686, -2_097, 26, 754, -786, -2_490))  # fmt: skip
-"""Of the order that files of flights have; the problem's Gaussians reach all seven classes."""
+"""Their size is that of files of flights; the problem's Gaussians reach all seven classes."""
 OFF = 0.4
 """Largest distance of a number from its code, in codes: at a half rounding would decide."""
 
