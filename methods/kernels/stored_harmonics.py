@@ -11,7 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof import _ext
-from splatproof.methods.kernels.rasterizer import plain
 from splatproof.reference.compression.quantisers import Steps
 
 
@@ -43,12 +42,11 @@ class _Stored(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, rest: Tensor, log_scales: Tensor, logits: Tensor, steps: Steps):
         del ctx
-        held = [plain(values) for values in (rest, log_scales, logits)]
-        stored = torch.empty_like(held[0])  # type: ignore[arg-type]
+        of = tuple(values.detach().contiguous() for values in (rest, log_scales, logits))
+        stored = torch.empty_like(of[0])
         weights = torch.tensor(steps.weights, dtype=torch.int64)
-        _ext.store_harmonics(
-            *held, steps.log_scale, steps.opacity, steps.harmonics, weights, stored
-        )
+        sizes = (steps.log_scale, steps.opacity, steps.harmonics)
+        _ext.store_harmonics(of[0], of[1], of[2], *sizes, weights, stored)
         return stored
 
     @staticmethod

@@ -451,8 +451,14 @@ def diffuse(values: Tensor, across: Tensor, down: Tensor, sweeps: int, smoothed:
     """Sweeps of exchange with the four neighbours into the given array."""
 
 def store_harmonics(
-    rest: Tensor, log_scales: Tensor, logits: Tensor, log_scale: float, opacity: float, harmonics: float,
-    weights: Tensor, stored: Tensor,
+    rest: Tensor,
+    log_scales: Tensor,
+    logits: Tensor,
+    log_scale: float,
+    opacity: float,
+    harmonics: float,
+    weights: Tensor,
+    stored: Tensor,
 ) -> None:
     """View-dependent colour on the steps of each Gaussian's class, into the given array."""
 

@@ -111,17 +111,23 @@ def test_what_does_not_fit_is_refused(index, wrong):
         _ext.store_harmonics(rest, log_scales, logits, 0.1, 0.1, 0.04, weights, stored)
 
 
-@pytest.mark.parametrize("steps", [(0.0, 0.1, 0.04), (0.1, -1.0, 0.04), (0.1, 0.1, float("nan"))])
-def test_steps_are_above_0(steps):
+@pytest.mark.parametrize(
+    ("log_scale", "opacity", "harmonics"),
+    [(0.0, 0.1, 0.04), (0.1, -1.0, 0.04), (0.1, 0.1, float("nan"))],
+)
+def test_steps_are_above_0(log_scale, opacity, harmonics):
     rest, log_scales, logits = drawn(4, 15, 0)
     weights = torch.tensor(STEPS.weights)
     with pytest.raises(ValueError, match="not above 0"):
-        _ext.store_harmonics(rest, log_scales, logits, *steps, weights, torch.zeros(4, 15, 3))
+        _ext.store_harmonics(
+            rest, log_scales, logits, log_scale, opacity, harmonics, weights, torch.zeros(4, 15, 3)
+        )
 
 
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_other_precision_is_refused(index):
     tensors = list(drawn(4, 15, 0))
     tensors[index] = tensors[index].double()
+    rest, log_scales, logits = tensors
     with pytest.raises(ValueError, match="float32"):
-        stored_harmonics(*tensors, STEPS)
+        stored_harmonics(rest, log_scales, logits, STEPS)
