@@ -371,8 +371,21 @@ def support(draw: random.Random) -> None:
         out.sum().backward()
 
 
+def stored(draw: random.Random) -> None:
+    """Harmonics on steps of classes that scales and opacities of any size decide."""
+    n, count = draw.choice(COUNTS), draw.choice((0, 1, 15, 16, 17))
+    weights = torch.tensor([draw.choice((0, -3, 2**26, -(2**63), 2**63 - 1)) for _ in range(6)])
+    parts = [spoiled(draw, numbers(draw, *shape)) for shape in ((n, count, 3), (n, 3), (n,))]
+    sizes = [draw.choice((0.1, 1e-30, 1e30, *ODD)) for _ in range(3)]
+    out = spoiled(draw, torch.empty(n, count, 3))
+    _ext.store_harmonics(
+        parts[0], parts[1], parts[2], sizes[0], sizes[1], sizes[2], spoiled(draw, weights), out
+    )
+
+
 CASES: dict[str, Callable[[random.Random], None]] = {
     "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
     "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
     "codes": codes, "attention": attention, "moving anchors": moving_anchors, "support": support,
+    "stored harmonics": stored,
 }  # fmt: skip
