@@ -1,4 +1,7 @@
-"""How evenly work is spread over blocks. (The edge cut is splatproof.reference.partition.metis.cut_size.)"""
+"""How evenly work is spread over blocks, and over workers. (The edge cut is splatproof.reference.partition.metis.cut_size.)"""
+
+import heapq
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -26,3 +29,17 @@ def spread(loads: Float[np.ndarray, " k"]) -> tuple[float, float]:
     if mean == 0:
         raise DataError(f"balance: all {len(loads)} blocks have no load")
     return float(loads.std() / mean), float(loads.max() / mean)
+
+
+def makespan(times: Sequence[float], workers: int) -> float:
+    """When the last job ends if each worker, once free, takes the next of the list.
+
+    Args:
+        times: Seconds of each job, in the order in which they are handed out.
+        workers: Number of workers.
+    Returns: Seconds from the start of the first job to the end of the last.
+    """
+    free = [0.0] * min(workers, len(times))  # who never gets a job never ends one
+    for time in times:
+        heapq.heappush(free, heapq.heappop(free) + time)
+    return max(free, default=0.0)

@@ -1,6 +1,5 @@
 """What a city costs before it is built: blocks, memory, wall time on n machines, where it stops scaling."""
 
-import heapq
 import math
 import statistics
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from splatproof.methods.threedgs.cost import (
     PIXEL_STEP,
     training_memory_mb,
 )
+from splatproof.metrics.balance import makespan
 
 STITCH_SECONDS = 0.6e-6
 """CPU seconds a primitive of stitching. Measured like the next two: 800,000 Gaussians of degree 3 in
@@ -276,17 +276,3 @@ def simulate(found: Plan, spread: float, seed: int) -> Simulated:
         busy.append(sum(times) / (end * min(slots, found.blocks)))
     return Simulated(mean=statistics.fmean(ends), fastest=min(ends), slowest=max(ends),
                      busy=statistics.fmean(busy))  # fmt: skip
-
-
-def makespan(times: Sequence[float], workers: int) -> float:
-    """When the last job ends if each worker, once free, takes the next of the list.
-
-    Args:
-        times: Seconds of each job, in the order in which they are handed out.
-        workers: Number of workers.
-    Returns: Seconds from the start of the first job to the end of the last.
-    """
-    free = [0.0] * min(workers, len(times))  # who never gets a job never ends one
-    for time in times:
-        heapq.heappush(free, heapq.heappop(free) + time)
-    return max(free, default=0.0)

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.metrics.balance import spread
-from splatproof.suites.city_plan import makespan
+from splatproof.metrics.balance import makespan, spread
 
 MACHINES = 4
 """How many machines train the blocks whose wall time is simulated."""
@@ -57,7 +56,7 @@ def four_machine_seconds(
     Args:
         stages: Measured wall seconds of each stage, "blocks" among them.
         blocks: One a block.
-    Source: list scheduling by longest first, Graham 1969; `suites.city_plan.makespan`.
+    Source: list scheduling by longest first, Graham 1969; `metrics.balance.makespan`.
     """
     if "blocks" not in stages or not all(block.seconds for block in blocks):
         return {}

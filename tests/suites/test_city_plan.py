@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from splatproof.base.errors import UsageError
 from splatproof.methods.threedgs.cost import GAUSSIAN_STEP, PIXEL_STEP
+from splatproof.metrics.balance import makespan
 from splatproof.suites.city_plan import (
     City,
     block_cpu_seconds,
     block_gaussians,
     block_memory,
     fewest_blocks,
-    makespan,
     most_useful_blocks,
     most_useful_machines,
     plan,
