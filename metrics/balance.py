@@ -1,4 +1,4 @@
-"""How evenly work is spread over blocks, and over workers. (The edge cut is splatproof.reference.partition.metis.cut_size.)"""
+"""How evenly work is spread over blocks. (The edge cut is splatproof.reference.partition.metis.cut_size.)"""
 
 import heapq
 from collections.abc import Sequence
