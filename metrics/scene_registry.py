@@ -60,6 +60,8 @@ _ALL = (
     ),
     _metric("four_machine_seconds", "wall seconds if four machines had trained the blocks, longest first, and one did "
             "all other stages (suites/scene_scores/block_balance.py)", unit="s"),
+    _metric("four_machine_cpu_seconds", "the same of processor seconds, which other work on the machine changes less; of "
+            "a model that is trained in one piece those of its whole case, scoring among them", unit="s"),
     _metric("block_densifications", "times that the block was densified that was so least", None),
     _metric("retention", "share of all blocks' trained Gaussians that the merge kept", None, most=1.0),
     _metric("edge_cut", "edges of a grid of voxels, 64 along the scene, between voxels of two blocks "

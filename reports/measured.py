@@ -87,6 +87,7 @@ def measured(result: Result) -> Measured:
     }
     if not in_blocks:  # more machines do not train one model sooner
         values["four_machine_seconds"] = result.training_seconds
+        values["four_machine_cpu_seconds"] = result.cpu_seconds
     machine = (f"{k} {result.environment[k]}" for k in ("cores", "simd", "backend")
                if k in result.environment)  # fmt: skip
     return Measured(

@@ -35,7 +35,7 @@ TIMES = (
     "seconds_std_over_mean",
 )  # fmt: skip
 """Metrics that other work on the machine changes."""
-TOTALS = ("train_seconds", "four_machine_seconds", "cpu_seconds")
+TOTALS = ("train_seconds", "four_machine_seconds", "four_machine_cpu_seconds", "cpu_seconds")
 """Metrics that are sums over a run's steps: with half of them there is half of it, and nothing has changed."""
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on

@@ -33,6 +33,10 @@ class BlockFacts:
     """Processor seconds of its training, over all threads: what other work on the machine changes least."""
     peak_mb: float = 0.0
     """Peak resident memory of the process that trained it, in 2^20 bytes."""
+    refine_seconds: float = 0.0
+    """Wall seconds of the refinement of its part; 0: none was refined apart."""
+    refine_cpu_seconds: float = 0.0
+    """Processor seconds of that, over all threads."""
     primitives: int = 0
     """Number of Gaussians when its training ended, ghosts left out."""
     densifications: int = -1

@@ -1,4 +1,4 @@
-"""Train the blocks of a city, each in a process of its own that gets nothing but its job."""
+"""Train the blocks of a city, or refine its parts, each in a process of its own that gets nothing but its job."""
 
 import os
 import pickle
@@ -6,19 +6,55 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
 from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.locks import locked
 from splatproof.base.processes import Worker, listening
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_work import STEP_COST
-from splatproof.methods.city.train_block import BlockJob, train_block, trained
+from splatproof.methods.city.train_block import Report
 from splatproof.methods.training.threads import threads as torch_threads
 from splatproof.reference.partition.block_time import block_seconds
+from splatproof.reference.types.scene import Scene
+
+
+@runtime_checkable
+class Job(Protocol):
+    """What is to be done for one block, wherever that is."""
+
+    @property
+    def scene(self) -> Scene:
+        """The views that it needs, and no others."""
+        ...
+
+    @property
+    def facts(self) -> BlockFacts:
+        """Which block it is, and what its time goes by."""
+        ...
+
+    @property
+    def folder(self) -> Path:
+        """Folder of this job alone."""
+        ...
+
+    def done(self) -> BlockFacts | None:
+        """What it has cost; None if it is not done."""
+        ...
+
+    def work(self, report: Report) -> BlockFacts:
+        """Do it, or go on with it; what is done is not repeated.
+
+        Args:
+            report: Called as report(step, total, values) every few steps.
+        """
+        ...
+
 
 BlocksReport = Callable[[int, int, int, dict[str, float]], None]
 """report(index, step, total, values): where the job with that index is."""
-Engine = Callable[[Sequence[BlockJob], int, int | None, BlocksReport], list[BlockFacts]]
+Engine = Callable[[Sequence[Job], int, int | None, BlocksReport], list[BlockFacts]]
 """engine(jobs, workers, threads, report): the facts of all blocks, in the order of the jobs."""
 PRELOAD = (__name__,)
 """Imported once for all blocks, which may be many and short."""
@@ -31,7 +67,7 @@ ENGINES = {
 
 
 def run_blocks(
-    jobs: Sequence[BlockJob],
+    jobs: Sequence[Job],
     *,
     engine: str = "processes",
     workers: int = 1,
@@ -59,7 +95,7 @@ def run_blocks(
         raise UsageError(f"engine {engine!r}: unknown, expected {', '.join(ENGINES)}")
     if workers < 1:
         raise UsageError(f"{workers} workers: expected at least 1")
-    before = [trained(job) for job in jobs]
+    before = [job.done() for job in jobs]
     left = [index for index, facts in enumerate(before) if facts is None]
     left.sort(key=lambda index: -block_seconds(jobs[index].facts.work, STEP_COST))
     if left:
@@ -75,7 +111,7 @@ def run_blocks(
 
 
 def run_inline(
-    jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
+    jobs: Sequence[Job], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
     """Train one block after the other in this process; their peak memory is then not their own.
 
@@ -90,12 +126,12 @@ def run_inline(
     with torch_threads(threads):
         for index, job in enumerate(jobs):
             with alone(job):
-                found.append(train_block(job, lambda *at, i=index: report(i, *at)))
+                found.append(job.work(lambda *at, i=index: report(i, *at)))
     return found
 
 
 def run_in_processes(
-    jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
+    jobs: Sequence[Job], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
     """Train each block in a fresh process with its share of the threads.
 
@@ -138,7 +174,7 @@ def run_in_processes(
     return [found[index] for index in range(len(jobs))]
 
 
-def _start(job: BlockJob, threads: int) -> Worker:
+def _start(job: Job, threads: int) -> Worker:
     try:
         return Worker(_work, job, threads, preload=PRELOAD)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -148,22 +184,22 @@ def _start(job: BlockJob, threads: int) -> Worker:
         ) from None
 
 
-def _died(job: BlockJob, how: str) -> str:
+def _died(job: Job, how: str) -> str:
     what = f"block {job.facts.block}: its process {how}"
     return f"{what}; the same command continues from its checkpoint"
 
 
-def _work(says: Connection, job: BlockJob, threads: int) -> None:
+def _work(says: Connection, job: Job, threads: int) -> None:
     """What a worker does: train, tell."""
     try:
         with torch_threads(threads), alone(job):
-            facts = train_block(job, lambda *at: says.send(("report", at)))
+            facts = job.work(lambda *at: says.send(("report", at)))
     except SplatproofError as error:
         says.send(("error", type(error)(f"block {job.facts.block}: {error}")))
     else:
         says.send(("done", facts))
 
 
-def alone(job: BlockJob) -> AbstractContextManager[None]:
+def alone(job: Job) -> AbstractContextManager[None]:
     """Wait until no other process trains this block: a killed run's worker may be at its last step."""
     return locked(job.folder / ".worker")

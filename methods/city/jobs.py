@@ -165,12 +165,12 @@ def _job(
     sides: tuple[Camera, ...] = ()
     if side.every:
         alone = torch.where(own, 0, LEFT_OUT).to(of_points)
-        sides = side_cameras(_part(scene, views, alone), side)
+        sides = side_cameras(block_scene(scene, views, alone), side)
     if planted != NO_PLANT:
         wrong = planted_views(scene, planted, block, len(found.regions), place.frame)
         scene = replace(scene, views=wrong)
     job = BlockJob(
-        scene=_part(scene, views, of_points), settings=settings, planted=planted, sides=sides, side=side,
+        scene=block_scene(scene, views, of_points), settings=settings, planted=planted, sides=sides, side=side,
         block_terms=terms, roles=kept,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note,
@@ -210,8 +210,14 @@ def point_roles(
     )
 
 
-def _part(scene: Scene, views: Bool[Tensor, " v"], roles: Int8[Tensor, " n"]) -> Scene:
-    """The scene of one block: its views, all for training, and the points that have a role."""
+def block_scene(scene: Scene, views: Bool[Tensor, " v"], roles: Int8[Tensor, " n"]) -> Scene:
+    """The scene of one block: its views, all for training, and the points that have a role.
+
+    Args:
+        scene: The whole scene.
+        views: Which of its views the block has.
+        roles: Role of each of its sparse points; those that are LEFT_OUT are not in the block's scene.
+    """
     chosen = views.nonzero()[:, 0].tolist()
     kept = roles != LEFT_OUT
     count = int(kept.sum())

@@ -34,7 +34,7 @@ NARROW = 256
 STEPS = 100
 """Stored distances are whole numbers of hundredths, from 0 to FARTHEST of them."""
 FARTHEST = 255
-MEASURED = ("seconds", "cpu_seconds", "peak_mb")
+MEASURED = ("seconds", "cpu_seconds", "peak_mb", "refine_seconds", "refine_cpu_seconds")
 """Fields of BlockFacts that no two runs share."""
 
 
@@ -51,6 +51,9 @@ class CityModel(ExplicitModel):
     """Where each block of the partition lies: seams are looked for between them."""
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     """Wall seconds of each stage; a continued run's include those before."""
+    stage_cpu_seconds: Mapping[str, float] = field(default_factory=dict)
+    """Processor seconds of each stage, without those of blocks and parts that other processes trained; empty in
+    files from before they were kept."""
     packed: bytes | None = None
     """The compressed file that `model` was read from; None: not compressed."""
     packed_parts: Mapping[str, int] = field(default_factory=dict)
@@ -83,6 +86,7 @@ class CityModel(ExplicitModel):
                 for facts in self.block_facts
             ],
             "stage_seconds": {n: _in_places(v) for n, v in self.stage_seconds.items()},
+            "stage_cpu_seconds": {n: _in_places(v) for n, v in self.stage_cpu_seconds.items()},
         }
         if self.packed is not None:
             write_bytes(path, self.packed)
@@ -136,6 +140,9 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
             ),
             regions=load_regions(folder / REGIONS),
             stage_seconds={str(k): float(v) for k, v in facts["stage_seconds"].items()},
+            stage_cpu_seconds={
+                str(k): float(v) for k, v in facts.get("stage_cpu_seconds", {}).items()
+            },
             **described(facts),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:

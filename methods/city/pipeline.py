@@ -21,16 +21,18 @@ from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.block_terms import with_scaled_priors
 from splatproof.methods.city.coarse import coarse_stage
-from splatproof.methods.city.executor import run_blocks
-from splatproof.methods.city.jobs import block_jobs
+from splatproof.methods.city.executor import BlocksReport, run_blocks
+from splatproof.methods.city.ground import ground
+from splatproof.methods.city.jobs import block_jobs, trained_on
 from splatproof.methods.city.memory_plan import plan_memory
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition
+from splatproof.methods.city.refine_parts import part_jobs, refine_parts
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
-from splatproof.methods.city.train_block import BlockJob, read_gaussians, select, trained
+from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
@@ -107,7 +109,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         )  # fmt: skip
         told = stages.run("blocks", partial(_blocks, jobs, run, progress))
         facts = tuple(BlockFacts(**block) for block in told["blocks"])
-        run.on_elsewhere(elsewhere + told.get("elsewhere", 0.0), max(one.peak_mb for one in facts))
+        elsewhere, peaks = elsewhere + told.get("elsewhere", 0.0), [one.peak_mb for one in facts]
         for one in facts:
             if one.note:
                 run.say(f"block {one.block}: {one.note}")
@@ -118,13 +120,19 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         for one in facts:
             if one.primitives and not one.kept:
                 run.say(f"block {one.block}: lost all {one.primitives} Gaussians in the merge")
-        merged, packed, parts, steps = _read_merged(folder / "merged"), None, {}, None
+        merged, packed, bytes_of, steps = _read_merged(folder / "merged"), None, {}, None
         if settings.gcr:
             path = folder / "refined.safetensors"
             refined = stages.run(
-                "refine", partial(_refine, merged, scene, settings, run, path, progress, found)
+                "refine",
+                partial(_refine, merged, scene, settings, run, path, progress, found, facts),
             )
             merged, steps = _read_refined(merged, path), refined["steps"]
+            parts = [BlockFacts(**part) for part in refined.get("parts", ())]
+            elsewhere += refined.get("elsewhere", 0.0)
+            peaks += [part.peak_mb for part in parts]
+            facts = _with_parts(facts, parts)
+        run.on_elsewhere(elsewhere, max(peaks))
         if settings.quantise:
             path = folder / "model.spgs"
             chosen = _steps(merged.model, settings, steps)
@@ -132,13 +140,13 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             small = stages.run(
                 "compress", partial(_compress, merged, settings, path, scene, chosen)
             )
-            packed, parts = read_bytes(path), small["parts"]
+            packed, bytes_of = read_bytes(path), small["parts"]
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
         run.on_stage("train", sum(stages.seconds.values()))
     return CityModel(
         model=merged.model, blocks=merged.blocks, distances=merged.distances, mode=settings.mode, shift=scene.shift, units=scene.units,
-        backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, packed=packed,
-        packed_parts=parts,
+        backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, stage_cpu_seconds=stages.cpu_seconds, packed=packed,
+        packed_parts=bytes_of,
         block_facts=facts,
     )  # fmt: skip
 
@@ -201,6 +209,22 @@ class Progress:
         together = values | {"gaussians": sum(self.gaussians)}
         self.report(self.before + sum(self.blocks), self.total, together)
 
+    def part(self, steps: Sequence[int]) -> BlocksReport:
+        """What hears the parts of a refinement: together they count as many steps as the whole one would.
+
+        Args:
+            steps: Steps of each part.
+        """
+        done = [0] * len(steps)
+        whole = self.total - self.after
+
+        def report(index: int, step: int, total: int, values: dict[str, float]) -> None:
+            del total
+            done[index] = step
+            self.report(self.after + whole * sum(done) // sum(steps), self.total, values)
+
+        return report
+
     def refine(self, step: int, total: int, values: dict[str, float]) -> None:
         """Report a step of the refinement.
 
@@ -246,16 +270,19 @@ def _blocks(jobs: Sequence[BlockJob], run: Run, progress: Progress) -> dict[str,
     """Train all blocks where the run says."""
     if run.engine != "ray":  # a cluster's machines have memory of their own
         run.say(plan_memory(jobs, run.workers).text)
-    before = [trained(job) is not None for job in jobs]
+    before = [job.done() is not None for job in jobs]
     facts = run_blocks(
         jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=progress.block
     )
-    workers = min(run.workers, len(jobs))
-    spent = sum(one.seconds for one in facts) / workers
+    return {"blocks": [asdict(one) for one in facts]} | _spent(facts, before, run)
+
+
+def _spent(facts: Sequence[BlockFacts], before: Sequence[bool], run: Run) -> dict[str, float]:
+    """Wall seconds of what was done apart, and processor seconds of what this process's clock does not know."""
+    workers = max(1, min(run.workers, len(facts)))
     apart = [was or run.engine != "inline" for was in before]
     elsewhere = sum(one.cpu_seconds for one, gone in zip(facts, apart, strict=True) if gone)
-    told = [asdict(one) for one in facts]
-    return {"blocks": told, "seconds": spent, "elsewhere": elsewhere}
+    return {"seconds": sum(one.seconds for one in facts) / workers, "elsewhere": elsewhere}
 
 
 def _stitch(
@@ -327,26 +354,50 @@ def _refine(
     path: Path,
     progress: Progress,
     found: Partition,
+    blocks: Sequence[BlockFacts],
 ) -> dict[str, Any]:
-    """Clean the merged model and fit its appearance over all training views."""
+    """Clean the merged model and fit its appearance over all training views, at once or in parts."""
     rows = refinement.clean(merged.model, settings.refine.clean)
-    cleaned = select(merged.model, rows)
+    cleaned, owners = select(merged.model, rows), merged.blocks[rows]
     moving = None
     if settings.refine.walls:
         moving = near_walls(cleaned.means.double(), found.regions, settings.refine.walls)
-    steps = _steps(cleaned, settings, None)
-    model, seconds = refinement.refine(
-        cleaned, scene, settings.refine, settings.training,
-        replace(run, report=progress.refine), path.parent / "refine",
-        steps or (settings.pack if settings.quantise else None), moving,
-    )  # fmt: skip
+    steps, work = _steps(cleaned, settings, None), path.parent / "refine"
+    pack = steps or (settings.pack if settings.quantise else None)
+    told: dict[str, Any] = {"steps": None if steps is None else asdict(steps)}
+    if settings.refine.parts:
+        place = ground(scene)
+        views = [trained_on(place, found, block)[0] for block in range(len(blocks))]
+        jobs = part_jobs(
+            cleaned, owners, moving, scene, views, blocks, settings.refine, settings.training, run, work, pack,
+        )  # fmt: skip
+        before = [job.done() is not None for job in jobs]
+        model, parts = refine_parts(
+            cleaned, owners, jobs, run, progress.part([job.facts.steps for job in jobs])
+        )
+        told |= {"parts": [asdict(part) for part in parts]} | _spent(parts, before, run)
+    else:
+        model, seconds, cpu_seconds = refinement.refine(
+            cleaned, scene, settings.refine, settings.training,
+            replace(run, report=progress.refine), work, pack, moving,
+        )  # fmt: skip
+        told |= {"seconds": seconds, "cpu_seconds": cpu_seconds}
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
-    shutil.rmtree(path.parent / "refine", ignore_errors=True)
-    return {
-        "seconds": seconds,
-        "cleaned": int((~rows).sum()),
-        "steps": None if steps is None else asdict(steps),
-    }
+    shutil.rmtree(work, ignore_errors=True)
+    return told | {"cleaned": int((~rows).sum())}
+
+
+def _with_parts(
+    blocks: tuple[BlockFacts, ...], parts: Sequence[BlockFacts]
+) -> tuple[BlockFacts, ...]:
+    """Facts of the blocks with what the refinement of each one's part has cost."""
+    cost = {part.block: part for part in parts}
+    return tuple(
+        replace(one, refine_seconds=cost[one.block].seconds, refine_cpu_seconds=cost[one.block].cpu_seconds)
+        if one.block in cost
+        else one
+        for one in blocks
+    )  # fmt: skip
 
 
 def _read_refined(merged: Merged, path: Path) -> Merged:

@@ -9,8 +9,7 @@ from typing import Any
 from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.base.plugin_files import Brought
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.executor import BlocksReport, alone
-from splatproof.methods.city.train_block import BlockJob, train_block
+from splatproof.methods.city.executor import BlocksReport, Job, alone
 from splatproof.methods.training.threads import threads as torch_threads
 
 RETRIES = 3
@@ -22,7 +21,7 @@ POLL_SECONDS = 0.5
 
 
 def run_on_ray(
-    jobs: Sequence[BlockJob], workers: int, threads: int | None, report: BlocksReport
+    jobs: Sequence[Job], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
     """Train each block as a task of the cluster named by RAY_ADDRESS, or of one started here.
 
@@ -140,10 +139,10 @@ def train_remotely(packed: bytes, index: int, threads: int, reports: Any) -> Blo
     _, job = pickle.loads(packed)
     reports.begin.remote(index, ray.get_runtime_context().get_node_id())
     with torch_threads(threads), alone(job):
-        return train_block(job, lambda *at: reports.put.remote(index, *at))
+        return job.work(lambda *at: reports.put.remote(index, *at))
 
 
-def _facts(ray: Any, one: Any, job: BlockJob) -> BlockFacts:
+def _facts(ray: Any, one: Any, job: Job) -> BlockFacts:
     try:
         return ray.get(one)
     except ray.exceptions.RayTaskError as error:
@@ -164,7 +163,7 @@ def _stranded(ray: Any, running: Mapping[Any, int], places: Mapping[int, str]) -
     return [one for one, index in running.items() if places.get(index) in dead]
 
 
-def _lost(job: BlockJob, why: str) -> SplatproofError:
+def _lost(job: Job, why: str) -> SplatproofError:
     return SplatproofError(
         f"block {job.facts.block}: lost on the cluster ({why}); the same command continues from its checkpoint"
     )

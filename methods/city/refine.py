@@ -3,7 +3,7 @@
 import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
@@ -65,6 +65,11 @@ class RefineSettings:
     """Half the width of the strip along the walls of blocks, in normalised distance, in which positions,
     scales and rotations are fitted too: what two blocks have put on one place sorts itself out there.
     0: nowhere, as in the paper."""
+    parts: bool = False
+    """Whether each block's part of the model is refined apart, and by whom blocks are trained apart: on the
+    block's own views, with all that these show. Of what a part fits it keeps what its block owns; the rest is
+    fitted with it, its geometry held still, and left to its own part. False: all at once, as in the paper, which
+    one machine has to hold."""
     settle: float = 0.1
     """Factor on these rates at the last step, reached log-linearly from the middle of the
     refinement on; 1: constant."""
@@ -83,18 +88,18 @@ class RefineSettings:
             value = getattr(self, name)
             require(value >= 0, f"refine.{name}", value, ">= 0")
 
-    def steps(self, base: Settings, views: int) -> int:
-        """Number of steps of the refinement.
+    def steps(self, base: Settings, views: int, part: int | None = None) -> int:
+        """Number of steps of the refinement, or of a part of it that visits its views as often.
 
         Args:
             base: Settings that each block was trained with; steps and views a step count.
             views: Number of training views of the whole scene.
+            part: Number of those that the part has; None: all.
         """
-        if self.iterations is not None:
-            return self.iterations
-        return max(
-            1, round(PAPER_SHARE * base.iterations), -(-self.visits * views // base.views_per_step)
-        )
+        seen = views if part is None else part
+        whole = PAPER_SHARE * base.iterations if self.iterations is None else self.iterations
+        fewest = 0 if self.iterations is not None else -(-self.visits * seen // base.views_per_step)
+        return max(1, round(whole * seen / views), fewest)
 
 
 def clean(model: Gaussians, settings: CleanSettings) -> Bool[Tensor, " n"]:
@@ -109,6 +114,16 @@ def clean(model: Gaussians, settings: CleanSettings) -> Bool[Tensor, " n"]:
     return preclean(model.opacity_logits, model.log_scales, settings)
 
 
+class Refined(NamedTuple):
+    """A refined model, and what it cost, before an interruption too."""
+
+    model: Gaussians
+    seconds: float
+    """Wall seconds."""
+    cpu_seconds: float
+    """Processor seconds, over all threads."""
+
+
 def refine(
     model: Gaussians,
     scene: Scene,
@@ -118,7 +133,8 @@ def refine(
     folder: Path | None,
     pack: FileSettings | Steps | None = None,
     moving: Bool[Tensor, " n"] | None = None,
-) -> tuple[Gaussians, float]:
+    steps: int | None = None,
+) -> Refined:
     """Fit opacity and colour of a merged model to all training views; elsewhere geometry stays as it is.
 
     Args:
@@ -134,8 +150,7 @@ def refine(
             seen as the paper's file has them.
         moving: Gaussians whose positions, scales and rotations are fitted too; None: none are. Positions
             start at a tenth of the blocks' first rate and end at their last, the others have the blocks'.
-
-    Returns: The refined model and the seconds it took, those before an interruption included.
+        steps: Number of steps; None: those that the settings ask for over these views.
 
     Source: StitchGS, Sec. 3.2.4; Adam instead of SGD, and what moves: ours.
     """
@@ -148,7 +163,7 @@ def refine(
         sh_dc=settings.sh_dc, sh_rest=settings.sh_rest, opacity_logits=settings.opacity,
         settle=settings.settle,
     )  # fmt: skip
-    steps = settings.steps(base, len(scene.train))
+    steps = steps or settings.steps(base, len(scene.train))
     size = extent(scene) if any_moves else 0.0
     fitted = QuantisedModel(model, rates, settings.quantise_from, base, pack, extent=size)
     still = None if moving is None or not any_moves else (~moving).nonzero()[:, 0]
@@ -167,7 +182,7 @@ def refine(
     trainer = Trainer(shown, plan, replace(run, folder=folder))
     trainer.resume()
     trainer.train()
-    return fitted.gaussians(), trainer.seconds
+    return Refined(fitted.gaussians(), trainer.seconds, trainer.cpu_seconds)
 
 
 def _digest(model: Gaussians, moving: Bool[Tensor, " n"] | None) -> str:

@@ -41,15 +41,17 @@ class Stages:
         Args:
             name: Name of the stage, unique in the run.
             work: Does it and returns what is to be known of it, JSON-ready. It may name "seconds"
-                itself, where a part of it was done before; else they are measured.
+                and "cpu_seconds" itself, where a part of it was done before or elsewhere; else they are
+                measured in this process.
 
-        Returns: What is known of the stage, with its wall seconds.
+        Returns: What is known of the stage, with its wall and processor seconds.
         """
         if name not in self.done:
-            started = time.perf_counter()
+            started, before = time.perf_counter(), time.process_time()
             facts = work() or {}
             passed = time.perf_counter() - started
             facts["seconds"] = max(passed, facts.get("seconds", 0.0))
+            facts.setdefault("cpu_seconds", time.process_time() - before)
             self.done[name] = facts
             write_text(self.path, json.dumps({"key": self.key, "stages": self.done}) + "\n")
         self.on_stage(name, self.done[name]["seconds"])
@@ -59,3 +61,8 @@ class Stages:
     def seconds(self) -> dict[str, float]:
         """Wall seconds of each stage that is done."""
         return {name: facts["seconds"] for name, facts in self.done.items()}
+
+    @property
+    def cpu_seconds(self) -> dict[str, float]:
+        """Processor seconds of each stage that is done; what other processes did may not be in them."""
+        return {name: facts.get("cpu_seconds", 0.0) for name, facts in self.done.items()}

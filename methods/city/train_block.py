@@ -122,6 +122,21 @@ class BlockJob:
         """The file that says that the block is trained: key and facts."""
         return self.folder / "block.json"
 
+    def done(self) -> BlockFacts | None:
+        """Facts of the block if it was trained before; None if it was not, or lies under another key."""
+        if not self.record.exists():
+            return None
+        stored = json.loads(read_text(self.record))
+        return BlockFacts(**stored["facts"]) if stored["key"] == self.key else None
+
+    def work(self, report: Report) -> BlockFacts:
+        """Train it, see `train_block`.
+
+        Args:
+            report: Called as report(step, total, values) every few steps.
+        """
+        return train_block(self, report)
+
 
 def train_block(job: BlockJob, report: Report) -> BlockFacts:
     """Train one block to its model folder, or continue it; a block that is there is not repeated.
@@ -137,7 +152,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
 
     Raises: UsageError if the folder holds a checkpoint of another block.
     """
-    if (facts := trained(job)) is not None:
+    if (facts := job.done()) is not None:
         return facts
     if not job.scene.train or not bool((job.roles == OWN).any()):
         missing = "no view trains it" if not job.scene.train else "no point to start from"
@@ -187,14 +202,6 @@ def _finish(job: BlockJob, model: Gaussians, facts: BlockFacts) -> BlockFacts:
     (job.folder / "checkpoint" / "training.safetensors").unlink(missing_ok=True)
     shutil.rmtree(job.folder / "checkpoint" / "side", ignore_errors=True)
     return facts
-
-
-def trained(job: BlockJob) -> BlockFacts | None:
-    """Facts of a block that was trained before; None if there is none, or of another key."""
-    if not job.record.exists():
-        return None
-    stored = json.loads(read_text(job.record))
-    return BlockFacts(**stored["facts"]) if stored["key"] == job.key else None
 
 
 def read_gaussians(path: Path) -> Gaussians:

@@ -45,24 +45,39 @@ def retention(blocks: Sequence[BlockFacts]) -> dict[str, float]:
 
 
 def four_machine_seconds(
-    stages: Mapping[str, float], blocks: Sequence[BlockFacts]
+    stages: Mapping[str, float], cpu: Mapping[str, float], blocks: Sequence[BlockFacts]
 ) -> dict[str, float]:
-    """four_machine_seconds: wall seconds of the whole if MACHINES machines had trained the blocks, those
-    first that take longest, and one of them did all else; nothing if a block's seconds are not known.
+    """What the whole would take if MACHINES machines had trained the blocks, and refined the parts where the
+    refinement has parts, those first that take longest, and one of them did all else.
 
-    What is sent between machines is not counted. Seconds are those that were measured, so other work on the
-    machine, blocks trained at the same time among it, counts as if it were everywhere.
+    four_machine_seconds are wall seconds, in which other work on the machine, blocks trained at the same time among
+    it, counts as if it were everywhere; four_machine_cpu_seconds are processor seconds, wall seconds of machines of
+    one core with nothing else to do. What is sent between machines is not counted. Either is left out where it is not
+    known of a block or a stage.
 
     Args:
         stages: Measured wall seconds of each stage, "blocks" among them.
+        cpu: Processor seconds of each stage.
         blocks: One a block.
     Source: list scheduling by longest first, Graham 1969; `metrics.balance.makespan`.
     """
-    if "blocks" not in stages or not all(block.seconds for block in blocks):
-        return {}
-    alone = sum(seconds for name, seconds in stages.items() if name != "blocks")
-    longest_first = sorted((block.seconds for block in blocks), reverse=True)
-    return {"four_machine_seconds": alone + makespan(longest_first, MACHINES)}
+    wall = _longest_path(stages, [b.seconds for b in blocks], [b.refine_seconds for b in blocks])
+    busy = _longest_path(
+        cpu, [b.cpu_seconds for b in blocks], [b.refine_cpu_seconds for b in blocks]
+    )
+    named = {"four_machine_seconds": wall, "four_machine_cpu_seconds": busy}
+    return {name: seconds for name, seconds in named.items() if seconds is not None}
+
+
+def _longest_path(
+    stages: Mapping[str, float], trained: Sequence[float], refined: Sequence[float]
+) -> float | None:
+    """Seconds of all stages, of which blocks and refined parts are shared out; None where they are not known."""
+    if "blocks" not in stages or not all(trained):
+        return None
+    shared = {"blocks": trained} | ({"refine": refined} if any(refined) else {})
+    alone = sum(seconds for name, seconds in stages.items() if name not in shared)
+    return alone + sum(makespan(sorted(each, reverse=True), MACHINES) for each in shared.values())
 
 
 def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:

@@ -285,6 +285,45 @@ def test_a_kill_in_the_coarse_model_is_continued(tmp_path):
     assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
 
 
+PARTS = {"merge": "shares", "coder": "small", "coarse_iterations": 5,
+         "refine": RefineSettings(iterations=60, parts=True, walls=0.2)}  # fmt: skip
+
+
+def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_each_part_took(
+    tmp_path,
+):
+    told: list[tuple[float, float]] = []
+    steps: list[tuple[int, int]] = []
+    here = fit(
+        "odbp+stitch", run(report=lambda step, total, values: steps.append((step, total))), **PARTS
+    )
+    apart = run(tmp_path, engine="processes", on_elsewhere=lambda *at: told.append(at))
+    there = fit("odbp+stitch", apart, **PARTS)
+    assert same(here, there)
+    assert all(block.refine_seconds > 0 for block in there.block_facts)
+    ((seconds, peak),) = told
+    spent = sum(block.cpu_seconds + block.refine_cpu_seconds for block in there.block_facts)
+    assert seconds == pytest.approx(spent)
+    assert peak >= max(block.peak_mb for block in there.block_facts)
+    assert steps[-1][0] == steps[-1][1]
+    assert [step for step, _ in steps] == sorted(step for step, _ in steps)
+    assert set(there.stage_cpu_seconds) == set(there.stage_seconds)
+    whole = fit(
+        "odbp+stitch", run(), **PARTS | {"refine": RefineSettings(iterations=60, walls=0.2)}
+    )
+    assert not same(here, whole)
+
+
+@pytest.mark.parametrize("share", [0.9, 0.97])
+def test_a_kill_in_a_part_of_the_refinement_is_continued(tmp_path, share):
+    at = run(tmp_path, checkpoint_seconds=0.0)
+    with pytest.raises(Killed):
+        fit("odbp+stitch", replace(at, report=killed_at(share)), **PARTS)
+    assert (tmp_path / "checkpoint" / "refine" / "part-0").is_dir()
+    assert same(fit("odbp+stitch", run(), **PARTS), fit("odbp+stitch", at, **PARTS))
+    assert not (tmp_path / "checkpoint" / "refine").exists()
+
+
 def moved_after_training(folder: Path, where: dict[int, torch.Tensor]) -> Run:
     """A run that was killed after its blocks were trained, some of which then moved elsewhere."""
     with pytest.raises(Killed):
