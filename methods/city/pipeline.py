@@ -24,6 +24,7 @@ from splatproof.methods.city.coarse import coarse_stage
 from splatproof.methods.city.executor import BlocksReport, run_blocks
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.jobs import block_jobs, trained_on
+from splatproof.methods.city.levels import block_levels, levelled
 from splatproof.methods.city.memory_plan import plan_memory
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.model import CityModel
@@ -33,6 +34,7 @@ from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
+from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
@@ -48,6 +50,9 @@ from splatproof.methods.training.threads import threads
 from splatproof.reference.compression.quantisers import Steps
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
+
+OFF = 0.02
+"""A factor on a colour that is so far from 1 is told."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -359,6 +364,8 @@ def _refine(
     """Clean the merged model and fit its appearance over all training views, at once or in parts."""
     rows = refinement.clean(merged.model, settings.refine.clean)
     cleaned, owners = select(merged.model, rows), merged.blocks[rows]
+    if settings.refine.level:
+        cleaned = _at_level(cleaned, owners, scene, settings, run)
     moving = None
     if settings.refine.walls:
         moving = near_walls(cleaned.means.double(), found.regions, settings.refine.walls)
@@ -385,6 +392,21 @@ def _refine(
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
     shutil.rmtree(work, ignore_errors=True)
     return told | {"cleaned": int((~rows).sum())}
+
+
+def _at_level(
+    model: Gaussians, owners: Int64[Tensor, " n"], scene: Scene, settings: CitySettings, run: Run
+) -> Gaussians:
+    """The model with all blocks at the level of the photos, and a word on those that were not."""
+    backend = get_backend(run.backend)
+    factors = block_levels(
+        model, owners, settings.blocks, scene.train_views, backend, settings.mode
+    )
+    for block, one in enumerate(factors):
+        if bool(((one - 1).abs() > OFF).any()):
+            told = ", ".join(f"{factor:.3f}" for factor in one.tolist())
+            run.say(f"block {block}: red, green and blue times {told}, which is the photos' level")
+    return levelled(model, owners, factors)
 
 
 def _with_parts(

@@ -65,6 +65,9 @@ class RefineSettings:
     """Half the width of the strip along the walls of blocks, in normalised distance, in which positions,
     scales and rotations are fitted too: what two blocks have put on one place sorts itself out there.
     0: nowhere, as in the paper."""
+    level: bool = False
+    """Whether each block's colours are first brought to the photos' level, by three factors in closed form (ours):
+    light that differs from block to block is gone before a gradient is taken, and what is fitted is left the rest."""
     parts: bool = False
     """Whether each block's part of the model is refined apart, and by whom blocks are trained apart: on the
     block's own views, with all that these show. Of what a part fits it keeps what its block owns; the rest is

@@ -13,6 +13,7 @@ from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.methods.city.model import CONTAINER, CityModel, in_hundredths
+from splatproof.methods.city.planted import PlantSettings
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
@@ -283,6 +284,34 @@ def test_a_kill_in_the_coarse_model_is_continued(tmp_path):
     with pytest.raises(Killed):
         fit("citygaussian", replace(at, report=killed_at(0.2)), **more)
     assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
+
+
+def test_a_planted_light_is_told_and_taken_back_before_the_refinement():
+    said: list[str] = []
+    planted = {
+        "planted": PlantSettings(light=0.4),
+        "iterations": 150,
+        "quantise": False,
+        "merge": "hard",
+    }
+    plain, level = (
+        fit(
+            "stitchgs",
+            run(say=said.append),
+            refine=RefineSettings(iterations=1, level=on),
+            **planted,
+        )
+        for on in (False, True)
+    )
+    assert sum("which is the photos' level" in line for line in said) == 2
+    errors = [
+        sum(
+            float((one.render(view).colour - view.load()).abs().mean())
+            for view in SCENE.train_views
+        )
+        for one in (plain, level)
+    ]
+    assert errors[1] < 0.9 * errors[0]
 
 
 PARTS = {"merge": "shares", "coder": "small", "coarse_iterations": 5,
