@@ -158,6 +158,8 @@ their 95 % intervals; differences of rows are judged, image by image, on the [cl
 - `3dgs` is one block, with as many steps as all blocks of the other rows together.
 - `stitchgs@hard`, `@merge`, `@gcr` and `stitchgs` are one training, merged by a hard cut, by SIS, refined (GCR),
   and compressed; `odbp+stitch@hard` and `odbp+stitch` likewise. `@k8` has eight blocks.
+- `odbp+stitch@parts` is `@small` with blocks cut by their predicted time and refined apart: what a block owns is fitted to the
+  block's own photos, so that no machine trains the whole.
 - `stitchgs@hard-gcr` is refined without stitching, `@one-gcr` without blocks. `@shares` and `@fade` merge from both
   sides of a wall and are refined; `@walls` is `@shares` whose refinement moves what lies near walls too, and
   `odbp+stitch@small` the same of `odbp+stitch`, stored in our own small file in place of the paper's.
@@ -166,9 +168,11 @@ their 95 % intervals; differences of rows are judged, image by image, on the [cl
   photos) that also has inverse depth and volume; `vastgaussian@appearance` is `@coarse` with a network of each photo's
   appearance, `@gain` with three gains a photo.
 - `stitchgs@light-...` and `@place-...` have a planted seam: each block's photos are up to a fifth brighter or darker in a colour,
-  or its cameras stand half a hundredth of the scene's extent aside, the other way in the other block; coarse model and refinement
-  see all as it is. `-walls` is `-fade` whose refinement moves what lies near walls.
-- *on four machines* is what the whole would take if four machines had trained the blocks, simulated from their measured seconds.
+  or its cameras stand half a hundredth of the scene's extent aside, each block's another way; coarse model and refinement
+  see all as it is. `-walls` is `-fade` whose refinement moves what lies near walls; `-level` is `-walls` whose blocks' colours
+  are first brought to the photos' level, by three factors a block in closed form.
+- *on four machines* is what the whole would take if four machines had trained the blocks (and refined the parts), simulated from
+  their measured seconds; *processor seconds there* from those of the processor, which other work on the machine changes less.
 - `@half` and `@double` have half and twice the steps: what further steps would still change, by which the claims page tells
   rows that are too short to judge.
 - Seams are scored on the pixels whose surface lies within a normalised distance of 1.1 of two regions or more of the

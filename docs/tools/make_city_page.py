@@ -36,14 +36,17 @@ ZOOM = 72
 MERGES = {
     "": ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs"),
     "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@small"),
+    "_parts": ("odbp+stitch@small", "odbp+stitch@parts"),
+    "_k8": ("odbp+stitch@k8-hard", "odbp+stitch@k8-small"),
     **{
         f"_{plant}": tuple(
-            f"stitchgs@{plant}-{merge}" for merge in ("hard", "hard-gcr", "gcr", "fade", "walls")
+            f"stitchgs@{plant}-{merge}" for merge in ("hard", "hard-gcr", "gcr", "fade", *last)
         )
-        for plant in ("light", "place")
+        for plant, last in (("light", ("walls", "level")), ("place", ("walls",)))
     },
 }
-"""Rows of one training from the hard cut to the last way to mend it, by the ending of their pictures' names."""
+"""Rows from the hard cut to the last way to mend it, by the ending of their pictures' names; of one training but for
+@parts, which stands beside the row that is refined as a whole."""
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 

@@ -12,12 +12,16 @@ import torch
 
 from helpers.baking import baked
 from helpers.city_scene import small_scene
+from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError, MissingError
 from splatproof.base.plugin_files import load_plugin_file
 from splatproof.methods.city import ray_executor
+from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
+from splatproof.methods.city.refine import RefineSettings
+from splatproof.methods.city.refine_parts import part_jobs, refine_parts
 from splatproof.methods.city.train_block import BlockJob
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
@@ -122,6 +126,23 @@ def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
     job = replace(job, scene=replace(job.scene, views=views))
     (facts,) = run_blocks([job], engine="ray", threads=1, report=nothing)
     assert facts.block == 0
+
+
+@pytest.mark.usefixtures("cluster")
+def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
+    scene, model, owners = small_scene(40), random_gaussians(40), torch.arange(40) % 2
+    views = [torch.arange(len(scene.views)) % 2 == b for b in range(2)]
+    facts = [BlockFacts(block=b, views=1, points=1, load=1) for b in range(2)]
+    ends = []
+    for engine in ("inline", "ray"):
+        run = Run(backend="cpu", threads=1, engine=engine)
+        made = part_jobs(
+            model, owners, None, scene, views, facts, RefineSettings(iterations=20), SETTINGS, run,
+            tmp_path / engine, None,
+        )  # fmt: skip
+        ends.append(refine_parts(model, owners, made, run, nothing)[0])
+    assert torch.equal(ends[0].sh, ends[1].sh)
+    assert not torch.equal(ends[0].sh, model.sh)
 
 
 def test_a_blocks_own_error_names_it(tmp_path, cluster):
