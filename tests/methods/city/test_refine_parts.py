@@ -13,9 +13,10 @@ from torch.testing import assert_close
 from helpers.city_scene import small_scene
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import SplatproofError
+from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.refine import RefineSettings, refine
-from splatproof.methods.city.refine_parts import PartJob, part_jobs, refine_parts
+from splatproof.methods.city.refine_parts import MOVING, OWN, PartJob, part_jobs, refine_parts
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.rasterizer import rasterize
 from splatproof.methods.models.explicit import FIELDS
@@ -95,8 +96,13 @@ def test_parts_visit_each_view_as_often_as_the_whole_does(tmp_path):
 def test_only_what_the_block_owns_moves(tmp_path):
     moving = torch.zeros(40, dtype=torch.bool)
     moving[:20] = True
-    base = jobs(tmp_path, moving=moving)
-    model, _ = refine_parts(spoilt(), OWNERS, base, RUN, nothing)
+    made = jobs(tmp_path, moving=moving)
+    for job in made:
+        marks, _ = read_tensors(job.start)
+        assert int(marks[MOVING].sum()) == int((moving & (OWNERS == job.facts.block)).sum())
+        assert not bool((marks[MOVING] & ~marks[OWN]).any())
+    assert len({job.seed for job in made}) == 2
+    model, _ = refine_parts(spoilt(), OWNERS, made, RUN, nothing)
     moved = (model.log_scales != spoilt().log_scales).any(dim=1)
     assert int(moved[moving & (OWNERS != 2)].sum()) >= 10  # one of 14 is hidden behind others
     assert not bool(moved[~moving | (OWNERS == 2)].any())
