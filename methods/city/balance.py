@@ -29,6 +29,10 @@ ROUNDS = 12
 FINE = 64
 """Weights are whole numbers, of so many for each of the points' loads."""
 
+SAMPLE = 2**15
+"""Most Gaussians of a coarse model by which times are predicted. Of one of seneca, 254,518 Gaussians, the twelve cuts
+took 90 processor seconds by all of them and 21 by these; predicted times of its blocks differ by at most 4 %."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
@@ -77,6 +81,7 @@ def cut(
     if settings.balance == "load" or blocks == 1:
         return partition(scene, blocks, settings, backend=backend, coarse=coarse)
     place, start = ground(scene, settings.voxel_size), start_of(scene, coarse)
+    start = start.sampled(SAMPLE) if start.coarse else start
     weights, tried = place.loads.double(), list[tuple[float, Partition]]()
     with bar(f"cutting {blocks} blocks by their times") as report:
         for done in range(ROUNDS):

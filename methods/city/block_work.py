@@ -1,6 +1,6 @@
 """What the training of a block will work on, by what it starts from and which views train it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 
 from jaxtyping import Bool, Float64
@@ -26,6 +26,19 @@ class Start:
     """Largest standard deviation of each, in scene units."""
     coarse: bool
     """Whether it is a coarse model; else there is one a sparse point."""
+    each: int = 1
+    """How many Gaussians each of these stands for, of its own size."""
+
+    def sampled(self, most: int) -> "Start":
+        """Every so manieth, each for those that are left out, so that there are at most `most`.
+
+        Args:
+            most: At least 1.
+        """
+        every = -(-len(self.means) // most) if len(self.means) else 1
+        return replace(
+            self, means=self.means[::every], sizes=self.sizes[::every], each=self.each * every
+        )
 
 
 def start_of(scene: Scene, coarse: Gaussians | None) -> Start:
@@ -68,6 +81,6 @@ def block_work(
     return BlockWork(
         steps=float(steps if cameras else 0),
         pixels=fmean(one.width * one.height for one in cameras) if cameras else 0.0,
-        gaussians=thickness * float(held.sum()),
-        pairs=thickness * pairs_a_view(cameras, start.means[held], sizes),
+        gaussians=start.each * thickness * float(held.sum()),
+        pairs=start.each * thickness * pairs_a_view(cameras, start.means[held], sizes),
     )

@@ -19,6 +19,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.initialise import from_points
 from splatproof.reference.partition.block_time import block_seconds, pairs_a_view
+from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
 TRAINING = Training(iterations=400, even="visits", thickness=20.0)
@@ -153,6 +154,34 @@ def test_with_a_coarse_model_its_gaussians_count():
     whole = expected_works(ground(scene), found, replace(training, auxiliary="none"), 0.05, start)
     assert [one.gaussians for one in whole] == [len(coarse)] * 2
     assert len(cut(scene, 2, BY_TIME, training, coarse=coarse).views) == 2
+
+
+def test_every_so_manieth_of_a_coarse_model_foretells_the_same_times(monkeypatch):
+    scene = small_scene(120)
+    coarse = from_points(scene, degree=0, opacity=0.1)
+    many = Gaussians(
+        **{name: value.repeat_interleave(50, dim=0) for name, value in vars(coarse).items()}
+    )
+    start = start_of(scene, many)
+    some = start.sampled(500)
+    assert (len(some.means), some.each) == (-(-len(many) // some.each), -(-len(many) // 500))
+    assert start.sampled(len(many)).each == 1
+    found = partition(scene, 2, BY_LOAD)
+    training = replace(TRAINING, thickness=1.0, auxiliary="context")
+    whole, part = (
+        expected_works(ground(scene), found, training, 0.05, one) for one in (start, some)
+    )
+    for one, other in zip(whole, part, strict=True):
+        assert other.gaussians == pytest.approx(one.gaussians, rel=0.05)
+        assert other.pairs == pytest.approx(one.pairs, rel=0.1)
+    asked: list[int] = []
+    plain = balance.expected_works
+    monkeypatch.setattr(balance, "SAMPLE", 500)
+    monkeypatch.setattr(
+        balance, "expected_works", lambda *at: asked.append(len(at[4].means)) or plain(*at)
+    )
+    cut(scene, 2, BY_TIME, training, coarse=many)
+    assert set(asked) == {len(some.means)}
 
 
 def test_blocks_that_take_longest_start_first(monkeypatch, tmp_path):
