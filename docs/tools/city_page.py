@@ -158,8 +158,8 @@ their 95 % intervals; differences of rows are judged, image by image, on the [cl
 - `3dgs` is one block, with as many steps as all blocks of the other rows together.
 - `stitchgs@hard`, `@merge`, `@gcr` and `stitchgs` are one training, merged by a hard cut, by SIS, refined (GCR),
   and compressed; `odbp+stitch@hard` and `odbp+stitch` likewise. `@k8` has eight blocks.
-- `odbp+stitch@parts` is `@small` with blocks cut by their predicted time and refined apart: what a block owns is fitted to the
-  block's own photos, so that no machine trains the whole.
+- `odbp+stitch@parts` is `@small` refined apart: each block's photos refine what they show of the merged model, and of what several
+  blocks' photos show the mean is kept, so that no machine trains the whole.
 - `stitchgs@hard-gcr` is refined without stitching, `@one-gcr` without blocks. `@shares` and `@fade` merge from both
   sides of a wall and are refined; `@walls` is `@shares` whose refinement moves what lies near walls too, and
   `odbp+stitch@small` the same of `odbp+stitch`, stored in our own small file in place of the paper's.

@@ -35,8 +35,7 @@ ZOOM = 72
 """Side of the part of a view that is shown enlarged at a seam, in pixels."""
 MERGES = {
     "": ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs"),
-    "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@small"),
-    "_parts": ("odbp+stitch@small", "odbp+stitch@parts"),
+    "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@parts", "odbp+stitch@small"),
     "_k8": ("odbp+stitch@k8-hard", "odbp+stitch@k8-small"),
     **{
         f"_{plant}": tuple(
@@ -45,8 +44,7 @@ MERGES = {
         for plant, last in (("light", ("walls", "level")), ("place", ("walls",)))
     },
 }
-"""Rows from the hard cut to the last way to mend it, by the ending of their pictures' names; of one training but for
-@parts, which stands beside the row that is refined as a whole."""
+"""Rows from the hard cut to the last way to mend it, by the ending of their pictures' names."""
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float64, Int8
+from jaxtyping import Bool, Float64, Int8, Int32
 from torch import Tensor
 
 from splatproof.base.tensor_files import read_tensors, write_tensors
@@ -114,16 +114,26 @@ def coarse_roles(
 
 
 def shown(cameras: Sequence[Camera], means: Float64[Tensor, "n 3"]) -> Bool[Tensor, " n"]:
-    """Places in front of a camera whose pixels lie in its image widened by BESIDE, whatever hides them.
+    """Places that any of the cameras shows, see `shown_by`.
 
     Args:
-        cameras: Who looks; what any of them shows counts.
+        cameras: Who looks.
         means: Places in the scene's frame.
     """
-    found = torch.zeros(len(means), dtype=torch.bool)
+    return shown_by(cameras, means) > 0
+
+
+def shown_by(cameras: Sequence[Camera], means: Float64[Tensor, "n 3"]) -> Int32[Tensor, " n"]:
+    """How many cameras show each place: in front, in the image widened by BESIDE, whatever hides it.
+
+    Args:
+        cameras: Who looks.
+        means: Places in the scene's frame.
+    """
+    found = torch.zeros(len(means), dtype=torch.int32)
     for camera in cameras:
         pixel, depth = project_points(camera, means)
         size = pixel.new_tensor([camera.width, camera.height])
         inside = (pixel >= -BESIDE * size) & (pixel <= (1 + BESIDE) * size)
-        found |= inside.all(dim=1) & (depth > 0)
+        found += inside.all(dim=1) & (depth > 0)
     return found

@@ -21,7 +21,7 @@ from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.block_terms import with_scaled_priors
 from splatproof.methods.city.coarse import coarse_stage
-from splatproof.methods.city.executor import BlocksReport, run_blocks
+from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.jobs import block_jobs, trained_on
 from splatproof.methods.city.levels import block_levels, levelled
@@ -29,7 +29,7 @@ from splatproof.methods.city.memory_plan import plan_memory
 from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition
-from splatproof.methods.city.refine_parts import part_jobs, refine_parts
+from splatproof.methods.city.refine_parts import Whole, part_jobs, refine_parts
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
@@ -214,21 +214,15 @@ class Progress:
         together = values | {"gaussians": sum(self.gaussians)}
         self.report(self.before + sum(self.blocks), self.total, together)
 
-    def part(self, steps: Sequence[int]) -> BlocksReport:
-        """What hears the parts of a refinement: together they count as many steps as the whole one would.
+    def parts(self, step: int, total: int, values: dict[str, float]) -> None:
+        """Report a step of a refinement in parts, which together count as many steps as the whole one would.
 
         Args:
-            steps: Steps of each part.
+            step: Steps of all parts that are done.
+            total: Steps of all parts.
+            values: What the report says of the part that made one: loss, terms, number of Gaussians.
         """
-        done = [0] * len(steps)
-        whole = self.total - self.after
-
-        def report(index: int, step: int, total: int, values: dict[str, float]) -> None:
-            del total
-            done[index] = step
-            self.report(self.after + whole * sum(done) // sum(steps), self.total, values)
-
-        return report
+        self.report(self.after + (self.total - self.after) * step // total, self.total, values)
 
     def refine(self, step: int, total: int, values: dict[str, float]) -> None:
         """Report a step of the refinement.
@@ -375,14 +369,14 @@ def _refine(
     if settings.refine.parts:
         place = ground(scene)
         views = [trained_on(place, found, block)[0] for block in range(len(blocks))]
-        jobs = part_jobs(
-            cleaned, owners, moving, scene, views, blocks, settings.refine, settings.training, run, work, pack,
+        whole = Whole(
+            owners=owners, moving=moving, scene=scene, views=views, blocks=blocks, settings=settings.refine,
+            base=settings.training, pack=pack,
         )  # fmt: skip
+        jobs = part_jobs(cleaned, whole, run, work)
         before = [job.done() is not None for job in jobs]
-        model, parts = refine_parts(
-            cleaned, owners, jobs, run, progress.part([job.facts.steps for job in jobs])
-        )
-        told |= {"parts": [asdict(part) for part in parts]} | _spent(parts, before, run)
+        model, parts = refine_parts(cleaned, owners, jobs, run, progress.parts)
+        told |= {"parts": [asdict(one) for one in parts]} | _spent(parts, before, run)
     else:
         model, seconds, cpu_seconds = refinement.refine(
             cleaned, scene, settings.refine, settings.training,
@@ -413,11 +407,12 @@ def _with_parts(
     blocks: tuple[BlockFacts, ...], parts: Sequence[BlockFacts]
 ) -> tuple[BlockFacts, ...]:
     """Facts of the blocks with what the refinement of each one's part has cost."""
-    cost = {part.block: part for part in parts}
+    wall = {part.block: part.seconds for part in parts}
+    busy = {part.block: part.cpu_seconds for part in parts}
     return tuple(
-        replace(one, refine_seconds=cost[one.block].seconds, refine_cpu_seconds=cost[one.block].cpu_seconds)
-        if one.block in cost
-        else one
+        replace(
+            one, refine_seconds=wall.get(one.block, 0.0), refine_cpu_seconds=busy.get(one.block, 0.0)
+        )
         for one in blocks
     )  # fmt: skip
 

@@ -70,9 +70,8 @@ class RefineSettings:
     light that differs from block to block is gone before a gradient is taken, and what is fitted is left the rest."""
     parts: bool = False
     """Whether each block's part of the model is refined apart, and by whom blocks are trained apart: on the
-    block's own views, with all that these show. Of what a part fits it keeps what its block owns; the rest is
-    fitted with it, its geometry held still, and left to its own part. False: all at once, as in the paper, which
-    one machine has to hold."""
+    block's own views, with all that these show (ours). Of what several parts show the mean is kept; geometry is left to
+    the part whose block owns it. False: all at once, as in the paper, which one machine has to hold."""
     settle: float = 0.1
     """Factor on these rates at the last step, reached log-linearly from the middle of the
     refinement on; 1: constant."""

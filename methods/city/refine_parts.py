@@ -7,19 +7,19 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from splatproof.base.files import read_bytes, read_text, write_text
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.coarse import shown
+from splatproof.methods.city.coarse import shown_by
 from splatproof.methods.city.executor import BlocksReport, run_blocks
 from splatproof.methods.city.jobs import SEEDS_APART, block_scene
 from splatproof.methods.city.point_roles import LEFT_OUT
-from splatproof.methods.city.refine import RefineSettings, refine
-from splatproof.methods.city.train_block import Report, read_gaussians, select
+from splatproof.methods.city.refine import GEOMETRY, RefineSettings, refine
+from splatproof.methods.city.train_block import Report, read_gaussians
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.storage.packed.writer import FileSettings
@@ -29,8 +29,8 @@ from splatproof.reference.compression.quantisers import Steps
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
-OWN, MOVING = "own", "moving"
-"""Arrays beside a part's Gaussians: which of them its block owns, and which of those move."""
+MOVING = "moving"
+"""Array beside a part's Gaussians: which of them move."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,11 @@ class PartJob:
     scene: Scene
     """The block's training views, as they are, without points."""
     start: Path
-    """File of the Gaussians that the part sees, with which of them are its own and which move."""
+    """File of the Gaussians that the part sees, with which of them move."""
+    rows: Int64[Tensor, " m"]
+    """Which rows of the merged model they are."""
+    weights: Float[Tensor, " m"]
+    """How many of the part's views show each, at least 1 for what the block owns: what its word counts."""
     settings: RefineSettings
     base: Settings
     """What the blocks were trained with."""
@@ -67,7 +71,7 @@ class PartJob:
 
     @property
     def result(self) -> Path:
-        """File of the block's own Gaussians, refined."""
+        """File of the part's Gaussians, refined."""
         return self.folder / "refined.safetensors"
 
     @property
@@ -97,8 +101,7 @@ class PartJob:
             read_gaussians(self.start), self.scene, self.settings, self.base, run, self.folder, self.pack,
             marks[MOVING], steps=self.facts.steps,
         )  # fmt: skip
-        own = select(refined.model, marks[OWN])
-        write_tensors(self.result, {name: getattr(own, name) for name in FIELDS})
+        write_tensors(self.result, {name: getattr(refined.model, name) for name in FIELDS})
         facts = replace(
             self.facts,
             seconds=refined.seconds,
@@ -109,60 +112,62 @@ class PartJob:
         return facts
 
 
-def part_jobs(
-    model: Gaussians,
-    owners: Int64[Tensor, " n"],
-    moving: Bool[Tensor, " n"] | None,
-    scene: Scene,
-    views: Sequence[Bool[Tensor, " v"]],
-    blocks: Sequence[BlockFacts],
-    settings: RefineSettings,
-    base: Settings,
-    run: Run,
-    folder: Path,
-    pack: FileSettings | Steps | None,
-) -> tuple[PartJob, ...]:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whole:
+    """A merged model that is refined in parts, and what all parts have in common."""
+
+    owners: Int64[Tensor, " n"]
+    """Block of each of its Gaussians."""
+    moving: Bool[Tensor, " n"] | None
+    """Gaussians whose geometry is fitted too; None: none. A part moves only what its block owns."""
+    scene: Scene
+    views: Sequence[Bool[Tensor, " v"]]
+    """For each block, which of the scene's views train it."""
+    blocks: Sequence[BlockFacts]
+    """Facts of each block's training: pairs of Gaussian and tile are taken to be in proportion."""
+    settings: RefineSettings
+    base: Settings
+    """What the blocks were trained with."""
+    pack: FileSettings | Steps | None
+    """How the model will be stored, see `refine`."""
+
+
+def part_jobs(model: Gaussians, whole: Whole, run: Run, folder: Path) -> tuple[PartJob, ...]:
     """A job for each block that owns a Gaussian and has a view; its Gaussians are written to its folder.
 
     Args:
         model: The merged model, already cleaned.
-        owners: Block of each Gaussian.
-        moving: Gaussians whose geometry is fitted too; None: none. A part moves only what its block owns.
-        scene: The whole scene.
-        views: For each block, which of the scene's views train it.
-        blocks: Facts of each block's training: pairs of Gaussian and tile are taken to be in proportion.
-        settings: How it is refined.
-        base: Settings that the blocks were trained with.
+        whole: What all parts have in common.
         run: Seed, backend, background, checkpoints.
         folder: Where each part gets a folder of its own.
-        pack: How the model will be stored, see `refine`.
     """
+    scene, settings = whole.scene, whole.settings
     jobs, nothing = [], torch.full((len(scene.points),), LEFT_OUT, dtype=torch.int8)
-    for block, mask in enumerate(views):
-        own = owners == block
+    for block, mask in enumerate(whole.views):
+        own = whole.owners == block
         if not bool(own.any()) or not bool(mask.any()):
             continue
-        chosen = mask.nonzero()[:, 0].tolist()
-        cameras = [scene.views[i].camera for i in chosen]
-        rows = (own | shown(cameras, model.means.double())).nonzero()[:, 0]
-        moves = torch.zeros_like(own) if moving is None else moving & own
+        cameras = [scene.views[i].camera for i in mask.nonzero()[:, 0].tolist()]
+        seen_by = shown_by(cameras, model.means.double())
+        rows = (own | (seen_by > 0)).nonzero()[:, 0]
+        seen = {name: getattr(model, name)[rows] for name in FIELDS}
+        moves = torch.zeros_like(own) if whole.moving is None else whole.moving & own
         at = folder / f"part-{block}"
         start = at / "start.safetensors"
-        seen = select(model, rows)
-        write_tensors(
-            start,
-            {name: getattr(seen, name) for name in FIELDS} | {OWN: own[rows], MOVING: moves[rows]},
-        )
-        known = blocks[block]
+        write_tensors(start, seen | {MOVING: moves[rows]})
+        known = whole.blocks[block]
         share = len(rows) / known.gaussians if known.gaussians else 1.0
+        steps = settings.steps(whole.base, len(scene.train), len(cameras))
         facts = replace(
-            known, steps=settings.steps(base, len(scene.train), len(chosen)), gaussians=float(len(rows)),
+            known, steps=steps, gaussians=float(len(rows)),
             pairs=known.pairs * share, seconds=0.0, cpu_seconds=0.0, peak_mb=0.0,
         )  # fmt: skip
         jobs.append(
             PartJob(
-                scene=block_scene(scene, mask, nothing), start=start, settings=settings, base=base, facts=facts,
-                folder=at, pack=pack, seed=run.seed + SEEDS_APART * block, backend=run.backend, background=run.background,
+                scene=block_scene(scene, mask, nothing), start=start, rows=rows,
+                weights=torch.where(own[rows], seen_by[rows].clamp(min=1), seen_by[rows]).float(),
+                settings=settings, base=whole.base, facts=facts, folder=at, pack=whole.pack,
+                seed=run.seed + SEEDS_APART * block, backend=run.backend, background=run.background,
                 checkpoint_seconds=run.checkpoint_seconds,
                 image_bytes=max(run.image_bytes // run.workers, 1),
             )
@@ -175,25 +180,51 @@ def refine_parts(
     owners: Int64[Tensor, " n"],
     jobs: Sequence[PartJob],
     run: Run,
-    report: BlocksReport,
+    report: Report,
 ) -> tuple[Gaussians, tuple[BlockFacts, ...]]:
-    """Refine every part where blocks are trained, and put each block's own Gaussians back into their rows.
+    """Refine every part where blocks are trained, and put them together.
+
+    Opacity and colour of a Gaussian become the mean of what the parts made of it, weighted by how many of each part's
+    views show it; geometry is what the part of the block that owns it made of it. What nobody shows stays as it is.
 
     Args:
         model: The merged model, already cleaned.
-        owners: Block of each Gaussian.
-        jobs: Of `part_jobs`; what no part owns stays as it is.
+        owners: Block of each of its Gaussians.
+        jobs: Of `part_jobs`.
         run: Engine, workers and threads.
-        report: Hears where each part is.
+        report: Called as report(step, total, values), of all parts' steps together.
 
     Returns: The refined model, in the order of the merged one; and what each part cost.
+
+    Source: ours; the mean over parts is that of federated averaging, McMahan et al. 2017.
     """
     facts = run_blocks(
-        jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=report
-    )
-    whole = {name: getattr(model, name).clone() for name in FIELDS}
+        jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=_summed(jobs, report)
+    )  # fmt: skip
+    weights = torch.zeros(len(model))
     for job in jobs:
-        own = read_gaussians(job.result)
-        for name, values in whole.items():
-            values[owners == job.facts.block] = getattr(own, name)
-    return Gaussians(**whole), tuple(facts)
+        weights[job.rows] += job.weights
+    found = {name: getattr(model, name).clone() for name in FIELDS}
+    for job in jobs:
+        part, own = read_gaussians(job.result), owners[job.rows] == job.facts.block
+        share = job.weights / weights[job.rows]
+        for name, values in found.items():
+            mine = getattr(part, name)
+            if name in GEOMETRY:
+                values[job.rows[own]] = mine[own]
+            else:  # as a change, so that what nobody changes is the same to the bit
+                change = mine - getattr(model, name)[job.rows]
+                values[job.rows] += share.reshape(-1, *[1] * (change.ndim - 1)) * change
+    return Gaussians(**found), tuple(facts)
+
+
+def _summed(jobs: Sequence[PartJob], report: Report) -> BlocksReport:
+    """What hears every part, and tells of all together."""
+    done, total = [0] * len(jobs), sum(job.facts.steps for job in jobs)
+
+    def heard(index: int, step: int, of: int, values: dict[str, float]) -> None:
+        del of
+        done[index] = step
+        report(sum(done), total, values)
+
+    return heard

@@ -21,7 +21,7 @@ from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.refine import RefineSettings
-from splatproof.methods.city.refine_parts import part_jobs, refine_parts
+from splatproof.methods.city.refine_parts import Whole, part_jobs, refine_parts
 from splatproof.methods.city.train_block import BlockJob
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
@@ -136,10 +136,11 @@ def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
     ends = []
     for engine in ("inline", "ray"):
         run = Run(backend="cpu", threads=1, engine=engine)
-        made = part_jobs(
-            model, owners, None, scene, views, facts, RefineSettings(iterations=20), SETTINGS, run,
-            tmp_path / engine, None,
+        whole = Whole(
+            owners=owners, moving=None, scene=scene, views=views, blocks=facts,
+            settings=RefineSettings(iterations=20), base=SETTINGS, pack=None,
         )  # fmt: skip
+        made = part_jobs(model, whole, run, tmp_path / engine)
         ends.append(refine_parts(model, owners, made, run, nothing)[0])
     assert torch.equal(ends[0].sh, ends[1].sh)
     assert not torch.equal(ends[0].sh, model.sh)
