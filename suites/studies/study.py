@@ -9,6 +9,7 @@ from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.suites.studies import (
     balance,
     balance_plot,
+    blind,
     matching,
     memory,
     partition,
@@ -35,7 +36,7 @@ class Study:
     rows: Callable[..., Iterator[dict[str, Any]]]
     """Called with quick=True or False; a row that holds ok = False failed."""
     options: frozenset[str] = frozenset()
-    """Which of "wait", "backend" and "only" `rows` takes too."""
+    """Which of "wait", "backend", "only" and "runs" `rows` takes too."""
     resumes: bool = False
     """Whether `rows` takes the rows of an earlier call that was ended (kept=)."""
     pictures: Callable[[Sequence[dict[str, Any]], Path], list[Path]] | None = None
@@ -80,6 +81,11 @@ STUDIES = {
         columns=("scene", "partition", "gaussians", "views", "predicted", "max_over_mean", "low", "high",
                  "equal_steps", "slowest", "total", "cut_seconds", "note"),
         rows=balance.rows, pictures=balance_plot.draw,
+    ),
+    "blind": Study(
+        description="whether a small classifier that was shown hard-cut seams finds those of other merges",
+        columns=("scene", "trained_on", "merge", "seeds", "crops", "told", "low", "high"),
+        rows=blind.rows, options=frozenset({"runs"}), pictures=blind.draw,
     ),
     "size": Study(
         description="bytes of trained models against what they cost: our files, .spz, images, palettes, .ply",

@@ -34,6 +34,7 @@ def run_study(
     only: str | None = None,
     page: Path | None = None,
     rows: Path | None = None,
+    runs: Path | None = None,
 ) -> int:
     """Print a table of the study's rows and keep them in OUT/STUDY.jsonl, a JSON object a line.
 
@@ -55,6 +56,7 @@ def run_study(
             pictures to images/ beside it.
         rows: Measure nothing: write the page again from the rows in this JSON file, which an earlier
             --page has written. Needs --page.
+        runs: Folder of kept runs whose renders are looked at.
 
     Returns: 1 if a row says that it failed, else 0.
     Raises: UsageError for options that do not go together; DataError if the file that rows are read
@@ -73,7 +75,12 @@ def run_study(
     machine = _machine(study, backend)
     file = out / f"{name}.jsonl"
     found = _measure(
-        name, study, quick, {"wait": wait, "backend": backend, "only": only}, file, machine
+        name,
+        study,
+        quick,
+        {"wait": wait, "backend": backend, "only": only, "runs": runs},
+        file,
+        machine,
     )
     if not output.wants_json():
         _print_table(study.columns, found)
@@ -94,7 +101,7 @@ def run_study(
 def _command(name: str, study: Study) -> Callable[..., int]:
     """The command of one study, without the options that it takes no notice of."""
     obeyed = {"out", "quick", *study.options, *(("page", "rows") if study.page else ())}
-    without = {"wait", "backend", "only", "page", "rows"} - obeyed
+    without = {"wait", "backend", "only", "page", "rows", "runs"} - obeyed
     title = f"{study.description[0].upper()}{study.description[1:]}."
     return bound(run_study, {"name": name}, without=without, title=title)
 
