@@ -25,7 +25,7 @@ from splatproof.methods.city.regions import load_regions
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.seam_partition import partition_seam_mask
 from splatproof.reference.partition.boxes import Region
-from splatproof.reference.types.result import Result, picture_name
+from splatproof.reference.types.result import picture_name
 from splatproof.reference.types.scene import Scene
 from splatproof.suites.gallery.drawing import panels, save, show_image
 from splatproof.suites.records import read_finished
@@ -55,7 +55,19 @@ SHOWN_SIDE = 96
 Row = dict[str, Any]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+Case = tuple[str, str, int]
+"""Scene, row and seed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """A finished case whose renders were kept."""
+
+    protocol: str
+    folder: Path
+
+
+@dataclass(frozen=True, kw_only=True)
 class Place:
     """The upper left corner of a crop, and whether blocks meet there."""
 
@@ -78,7 +90,7 @@ def rows(*, quick: bool, runs: Path | None) -> Iterator[Row]:
         raise UsageError(
             "bench study blind: looks at kept renders; give their folder by --runs RUNS"
         )
-    found = {(one.scene, one.row, one.seed): (one, folder) for one, folder in _cases(runs)}
+    found = dict(_cases(runs))
     scenes = dict.fromkeys(scene for scene, _, _ in found)
     told = False
     for scene in scenes:
@@ -171,13 +183,16 @@ def accuracy(
     return float(sums.sum() / counts.sum()), low, high
 
 
-def _cases(runs: Path) -> Iterator[tuple[Result, Path]]:
-    """Every finished case of a city in the folder whose renders were kept, with its folder."""
+def _cases(runs: Path) -> Iterator[tuple[Case, Kept]]:
+    """Every finished case in the folder that has blocks and renders."""
     for record in sorted(runs.rglob("record.json")):
         folder = record.parent
         if (folder / "renders").is_dir() and (folder / "model" / REGIONS).is_file():
             for result in read_finished(folder):
-                yield result, folder
+                yield (
+                    (result.scene, result.row, result.seed),
+                    Kept(protocol=result.protocol, folder=folder),
+                )
 
 
 def _family(
@@ -185,19 +200,18 @@ def _family(
     hard: str,
     merges: Sequence[str],
     seeds: Sequence[int],
-    found: Mapping[tuple[str, str, int], tuple[Result, Path]],
+    found: Mapping[Case, Kept],
     quick: bool,
 ) -> Iterator[Row]:
     """The hard cut's row, then every merge's, then the photos'."""
-    result = found[name, hard, seeds[0]][0]
-    scene = open_scene(name, load_protocol(result.protocol))
-    held = {seed: _places(scene, found[name, hard, seed][1], seed) for seed in seeds}
+    scene = open_scene(name, load_protocol(found[name, hard, seeds[0]].protocol))
+    held = {seed: _places(scene, found[name, hard, seed].folder, seed) for seed in seeds}
     pictures = {
-        row: [_crops(found[name, row, seed][1] / "renders", held[seed]) for seed in seeds]
+        row: [_crops(found[name, row, seed].folder / "renders", held[seed]) for seed in seeds]
         for row in (hard, *merges)
     }
     pictures["photos"] = [
-        _crops(found[name, hard, seed][1] / "truth", held[seed]) for seed in seeds
+        _crops(found[name, hard, seed].folder / "truth", held[seed]) for seed in seeds
     ]
     named = {row: torch.cat(parts) for row, parts in pictures.items()}
     every = [(seed, place) for seed in seeds for place in held[seed]]
@@ -213,7 +227,10 @@ def _family(
         )
         surest = [every[i] for i in np.argsort(-said) if seams[i]][:SHOWN]
         kind = "truth" if row == "photos" else "renders"
-        at = {seed: found[name, hard if row == "photos" else row, seed][1] / kind for seed in seeds}
+        at = {
+            seed: found[name, hard if row == "photos" else row, seed].folder / kind
+            for seed in seeds
+        }
         yield {
             "scene": name, "trained_on": hard, "merge": row, "seeds": len(seeds), "crops": len(said),
             "told": told, "low": low, "high": high,
