@@ -127,8 +127,8 @@ def draw(found: Sequence[Row], folder: Path) -> list[Path]:
     return paths
 
 
-def _strip(surest: Sequence[tuple[str, int, int]]) -> UInt8[np.ndarray, "h w 3"]:
-    """Some crops side by side, enlarged."""
+def _strip(surest: Sequence[Sequence[Any]]) -> UInt8[np.ndarray, "h w 3"]:
+    """Some crops side by side, enlarged; each by the path of its picture, its top and its left."""
     strip = np.full((SHOWN_SIDE, SHOWN * SHOWN_SIDE, 3), 255, dtype=np.uint8)
     for index, (path, top, left) in enumerate(surest):
         crop = (255 * read_photo(Path(path))[top : top + SIDE, left : left + SIDE]).round().byte()
