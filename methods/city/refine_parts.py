@@ -190,7 +190,7 @@ def refine_parts(
     Args:
         model: The merged model, already cleaned.
         owners: Block of each of its Gaussians.
-        jobs: Of `part_jobs`.
+        jobs: The parts.
         run: Engine, workers and threads.
         report: Called as report(step, total, values), of all parts' steps together.
 

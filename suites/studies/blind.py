@@ -168,8 +168,8 @@ def accuracy(
     """Share of crops that were told rightly, and its 95 % interval by bootstrap over views.
 
     Args:
-        chances: By view, how likely a seam each crop was called.
-        seams: By view, what each of them is.
+        chances: How likely a seam each crop was called, by view.
+        seams: Whether it is one, by view.
     """
     right = {view: (chances[view] > 0.5) == seams[view] for view in chances}
     names = [view for view in sorted(right) if len(right[view])]

@@ -45,7 +45,7 @@ def trained(crops: Crops, seams: Bool[Tensor, " n"], *, steps: int, seed: int) -
         crops: In [0, 1].
         seams: Whether blocks meet in each.
         steps: Number of batches, at least 1.
-        seed: Of weights, batches and turns.
+        seed: Seed of its weights, batches and turns.
     """
     with torch.random.fork_rng(devices=()):
         torch.manual_seed(seed)
@@ -70,7 +70,7 @@ def chance(network: SeamNetwork, crops: Crops) -> Float[Tensor, " n"]:
     """How likely the network calls each crop one of a seam, in [0, 1].
 
     Args:
-        network: Of `trained`.
+        network: The trained network.
         crops: In [0, 1].
     """
     parts = [network(part).sigmoid() for part in crops.split(1024)]
