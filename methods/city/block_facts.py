@@ -1,7 +1,10 @@
 """What one block of a city was, and what it cost."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
+from splatproof.base.files import read_text, write_text
 from splatproof.reference.partition.block_time import BlockWork
 
 
@@ -52,3 +55,27 @@ class BlockFacts:
         return BlockWork(
             steps=float(self.steps), pixels=self.pixels, gaussians=self.gaussians, pairs=self.pairs
         )
+
+
+def write_facts(path: Path, key: str, facts: BlockFacts) -> None:
+    """Say in a file that something was done for a block, and what it cost.
+
+    Args:
+        path: The file.
+        key: Hash of all that its result depends on.
+        facts: The block, with what it cost.
+    """
+    write_text(path, json.dumps({"key": key, "facts": asdict(facts)}) + "\n")
+
+
+def read_facts(path: Path, key: str) -> BlockFacts | None:
+    """What such a file says; None if there is none, or it is of another key.
+
+    Args:
+        path: The file.
+        key: Hash of all that the result depends on.
+    """
+    if not path.exists():
+        return None
+    stored = json.loads(read_text(path))
+    return BlockFacts(**stored["facts"]) if stored["key"] == key else None

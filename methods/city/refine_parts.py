@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
-from splatproof.base.files import read_bytes, read_text, write_text
+from splatproof.base.files import read_bytes
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors, write_tensors
-from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_facts import BlockFacts, read_facts, write_facts
 from splatproof.methods.city.coarse import shown_by
 from splatproof.methods.city.executor import BlocksReport, run_blocks
 from splatproof.methods.city.jobs import SEEDS_APART, block_scene
@@ -81,10 +81,7 @@ class PartJob:
 
     def done(self) -> BlockFacts | None:
         """What the part has cost; None if it is not refined, or lies under another key."""
-        if not self.record.exists():
-            return None
-        stored = json.loads(read_text(self.record))
-        return BlockFacts(**stored["facts"]) if stored["key"] == self.key else None
+        return read_facts(self.record, self.key)
 
     def work(self, report: Report) -> BlockFacts:
         """Refine the part, or go on with it.
@@ -108,7 +105,7 @@ class PartJob:
             cpu_seconds=refined.cpu_seconds,
             peak_mb=peak_memory_mb(),
         )
-        write_text(self.record, json.dumps({"key": self.key, "facts": asdict(facts)}) + "\n")
+        write_facts(self.record, self.key, facts)
         return facts
 
 

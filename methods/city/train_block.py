@@ -12,10 +12,10 @@ import torch
 from jaxtyping import Float, Int8
 from torch import Tensor
 
-from splatproof.base.files import read_bytes, read_text, write_text
+from splatproof.base.files import read_bytes
 from splatproof.base.memory import peak_memory_mb
 from splatproof.base.tensor_files import read_tensors
-from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_facts import BlockFacts, read_facts, write_facts
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms, with_appearance
 from splatproof.methods.city.planted import NO_PLANT, PlantSettings
 from splatproof.methods.city.point_roles import (
@@ -124,10 +124,7 @@ class BlockJob:
 
     def done(self) -> BlockFacts | None:
         """Facts of the block if it was trained before; None if it was not, or lies under another key."""
-        if not self.record.exists():
-            return None
-        stored = json.loads(read_text(self.record))
-        return BlockFacts(**stored["facts"]) if stored["key"] == self.key else None
+        return read_facts(self.record, self.key)
 
     def work(self, report: Report) -> BlockFacts:
         """Train it, see `train_block`.
@@ -198,7 +195,7 @@ def _finish(job: BlockJob, model: Gaussians, facts: BlockFacts) -> BlockFacts:
         method="block", settings=asdict(job.settings), scene=job.scene.name, seed=job.seed
     )
     save_model(trained, job.model, origin)
-    write_text(job.record, json.dumps({"key": job.key, "facts": asdict(facts)}) + "\n")
+    write_facts(job.record, job.key, facts)
     (job.folder / "checkpoint" / "training.safetensors").unlink(missing_ok=True)
     shutil.rmtree(job.folder / "checkpoint" / "side", ignore_errors=True)
     return facts
