@@ -8,7 +8,6 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from splatproof.methods.contracts.backends import Backend
-from splatproof.metrics.colour_fit import CLIPPED
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0, colour, directions_to
 from splatproof.reference.types.gaussians import Gaussians
@@ -18,6 +17,8 @@ TOGETHER = 8
 """Blocks that are drawn in one pass: their shares and colours fill its 32 channels."""
 COVERED = 0.95
 """Opacity from which on a pixel counts: where less is drawn, a photo shows what no block does."""
+CLIPPED = 0.5 / 255
+"""Values of a photo within this of 0 or 1 may have been clipped and say nothing of a factor."""
 TRUST = 1e-4
 """Share of the mean evidence that speaks for a factor of 1: what blocks that are hardly seen go by."""
 MOST = 2.0
