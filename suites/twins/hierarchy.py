@@ -75,7 +75,8 @@ HIERARCHY = Component(
         Twin(name="cpu", start=decodes(native.decode)),
         Twin(name="torch", start=decodes(decoded)),
     ),
-    usual="cpu", judged=(2_000,), tiny=(50,),
+    # A position of 35 that an offset of 3 times a scale of 15 gives is 3.1e-5 off in either twin, 9e-7 of itself.
+    max_abs_error=5e-5, usual="cpu", judged=(2_000,), tiny=(50,),
     cases=(Case(size=(8_000,), quick=True), Case(size=(40_000,))),
     label="{0[0]} anchors, 12 Gaussians each".format,
 )  # fmt: skip
