@@ -1,12 +1,13 @@
 """Levels: a factor on each block's colours, so that on average each shows what the photos show."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
+from splatproof.datasets.progress import bar
 from splatproof.methods.contracts.backends import Backend
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.rasterizer.spherical_harmonics import C0, colour, directions_to
@@ -84,7 +85,7 @@ def block_levels(
     model: Gaussians,
     blocks: Int64[Tensor, " n"],
     count: int,
-    views: Iterable[View],
+    views: Sequence[View],
     backend: Backend,
     mode: Mode = "classic",
 ) -> Float64[Tensor, "b 3"]:
@@ -102,9 +103,11 @@ def block_levels(
     found = Evidence(shown=zero, photos=zero[:, 0])
     there = Gaussians(**{name: value.to(backend.device) for name, value in vars(model).items()})
     blocks = blocks.to(backend.device)
-    for view in views:
-        shares, colours = _drawn(there, blocks, count, view, backend, mode)
-        found += evidence(shares, colours, view.load())
+    with bar("levels of blocks") as report:
+        for number, view in enumerate(views, start=1):
+            shares, colours = _drawn(there, blocks, count, view, backend, mode)
+            found += evidence(shares, colours, view.load())
+            report(number, len(views))
     return levels(found)
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -59,7 +60,7 @@ class PartJob:
     checkpoint_seconds: float
     image_bytes: int
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of all that the refined part depends on."""
         digest = hashlib.sha256(scene_digest(self.scene).encode())
