@@ -14,6 +14,13 @@ from splatproof.reports.dashboard.static_site import build_site
 
 pytestmark = pytest.mark.skipif(chromium.CHROMIUM is None, reason=chromium.ABSENT)
 
+# The page follows a link only once the browser says that it changed; until then the view before it stands.
+FOLLOW = """link => new Promise((done) => {
+  if (location.hash === link) return done();
+  document.addEventListener("splatproof:shown", () => done(), { once: true });
+  location.hash = link;
+})"""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Page:
@@ -26,7 +33,7 @@ class Page:
 
     def go(self, link: str) -> None:
         """Open a link of the page and wait until its view stands."""
-        self.tab.evaluate("link => { location.hash = link; }", link)
+        self.tab.evaluate(FOLLOW, link)
         view = link.removeprefix("#/").split("?")[0]
         self.tab.locator(f"main.is-{view}").wait_for()
 
@@ -356,6 +363,7 @@ def test_the_static_page_has_the_same_from_disk(from_disk: Page):
     from_disk.tab.locator(".row .label", has_text="3dgs").first.click()
     from_disk.tab.locator("table .verdict.better").wait_for()
     from_disk.tab.locator("td a", has_text="compare").first.click()
+    from_disk.tab.locator("main.is-compare").wait_for()
     assert {"better"} < set(from_disk.texts("tbody .verdict")) <= {"better", "equal", "not judged"}
     from_disk.go("#/plots")
     from_disk.tab.locator(".js-plotly-plot .point").first.wait_for()
