@@ -21,7 +21,7 @@ from splatproof.methods.auto.base import (
     started,
     without_what_is_lacking,
 )
-from splatproof.methods.auto.completion import completing, planned_completion
+from splatproof.methods.auto.completion import LEAST, completing, planned_completion, too_slow
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
@@ -39,7 +39,7 @@ from splatproof.methods.auto.planner import (
 from splatproof.methods.auto.probe import PIXELS, better, probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed, measure
-from splatproof.methods.auto.steps import most_steps, training_seconds
+from splatproof.methods.auto.steps import most_steps, steps_in, training_seconds
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
@@ -234,13 +234,22 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         completes, completion = planned_completion(
             settings, facts, points=len(scene.points), moves=moves
         )
-        base: Base = "stratosplat" if completes else "pvg" if moves else "3dgs"
-        if completes:
-            chosen = completing(chosen, settings)
-        elif moves:
+        base: Base = "pvg" if moves else "3dgs"
+        if moves:
             chosen = without_what_is_lacking(chosen)
-        start = started(scene, chosen, run, base) if completes else None
-        speed = measure(start or scene, chosen, run, base)
+        start = speed = None
+        if completes:
+            trial = completing(chosen, settings)
+            start = started(scene, trial, run, "stratosplat")
+            speed = measure(start, trial, run, "stratosplat")
+            left = settings.seconds * (1 - RESERVE) - (clock() - began)
+            counted = replace(facts, points=len(start.points))
+            count = settings.steps or steps_in(left, trial, counted, speed, least=0)
+            if settings.completed or count >= LEAST:
+                chosen, base = trial, "stratosplat"
+            else:
+                start, speed, completion = None, None, (too_slow(count),)
+        speed = speed or measure(scene, chosen, run, base)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
     left = settings.seconds * (1 - RESERVE) - (clock() - began)
     if start is None:

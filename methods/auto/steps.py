@@ -42,7 +42,9 @@ def most_steps(settings: Settings, views: int, base: Base = "3dgs") -> tuple[int
     return min(MOST_STEPS, max(LEAST_STEPS, looks // settings.views_per_step)), why
 
 
-def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed) -> int:
+def steps_in(
+    seconds: float, settings: Settings, facts: SceneFacts, speed: Speed, least: int = LEAST_STEPS
+) -> int:
     """Most steps whose training takes no longer than so many seconds.
 
     Args:
@@ -50,8 +52,9 @@ def steps_in(seconds: float, settings: Settings, facts: SceneFacts, speed: Speed
         settings: What is trained.
         facts: Start points and photos.
         speed: How fast steps are.
+        least: What is returned where fewer would fit.
     """
-    low, high = LEAST_STEPS, MOST_STEPS
+    low, high = least, MOST_STEPS
     while low < high:
         middle = (low + high + 1) // 2
         if training_seconds(settings, facts, speed, middle) <= seconds:

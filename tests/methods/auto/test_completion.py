@@ -6,7 +6,14 @@ import pytest
 
 from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import UsageError
-from splatproof.methods.auto.completion import DROPOUT, FEW, SEEN, completing, planned_completion
+from splatproof.methods.auto.completion import (
+    DROPOUT,
+    FEW,
+    LEAST,
+    SEEN,
+    completing,
+    planned_completion,
+)
 from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import fit, planned
 from splatproof.methods.auto.method import cost
@@ -119,3 +126,20 @@ def test_completed_points_are_as_many_as_asked_for_at_most():
     found = planned(aerial_scene().for_training(), asked, Run(threads=1))
     assert found.start is not None
     assert 10 < len(found.start.points) <= 50
+
+
+@pytest.mark.parametrize(
+    ("budget", "completes"),
+    [({"steps": LEAST}, True), ({"steps": LEAST - 1}, False), ({"seconds": 0.5}, False)],
+)
+def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes):
+    scene = aerial_scene().for_training()
+    assert planned_completion(ASKED, facts_of(scene, 2**20), points=len(scene.points), moves=False)[
+        0
+    ]
+    found = planned(scene, replace(ASKED, **budget), Run(threads=1))
+    assert (found.start is not None) == completes
+    assert found.plan.base == ("stratosplat" if completes else "3dgs")
+    (told,) = [one for one in found.plan.choices if one.component == "completed depths"]
+    assert (f"and {LEAST} are needed" in told.because) == (not completes)
+    assert found.plan.settings.sh_interval == (1000 if completes else 0)
