@@ -21,7 +21,13 @@ from splatproof.methods.auto.base import (
     started,
     without_what_is_lacking,
 )
-from splatproof.methods.auto.completion import LEAST, completing, planned_completion, too_slow
+from splatproof.methods.auto.completion import (
+    LEAST,
+    completing,
+    planned_completion,
+    shortened,
+    too_slow,
+)
 from splatproof.methods.auto.facts import SceneFacts, facts_of
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
@@ -246,7 +252,7 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             counted = replace(facts, points=len(start.points))
             count = settings.steps or steps_in(left, trial, counted, speed, least=0)
             if settings.completed or count >= LEAST:
-                chosen, base = trial, "stratosplat"
+                chosen, base = shortened(trial, count), "stratosplat"
             else:
                 start, speed, completion = None, None, (too_slow(count),)
         speed = speed or measure(scene, chosen, run, base)

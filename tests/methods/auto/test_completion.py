@@ -10,6 +10,7 @@ from splatproof.methods.auto.completion import (
     DROPOUT,
     FEW,
     LEAST,
+    RESETS_FROM,
     SEEN,
     completing,
     planned_completion,
@@ -143,3 +144,9 @@ def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes
     (told,) = [one for one in found.plan.choices if one.component == "completed depths"]
     assert (f"and {LEAST} are needed" in told.because) == (not completes)
     assert found.plan.settings.sh_interval == (1000 if completes else 0)
+
+
+@pytest.mark.parametrize("steps", [LEAST, RESETS_FROM])
+def test_opacities_are_reset_only_where_time_is_left_to_grow_back(steps):
+    found = planned(aerial_scene().for_training(), replace(ASKED, steps=steps), Run(threads=1))
+    assert (found.plan.settings.density.reset_interval > 0) == (steps >= RESETS_FROM)
