@@ -26,6 +26,7 @@ from splatproof.methods.auto.completion import (
     completing,
     planned_completion,
     shortened,
+    sized,
     too_slow,
 )
 from splatproof.methods.auto.facts import SceneFacts, facts_of
@@ -172,7 +173,7 @@ def _started(scene: Scene, chosen: Settings, run: Run, base: Base) -> Scene:
 class Recount:
     """How many steps there will be, told when the number of Gaussians and the speed are known.
 
-    Before, both were guesses; densification is over then, and photos have their full size.
+    Before, both were guesses; densification is over then, and photos have the size of the last step.
     """
 
     def __init__(
@@ -188,7 +189,8 @@ class Recount:
         """
         steps = settings.iterations
         grown = round(settings.density.stop * shrink(steps))
-        whole = math.ceil(settings.resolution.full_from * steps)
+        factors = [settings.resolution.factor(step, steps) for step in range(1, steps + 1)]
+        whole = factors.index(factors[-1])
         self.first = self.next = min(max(grown, whole) + 1, steps)
         self.seconds, self.most, self.tell = seconds, most, tell
         self.began: float | None = None
@@ -249,10 +251,14 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             start = started(scene, trial, run, "stratosplat")
             speed = measure(start, trial, run, "stratosplat")
             left = settings.seconds * (1 - RESERVE) - (clock() - began)
-            counted = replace(facts, points=len(start.points))
-            count = settings.steps or steps_in(left, trial, counted, speed, least=0)
+            fits = partial(_fitting, left, replace(facts, points=len(start.points)), speed)
+            smaller: tuple[Choice, ...] = ()
+            if settings.steps is None and settings.coarsest is None:
+                trial, smaller = sized(trial, facts, fits)
+            count = settings.steps or fits(trial)
             if settings.completed or count >= LEAST:
                 chosen, base = shortened(trial, count), "stratosplat"
+                completion = (*completion, *smaller)
             else:
                 start, speed, completion = None, None, (too_slow(count),)
         speed = speed or measure(scene, chosen, run, base)
@@ -271,6 +277,11 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         settings, replace(facts, points=points), chosen, choices, speed, left, available_mb(), base
     )
     return Planned(plan=made, facts=facts, start=start)
+
+
+def _fitting(seconds: float, facts: SceneFacts, speed: Speed, settings: Settings) -> int:
+    """Steps under some settings that fit into so many seconds, 0 or more."""
+    return steps_in(seconds, settings, facts, speed, least=0)
 
 
 def _probed(

@@ -28,7 +28,7 @@ def cost(settings: AutoSettings, scene: Scene) -> Cost:
         image_bytes=image_bytes([view.camera for view in scene.train_views]),
     )  # fmt: skip
     if settings.completed or (settings.completed is None and len(scene.train) <= FEW):
-        memory = max(memory, stratosplat.cost(completed(Settings()), scene).memory_mb)
+        memory = max(memory, stratosplat.cost(completed(Settings(), scene), scene).memory_mb)
     return Cost(cpu_seconds=settings.seconds * torch.get_num_threads(), memory_mb=memory)
 
 

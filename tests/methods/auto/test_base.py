@@ -8,7 +8,7 @@ import torch
 from helpers.aerial_scene import aerial_scene
 from helpers.tiny_drive import tiny_drive
 from splatproof.methods.auto import fit as fitting
-from splatproof.methods.auto.base import STRIDE, completed
+from splatproof.methods.auto.base import STRIDE, STRIDE_PIXELS, completed
 from splatproof.methods.auto.fit import fit
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
@@ -93,11 +93,16 @@ def test_a_killed_run_goes_on_to_the_same_model_by_its_plan(planned, tmp_path, m
 
 def test_what_is_completed_follows_the_plan():
     settings = Settings(iterations=123, sh_degree=1, dropout=0.4, widest=0.7, exposure="gain")
-    found = completed(settings)
+    scene = aerial_scene()
+    found = completed(settings, scene)
     for part in fields(Settings):
         assert getattr(found, part.name) == getattr(settings, part.name)
     assert found.init == "layered"
     assert found.planes.stride == STRIDE
+    camera = replace(scene.views[0].camera, width=900, height=674)
+    larger = replace(scene, views=(replace(scene.views[0], camera=camera), *scene.views[1:]))
+    rays = [900 * 674 / completed(settings, larger).planes.stride ** 2, STRIDE_PIXELS / STRIDE**2]
+    assert rays[0] == pytest.approx(rays[1], rel=0.1)
 
 
 def test_a_training_ends_where_photos_kept_back_are_good_enough():

@@ -8,12 +8,14 @@ from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import UsageError
 from splatproof.methods.auto.completion import (
     DROPOUT,
+    ENOUGH,
     FEW,
     LEAST,
     RESETS_FROM,
     SEEN,
     completing,
     planned_completion,
+    sized,
 )
 from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import fit, planned
@@ -150,3 +152,28 @@ def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes
 def test_opacities_are_reset_only_where_time_is_left_to_grow_back(steps):
     found = planned(aerial_scene().for_training(), replace(ASKED, steps=steps), Run(threads=1))
     assert (found.plan.settings.density.reset_interval > 0) == (steps >= RESETS_FROM)
+
+
+@pytest.mark.parametrize(
+    ("whole", "coarse", "told"),
+    [(ENOUGH, 1.0, ""), (ENOUGH - 1, 2.0, "1/2 of the photos' size"), (60, 4.0, "from 1/4 of the photos' size to 1/2"),
+     (1, 8.0, "from 1/8 of the photos' size to 1/2")],
+)  # fmt: skip
+def test_photos_are_made_smaller_until_enough_steps_fit(whole, coarse, told):
+    facts = replace(FACTS, width=900, height=674)
+
+    def steps(settings):
+        return round(whole / settings.resolution.relative_pixels(100))
+
+    start = completing(usual(ASKED, facts), ASKED)
+    found, choices = sized(start, facts, steps)
+    assert found.resolution.coarsest == coarse
+    assert [one.value for one in choices] == ([told] if told else [])
+    assert all(f"about {whole} steps would fit" in one.because for one in choices)
+    assert (found == start) == (coarse == 1.0)
+
+
+def test_small_photos_are_not_made_smaller():
+    facts = replace(FACTS, width=120, height=100)
+    start = completing(usual(ASKED, facts), ASKED)
+    assert sized(start, facts, lambda _: 1) == (start, ())

@@ -11,13 +11,15 @@ from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.auto import fit as auto
 from splatproof.methods.auto.facts import facts_of
-from splatproof.methods.auto.fit import PLAN, fit, planned
+from splatproof.methods.auto.fit import PLAN, Recount, fit, planned
 from splatproof.methods.auto.goal import keep_back
 from splatproof.methods.auto.probe import probe_of
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.resolution import Resolution
+from splatproof.methods.training.schedules import shrink
 
 ASKED = AutoSettings(seconds=20.0, steps=30, probe_share=0.0)
 
@@ -161,3 +163,12 @@ def test_photos_are_read_once_and_only_as_long_as_there_is_time():
     for _ in range(2):
         auto.read_ahead(remembered, 10.0)
     assert sorted(reads) == [view.name for view in scene.train_views]
+
+
+def test_steps_are_counted_again_where_photos_stay_small_to_the_end():
+    settings = Settings(iterations=1000, resolution=Resolution(coarsest=2.0, full_from=1.0))
+    told: list[int] = []
+    recount = Recount(settings, 50.0, 5000, told.append)
+    assert recount.first == round(settings.density.stop * shrink(1000)) + 1
+    late = replace(settings, resolution=Resolution(coarsest=2.0, full_from=0.8))
+    assert Recount(late, 50.0, 5000, told.append).first == 801
