@@ -62,7 +62,7 @@ def test_a_killed_run_keeps_the_number(tmp_path, at):
 def test_seconds_are_filled_at_the_speed_that_was_measured():
     """Half a second a step from step 601 on: of 600 s, those that are left are divided by it."""
     told = []
-    settings = Settings(iterations=1000, resolution=Resolution(full_from=0.6))
+    settings = Settings(iterations=1000, resolution=Resolution(coarsest=2.0, full_from=0.6))
     recount = Recount(settings, 600.0, 5000, told.append)
     assert recount(600, 100.0) is None
     for step in range(601, 601 + MEASURED):
