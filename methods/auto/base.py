@@ -32,6 +32,7 @@ STRIDE = 4
 so that a step takes no longer for them. Six photos of caliterra at 400 px, 800 steps: 24.9 dB, and with the method's usual 2 24.7
 dB in twice the time."""
 STRIDE_PIXELS = 120_000.0
+"""Pixels of the photos that `STRIDE` was tried on, 400 x 300."""
 
 
 def without_what_is_lacking(settings: Settings) -> Settings:

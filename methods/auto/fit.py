@@ -251,7 +251,8 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
             start = started(scene, trial, run, "stratosplat")
             speed = measure(start, trial, run, "stratosplat")
             left = settings.seconds * (1 - RESERVE) - (clock() - began)
-            fits = partial(_fitting, left, replace(facts, points=len(start.points)), speed)
+            counted = replace(facts, points=len(start.points))
+            fits = partial(steps_in, left, facts=counted, speed=speed, least=0)
             smaller: tuple[Choice, ...] = ()
             if settings.steps is None and settings.coarsest is None:
                 trial, smaller = sized(trial, facts, fits)
@@ -277,11 +278,6 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         settings, replace(facts, points=points), chosen, choices, speed, left, available_mb(), base
     )
     return Planned(plan=made, facts=facts, start=start)
-
-
-def _fitting(seconds: float, facts: SceneFacts, speed: Speed, settings: Settings) -> int:
-    """Steps under some settings that fit into so many seconds, 0 or more."""
-    return steps_in(seconds, settings, facts, speed, least=0)
 
 
 def _probed(

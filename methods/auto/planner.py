@@ -277,9 +277,8 @@ def plan(
         component="points", value=f"{start:,} of {facts.points:,}",
         because=f"a photo has {facts.width * facts.height:,} pixels",
     ))  # fmt: skip
-    if (
-        settings.resolution.coarsest > 1 and base != "stratosplat"
-    ):  # there it is a choice of its own
+    chosen = any(choice.component == "resolution" for choice in choices)
+    if settings.resolution.coarsest > 1 and not chosen:
         share = settings.resolution.relative_pixels(1000)
         told.append(Choice(
             component="resolution", value=f"from 1/{settings.resolution.coarsest:g} of the photos' size",

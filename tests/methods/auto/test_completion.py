@@ -137,9 +137,8 @@ def test_completed_points_are_as_many_as_asked_for_at_most():
 )
 def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes):
     scene = aerial_scene().for_training()
-    assert planned_completion(ASKED, facts_of(scene, 2**20), points=len(scene.points), moves=False)[
-        0
-    ]
+    wanted, _ = planned_completion(ASKED, FACTS, points=len(scene.points), moves=False)
+    assert wanted
     found = planned(scene, replace(ASKED, **budget), Run(threads=1))
     assert (found.start is not None) == completes
     assert found.plan.base == ("stratosplat" if completes else "3dgs")
@@ -171,6 +170,13 @@ def test_photos_are_made_smaller_until_enough_steps_fit(whole, coarse, told):
     assert [one.value for one in choices] == ([told] if told else [])
     assert all(f"about {whole} steps would fit" in one.because for one in choices)
     assert (found == start) == (coarse == 1.0)
+
+
+def test_a_given_size_of_the_photos_stands_in_the_plan():
+    asked = replace(ASKED, completed=True, coarsest=2.0, steps=LEAST)
+    found = planned(aerial_scene().for_training(), asked, Run(threads=1)).plan
+    assert found.settings.resolution.coarsest == 2.0
+    assert [one.component for one in found.choices].count("resolution") == 1
 
 
 def test_small_photos_are_not_made_smaller():
