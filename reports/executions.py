@@ -4,6 +4,7 @@ import math
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 from splatproof.base.locks import locked_folder
 from splatproof.reference.types.result import Result
 from splatproof.reports import run_data
+from splatproof.reports.mlflow_client import write_tag
 from splatproof.reports.mlflow_search import EXECUTION, STATE, search_runs
 from splatproof.reports.shown_run import NOTE, source_tags
 
@@ -96,7 +98,7 @@ def finish(
         results: All its cases.
         end: When its last case ended, in ms since 1970.
     """
-    client.set_tag(run, NOTE, description(execution, results))
+    write_tag(partial(client.set_tag, run), NOTE, description(execution, results))
     failed = any(result.error for result in results)
     client.set_terminated(run, "FAILED" if failed else "FINISHED", end)
 

@@ -5,6 +5,7 @@ import os
 import sys
 import urllib.parse
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -141,6 +142,23 @@ def open_client(uri: str) -> "MlflowClient":
                 "start it or set MLFLOW_TRACKING_URI, the records on disk are kept"
             ) from error
     return client
+
+
+def write_tag(write: Callable[[str, str], object], name: str, value: str) -> None:
+    """Write a tag that another process may write at the same time.
+
+    Two that write a tag for the first time collide in the database. The later one finds it there when
+    it tries again, and any other fault is met again.
+
+    Args:
+        write: Given name and value, makes the client write it.
+        name: The tag.
+        value: Its text.
+    """
+    try:
+        write(name, value)
+    except store_errors():
+        write(name, value)
 
 
 def _make_tables(file: Path) -> None:

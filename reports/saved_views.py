@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Iterable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from splatproof.metrics.registry import all_metrics
 from splatproof.reference.types.result import Result
 from splatproof.reports import run_data
+from splatproof.reports.mlflow_client import write_tag
 from splatproof.reports.mlflow_search import STATE
 from splatproof.reports.shown_run import NOTE
 
@@ -86,7 +88,7 @@ def write_views(client: "MlflowClient", experiment: "Experiment", suite: str, sh
         wanted[NOTE] = description(experiment.experiment_id, suite)
     for name, value in wanted.items():
         if experiment.tags.get(name) != value:
-            client.set_experiment_tag(experiment.experiment_id, name, value)
+            write_tag(partial(client.set_experiment_tag, experiment.experiment_id), name, value)
 
 
 def description(experiment: str, suite: str) -> str:

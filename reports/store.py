@@ -50,9 +50,6 @@ FOLDERS = {"render": "renders", "truth": "truth", "error": "errors"}
 Picture = Literal["render", "truth", "error"]
 # metrics and params that MLflow takes in one batch
 METRICS_A_BATCH, PARAMS_A_BATCH, LONGEST_PARAM = 1000, 100, 6000
-TRIES = 2
-"""Times that what is said of a whole execution is written: two processes that write the same tag for the first
-time collide in the database, and the second try of the later one finds it there."""
 
 
 @dataclass(frozen=True)
@@ -276,16 +273,13 @@ class _Sync:
 
     def end(self) -> list[Failure]:
         """Finish the executions that were begun, here or by a process that was killed."""
-        failures = []
-        for _ in range(TRIES):
-            try:
-                self._ended()
-                return []
-            except store_errors() as error:
-                # cases that no suite ran, such as fits, have no execution to name
-                roots = [one.root for one in self._executions.values()] or self._last
-                failures = [Failure(root, one_line(error)) for root in roots]
-        return failures
+        try:
+            self._ended()
+        except store_errors() as error:
+            # cases that no suite ran, such as fits, have no execution to name
+            roots = [one.root for one in self._executions.values()] or self._last
+            return [Failure(root, one_line(error)) for root in roots]
+        return []
 
     def _ended(self) -> None:
         for suite, shown in self._shown.items():

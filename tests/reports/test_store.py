@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from mlflow.exceptions import MlflowException
+from mlflow.tracking import MlflowClient
 
 from helpers import case_folders
 from splatproof.base.errors import DataError, MissingError, UsageError
@@ -32,6 +33,7 @@ from splatproof.reports.mlflow_client import (
     sqlite_uri,
 )
 from splatproof.reports.mlflow_search import EXPERIMENTS, STATE
+from splatproof.reports.shown_run import NOTE
 from splatproof.reports.store import Failure, Picture, find_cases, read_results, sync
 
 KINDS: tuple[Picture, ...] = ("truth", "render", "error")
@@ -177,22 +179,28 @@ def test_a_case_that_another_process_logs_is_waited_for(tmp_path: Path, uri: str
     assert len(runs_of(uri)) == 1
 
 
-def test_a_collision_with_another_process_at_the_end_is_tried_again(
+def test_a_tag_that_another_process_writes_first_is_written_again(
     tmp_path: Path, uri: str, monkeypatch: pytest.MonkeyPatch
 ):
-    folder, write_views, left = write(tmp_path), store.write_views, [1]
+    """Every tag of the experiment and of the execution collides, each once."""
+    folder, written, collisions = write(tmp_path), set[str](), list[str]()
 
-    def collides(*arguments: Any) -> None:
-        if left:
-            left.pop()
-            raise MlflowException("UNIQUE constraint failed: experiment_tags.key")
-        write_views(*arguments)
+    def colliding(write: Any) -> Any:
+        def tag(client: MlflowClient, owner: str, key: str, value: str) -> None:
+            if key != STATE and key not in written:
+                written.add(key)
+                collisions.append(key)
+                raise MlflowException("UNIQUE constraint failed: experiment_tags.key")
+            write(client, owner, key, value)
 
-    monkeypatch.setattr(store, "write_views", collides)
+        return tag
+
+    for name in ("set_experiment_tag", "set_tag"):
+        monkeypatch.setattr(MlflowClient, name, colliding(getattr(MlflowClient, name)))
     assert sync([folder], uri) == []
-    assert not left
-    left += [1, 1]
-    assert [one.reason for one in sync([folder], uri)] != []
+    assert len(collisions) > 3
+    experiment = MlflowClient(uri).get_experiment(runs_of(uri)[0].info.experiment_id)
+    assert set(collisions) <= {*experiment.tags, NOTE}
 
 
 def test_views_that_cannot_be_written_are_told_also_of_a_case_that_no_suite_ran(
