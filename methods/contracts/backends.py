@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from splatproof.base.errors import MissingError
 from splatproof.base.names import unknown
@@ -35,6 +36,9 @@ class Backend:
     again: Callable[..., RenderOutput] | None = None
     """again(drawn, camera, means, quaternions, scales, opacities, colours=...): what `rasterize` makes of other
     colours of Gaussians that it drew, sooner; `drawn` is that picture, with a gradient. None: it cannot."""
+    tally: Callable[[RenderOutput, Tensor], Tensor] | None = None
+    """tally(drawn, by_colour): `reference.density.opacity_spread.tallied` of a picture that `rasterize` drew, with
+    a gradient; None: it cannot."""
     count_pairs: Callable[[], int] | None = None
     """Pairs of Gaussian and tile of all pictures of this process so far; None: it does not count."""
 
@@ -74,11 +78,12 @@ def _reference() -> Backend:
 def _cpu() -> Backend:
     try:
         kernel = importlib.import_module("splatproof.methods.kernels.rasterizer")
+        fragments = importlib.import_module("splatproof.methods.kernels.fragments")
     except ImportError as error:
         return _absent("cpu", f"the compiled kernels do not load ({error}); run `pip install .`")
     return Backend(
         name="cpu", rasterize=kernel.rasterize, capabilities=CONTRACT - {"float64"},
-        again=kernel.rasterize_again, count_pairs=kernel.pairs_listed,
+        again=kernel.rasterize_again, tally=fragments.tallied, count_pairs=kernel.pairs_listed,
     )  # fmt: skip
 
 

@@ -186,9 +186,9 @@ def rasterize_again(
 
     Source: ours.
     """
-    node: Any = drawn.colour.grad_fn  # the context of its forward pass
-    if getattr(node, "_forward_cls", None) is not _Rasterize:
+    if not is_drawn(drawn):
         raise ValueError("drawn is no picture of this rasterizer that has a gradient")
+    node: Any = drawn.colour.grad_fn  # the context of its forward pass
     if camera is not node.camera:
         raise ValueError("camera is not the one that was drawn from")
     check_model(means, quaternions, scales, opacities, colours, None)
@@ -199,6 +199,11 @@ def rasterize_again(
     alpha, depth = drawn.alpha.detach(), drawn.depth.detach()
     image = _Again.apply(node, alpha, depth, *shape, colours)
     return RenderOutput(colour=image, alpha=alpha, depth=depth, radii=drawn.radii)  # type: ignore[arg-type]
+
+
+def is_drawn(output: RenderOutput) -> bool:
+    """Whether a picture is one that `rasterize` made and that still has a gradient."""
+    return getattr(output.colour.grad_fn, "_forward_cls", None) is _Rasterize
 
 
 def check_model(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.density_strategy import DensityStrategy
 from splatproof.methods.contracts.run import Run
@@ -10,6 +11,7 @@ from splatproof.methods.threedgs.error_control import ErrorControl
 from splatproof.methods.threedgs.mcmc import McmcControl
 from splatproof.methods.threedgs.scored_views import ViewScorer
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.threedgs.spread_control import SpreadControl
 from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.schedules import log_linear
 from splatproof.reference.types.scene import View
@@ -33,9 +35,17 @@ def control(settings: Settings, views: Sequence[View], extent: float, run: Run) 
         return McmcControl(density, iterations=iterations, extent=extent, rate=rate)
     if not density.looks:
         return DensityControl(density, iterations=iterations, extent=extent)
+    backend = get_backend(run.backend)
     scorer = ViewScorer(
-        views=views, count=density.scored_views, backend=get_backend(run.backend),
+        views=views, count=density.scored_views, backend=backend,
         mode=settings.mode, background=run.background, resolution=settings.resolution,
         total=iterations, dssim=settings.dssim,
     )  # fmt: skip
+    if density.strategy == "spread":
+        if backend.tally is None:
+            raise UsageError(
+                f"setting density.strategy is 'spread', and backend {run.backend} does not tell single fragments; use "
+                "backend cpu or another strategy"
+            )
+        return SpreadControl(density, iterations=iterations, extent=extent, scorer=scorer)
     return ErrorControl(density, iterations=iterations, extent=extent, scorer=scorer)

@@ -1,4 +1,4 @@
-"""What can be chosen about the density control of method 3dgs: three strategies, and insertion."""
+"""What can be chosen about the density control of method 3dgs: four strategies, and insertion."""
 
 import math
 from dataclasses import dataclass, field, fields
@@ -7,7 +7,7 @@ from typing import Any, Literal
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.schedules import require
 
-Strategy = Literal["gradient", "mcmc", "error"]
+Strategy = Literal["gradient", "mcmc", "error", "spread"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,8 @@ class StrategicDensity(Density):
 
     strategy: Strategy = "gradient"
     """How. gradient: what the loss pulls at is cloned and split; error: of it only what several views show
-    errors of; mcmc: nothing is removed, what is transparent is moved."""
+    errors of; mcmc: nothing is removed, what is transparent is moved; spread: of all, as many as the pace allows, drawn
+    by how far pixels of several views disagree about their opacity (LiteGS)."""
     mcmc: Mcmc = field(default_factory=Mcmc)
     """What strategy mcmc does beside moving Gaussians."""
     error: ErrorGate = field(default_factory=ErrorGate)
@@ -96,7 +97,7 @@ class StrategicDensity(Density):
     @property
     def looks(self) -> bool:
         """Whether errors of views are looked at."""
-        return self.strategy == "error" or self.insertion.share > 0
+        return self.strategy in ("error", "spread") or self.insertion.share > 0
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -118,6 +119,12 @@ class StrategicDensity(Density):
             self._require_unset("insertion")
         else:
             self._require_unset("mcmc")
+        if strategy == "spread":
+            self._require_unset("gradient", "split_gradient", "insertion")
+            require(self.most is not None, "density.most", self.most,
+                    "a number of Gaussians under strategy spread, which grows up to it")  # fmt: skip
+            require(self.pace == "even", "density.pace", self.pace,
+                    "even under strategy spread: nothing else says how many grow")  # fmt: skip
         if strategy != "error":
             self._require_unset("error")
         if not self.looks:

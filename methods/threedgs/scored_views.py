@@ -105,3 +105,19 @@ class ViewScorer:
             summed = self.backend.draw(camera, white, mode=self.mode).colour[:, :, 0]
             (found,) = torch.autograd.grad(summed, ones, marks.to(summed))
         return found[:, 0]
+
+    def tallied(self, view: ScoredView, splats: Splats) -> Float[Tensor, "n 3"]:
+        """What the fragments of one view say of each Gaussian's opacity, see reference.density.opacity_spread.
+
+        Args:
+            view: One of `drawn`.
+            splats: The model that it shows.
+        """
+        assert self.backend.tally is not None
+        moving = replace(splats, opacities=splats.opacities.clone().requires_grad_())
+        background = torch.tensor(self.background, device=splats.means.device)
+        with torch.enable_grad():
+            drawn = self.backend.draw(view.camera, moving, background=background, mode=self.mode)
+            loss = photometric_loss(drawn.colour, view.truth, dssim=self.dssim, mask=view.valid)
+            (by_colour,) = torch.autograd.grad(loss, drawn.colour)
+            return self.backend.tally(drawn, by_colour)

@@ -76,9 +76,10 @@ COMPONENTS = (
         source="FSGS, Eqs. 4 and 6; CoR-GS, Eqs. 4 to 6",
     ),
     Component(
-        title="Density control: relocation and errors of several views",
-        modules=("reference/density/relocation", "reference/density/multi_view_error"),
-        source="Kheradmand et al. 2024, 3DGS-MCMC; Ren et al. 2025, FastGS",
+        title="Density control: relocation, errors of several views, spread of opacity gradients",
+        modules=("reference/density/relocation", "reference/density/multi_view_error",
+                 "reference/density/opacity_spread"),
+        source="Kheradmand et al. 2024, 3DGS-MCMC; Ren et al. 2025, FastGS; MooreThreads, LiteGS",
     ),
     Component(
         title="Layered memory and sequential depth adaptation",

@@ -40,6 +40,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "reference/sparse_views/pseudo_views": ("pseudo views",),
     "reference/density/relocation": ("relocation",),
     "reference/density/multi_view_error": ("view errors",),
+    "reference/density/opacity_spread": ("opacity spread",),
     "reference/layered_memory/layered_depth": ("layered depth",),
     "reference/layered_memory/depth_adaptation": ("depth adaptation",),
     "reference/layered_memory/edge_diffusion": ("edge diffusion",),

@@ -1,9 +1,9 @@
-"""Rising difficulties of relocation and of evidence from several views."""
+"""Rising difficulties of relocation, of evidence from several views and of the spread of opacity gradients."""
 
 import torch
 from torch import Tensor
 
-from splatproof.reference.density import multi_view_error, relocation
+from splatproof.reference.density import multi_view_error, opacity_spread, relocation
 from splatproof.suites.hard_cases.case import joined
 from splatproof.suites.hard_cases.rising import Rising, normal, tenth, uniform
 
@@ -34,6 +34,14 @@ def _marked(rung: float, image: Tensor, truth: Tensor, weights: Tensor) -> Tenso
     )
 
 
+def _spread(rung: float, gradients: Tensor, drawn: Tensor) -> Tensor:
+    """Gradients that differ by a rung-th of their mean, times the rung: their variance stays as it is."""
+    shown = drawn > 0.3
+    agreed = opacity_spread.tallied((1 + gradients / rung).where(shown, 0), shown)
+    disputed = opacity_spread.tallied(rung * gradients.where(shown, 0), shown)
+    return joined(opacity_spread.spread(agreed), opacity_spread.spread(disputed) / rung**2)
+
+
 CASES = (
     Rising(component="relocation", name="1 / what is missing from an opacity of 1", run=_stacked,
            inputs=lambda h: (0.1 + 0.8 * uniform(9), 0.1 + uniform(9, 3)), rungs=(1.0, 1e2, 1e4), more=tenth,
@@ -43,4 +51,6 @@ CASES = (
            inputs=lambda h: (normal(9, 3, 3), 0.1 * uniform(9), normal(9, 3, seed=1))),
     Rising(component="view errors", name="times as small an error", run=_marked, rungs=(1.0, 1e1, 1e2),
            inputs=lambda h: (uniform(6, 6, 3), uniform(6, 6, 3, seed=1), uniform(36, 5))),
+    Rising(component="opacity spread", name="times as alike, and as large", run=_spread, rungs=(1.0, 1e2, 1e4),
+           inputs=lambda h: (normal(40, 7), uniform(40, 7))),
 )  # fmt: skip

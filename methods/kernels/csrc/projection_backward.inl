@@ -57,6 +57,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
       sh_clear(model, i, lit, out);
       for (int l = lit; out.colours && l < count; ++l)
         for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = 0;
+      for (int l = 0; out.fragments && l < 3 * count; ++l) out.fragments[3 * i + l] = 0;
     } else {
       Lane16 in;
       gather(model, i, count, in);
@@ -85,6 +86,12 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
       }
       for (int l = lit; out.colours && l < count; ++l)
         for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = g[S_FEATURES + c][l];
+      for (int l = 0; out.fragments && l < count; ++l) {
+        float* fragment = out.fragments + 3 * (i + l);
+        fragment[0] = g[S_G][l];
+        fragment[1] = g[S_SQUARES][l];
+        fragment[2] = g[S_COUNT][l];
+      }
       if (!needs_shapes(out)) continue;
       for (int l = 0; l < L; l += HALF) {
         Ewa e;

@@ -229,12 +229,12 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
 // After UN_BY there is a row a channel.
 enum Undrawn { UN_LEFT, UN_BEHIND, UN_LAST, UN_X, UN_Y, UN_BY };
 
-enum Wanted { COLOURS, SHAPES, MODULI };  // each with those before it
+enum Wanted { COLOURS, SHAPES, MODULI, FRAGMENTS };  // each with those before it; the last in place of MODULI
 
 // Which sums a Gaussian's row has, a bit each.
 constexpr unsigned sums_of(int channels, Wanted wanted) {
   const unsigned every = (1u << (S_FEATURES + channels)) - 1, colours = every & ~((1u << S_FEATURES) - 1);
-  return wanted == MODULI ? every : wanted == SHAPES ? every & ~(1u << S_ABS_X | 1u << S_ABS_Y) : colours;
+  return wanted >= MODULI ? every : wanted == SHAPES ? every & ~(1u << S_ABS_X | 1u << S_ABS_Y) : colours;
 }
 
 // One Gaussian over K registers of pixels: `sums` grows, lane by lane, and the pixels' state goes back by one.
@@ -287,6 +287,10 @@ INLINE void undraw(const float* rec, float* const (&state)[K], V<float, WIDTH> (
     if (WANTED == MODULI) {
       sums[S_ABS_X] = sums[S_ABS_X] + absolute(gu);
       sums[S_ABS_Y] = sums[S_ABS_Y] + absolute(at<WIDTH>(rec, R_L12) * gu + at<WIDTH>(rec, R_L22) * gv);
+    }
+    if (WANTED == FRAGMENTS) {
+      sums[S_SQUARES] = sums[S_SQUARES] + g[k] * g[k];
+      sums[S_COUNT] = sums[S_COUNT] + keep(alpha[k] > one(0), one(1));
     }
   }
 }
@@ -393,7 +397,8 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
 
 template <int CHANNELS>
 INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
-  if (in.moduli) backward_colour<CHANNELS, MODULI>(tiles, in, scratch, tile, sums);
+  if (in.fragments) backward_colour<CHANNELS, FRAGMENTS>(tiles, in, scratch, tile, sums);
+  else if (in.moduli) backward_colour<CHANNELS, MODULI>(tiles, in, scratch, tile, sums);
   else if (in.shapes) backward_colour<CHANNELS, SHAPES>(tiles, in, scratch, tile, sums);
   else backward_colour<CHANNELS, COLOURS>(tiles, in, scratch, tile, sums);
 }

@@ -150,7 +150,8 @@ void render_backward(State& state, const ModelArrays& arrays, Background backgro
                      Maybe<In<float, 2>> alpha, Maybe<In<float, 2>> depth, Maybe<In<float, 2>> distance,
                      Maybe<In<float, 2>> median, Maybe<Out<float, 2>> means, Maybe<Out<float, 2>> quaternions,
                      Maybe<Out<float, 2>> scales, Maybe<Out<float, 1>> opacities, Maybe<Out<float, 2>> colours,
-                     Maybe<Out<float, 3>> sh, Maybe<Out<float, 2>> screen, Maybe<Out<float, 2>> screen_absolute) {
+                     Maybe<Out<float, 3>> sh, Maybe<Out<float, 2>> screen, Maybe<Out<float, 2>> screen_absolute,
+                     Maybe<Out<float, 2>> fragments) {
   const Model model = arrays.model();
   const Camera& c = state.camera;
   const int64_t n = model.count;
@@ -175,6 +176,7 @@ void render_backward(State& state, const ModelArrays& arrays, Background backgro
   check_rows(sh, model.sh_count, (size_t)3 * model.sh_stored, "sh gradient");
   check_rows(screen, n, 2, "screen gradient");
   check_rows(screen_absolute, n, 2, "absolute screen gradient");
+  check_rows(fragments, n, 3, "fragments");
   PictureGradients p = {};
   p.channels = model.channels;
   p.background = data(background);
@@ -187,7 +189,8 @@ void render_backward(State& state, const ModelArrays& arrays, Background backgro
   p.distance = data(distance);
   p.median = data(median);
   const ModelGradients g = {data(means),   data(quaternions), data(scales), data(opacities),
-                            data(colours), data(sh), nullptr, data(screen), data(screen_absolute)};
+                            data(colours), data(sh), nullptr, data(screen), data(screen_absolute),
+                            data(fragments)};
   nb::gil_scoped_release release;
   backward(model, p, g, threads(), state);
 }
@@ -223,7 +226,7 @@ void bind_raster(nb::module_& m) {
         array("alpha").none(), array("depth").none(), array("distance").none(), array("median").none(),
         array("means").none(), array("quaternions").none(), array("scales").none(),
         array("opacities").none(), array("colours").none(), array("sh").none(), array("screen").none(),
-        array("screen_absolute").none(), "Gradients of the model from gradients of the pictures.");
+        array("screen_absolute").none(), array("fragments").none() = nb::none(), "Gradients of the model from gradients of the pictures.");
   m.def("render_blocks", &render_blocks, nb::arg("model"), array("K"), array("world_to_camera"), nb::arg("width"),
         nb::arg("height"), nb::arg("near"), array("background").none(), array("blocks"), array("colour"),
         array("alpha"), array("depth"), "Render each block of Gaussians alone.");

@@ -114,8 +114,11 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   StageClock clock;
   const Kernels& k = kernels();
   pictures.moduli = out.screen_absolute != nullptr;
-  pictures.shapes = needs_shapes(out);
+  pictures.fragments = out.fragments != nullptr;
+  pictures.shapes = needs_shapes(out) || pictures.fragments;
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
+  if (pictures.fragments && (pictures.moduli || features != 3))
+    throw std::invalid_argument("fragments, of more than three colours");
   if (model.count > 0 && !state.features.size() && !in_geo(model.channels, features))
     throw std::invalid_argument("gradients by the distance, of a picture without it");
   const int stride = sum_stride(features);

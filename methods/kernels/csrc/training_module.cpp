@@ -73,7 +73,7 @@ double step(const ModelArrays& arrays, const In<double, 2>& k, const In<double, 
   check(radii.shape(0) == (size_t)n, "radii");
   const Photo photo = {truth.data(), reinterpret_cast<const uint8_t*>(data(mask)), dssim};
   const ModelGradients out = {data(means), data(quaternions), data(scales), data(opacities),      nullptr,
-                              data(sh),    data(sh_rest),     data(screen), data(screen_absolute)};
+                              data(sh),    data(sh_rest),     data(screen), data(screen_absolute), nullptr};
   const float* behind = data(background);
   nb::gil_scoped_release release;
   return photometric_step(model, camera, behind, photo, out, radii.data(), threads());

@@ -51,8 +51,10 @@ constexpr uint32_t FIRST_RANK = 0x3f800000;
 // of each pixel, 0 where there is none.
 enum Trace { TR_LEFT, TR_LAST, TRACE };
 
-// One row of gradient sums over the pixels of a tile, with g = d loss / d ln(alpha).
+// One row of gradient sums over the pixels of a tile, with g = d loss / d ln(alpha). Where fragments are asked for,
+// the sum of g^2 and the number of pixels stand in place of the sums of absolute values.
 enum Sum { S_G, S_GU, S_GV, S_GUU, S_GUV, S_GVV, S_ABS_X, S_ABS_Y, S_FEATURES };
+constexpr int S_SQUARES = S_ABS_X, S_COUNT = S_ABS_Y;
 
 struct Camera {
   double rotation[9], translation[3], centre[3];
@@ -131,11 +133,13 @@ struct PictureGradients {  // d loss / d output; null is zero
   const float *colour, *alpha, *depth, *distance, *median;
   bool shapes;  // whether any gradient but those by the colours is wanted
   bool moduli;  // whether sums of absolute gradients by the 2D means are wanted; shapes are then, too
+  bool fragments;  // whether squares and numbers are wanted in their place, of colours alone
 };
 
 struct ModelGradients {  // all written in full; null where not asked for
   float *means, *quaternions, *scales, *opacities, *colours, *sh, *sh_rest;
   float *screen, *screen_absolute;  // [n, 2]
+  float* fragments;  // [n, 3]: sums of g and g^2 over all pixels and their number, g = d loss / d ln(alpha)
 };
 
 // Whether anything but colours has a gradient; harmonics reach the means, but not through the sums over pixels.
