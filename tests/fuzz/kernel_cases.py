@@ -215,7 +215,7 @@ def bare(draw: random.Random) -> None:
     gradients = [
         torch.empty(n, 3), torch.empty(n, 4), torch.empty(n, 3), torch.empty(n),
         None if colours is None else torch.empty_like(colours), torch.empty(min(lit, n), k, 3),
-        torch.empty(n, 2), torch.empty(n, 2),
+        torch.empty(n, 2), draw.choice((None, torch.empty(n, 2))), draw.choice((None, torch.empty(n, 3))),
     ]  # fmt: skip
     given = [None if g is None else spoiled(draw, g) for g in gradients]
     colour = spoiled(draw, numbers(draw, height, width, 3))

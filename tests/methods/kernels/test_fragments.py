@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, random_gaussians
+from splatproof import _ext
 from splatproof.methods.kernels.fragments import tallied
 from splatproof.methods.kernels.rasterizer import rasterize
 from splatproof.reference.density import opacity_spread
@@ -53,6 +54,7 @@ def colours(where: Camera, seed: int = 0) -> torch.Tensor:
     return torch.randn(where.height, where.width, 3, generator=generator)
 
 
+@pytest.mark.usefixtures("simd_level")
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 @pytest.mark.parametrize("background", [None, torch.tensor([0.2, 0.5, 0.9])])
 def test_tallies_are_those_of_the_definition(mode, background):
@@ -95,6 +97,18 @@ def test_threads_do_not_change_a_bit():
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*found)
+
+
+def test_bands_do_not_change_a_bit():
+    """Where a backward pass holds few pairs at once, rows are added up in the same order."""
+    model, weights = random_gaussians(300), colours(camera(2))
+    image = drawn(model, camera(2))
+    whole = tallied(image, weights)
+    _ext.set_backward_rows(50)
+    try:
+        assert torch.equal(tallied(image, weights), whole)
+    finally:
+        _ext.set_backward_rows(2**22)
 
 
 def test_what_else_was_drawn_does_not_matter():
