@@ -34,21 +34,9 @@ def tallied(drawn: RenderOutput, by_colour: Float[Tensor, "h w 3"]) -> Float[Ten
     node: Any = drawn.colour.grad_fn
     background, _, alpha, depth, *_ = node.saved_tensors
     tallies = alpha.new_empty(len(drawn.radii), 3)
-    nothing = dict.fromkeys(
-        (
-            "means",
-            "quaternions",
-            "scales",
-            "opacities",
-            "colours",
-            "sh",
-            "screen",
-            "screen_absolute",
-        )
-    )
     use_threads()
     _ext.render_backward(
         node.state, node.model, background, alpha, depth, None, plain(by_colour), None, None, None, None,
-        fragments=tallies, **nothing,
+        None, None, None, None, None, None, None, None, tallies,
     )  # fmt: skip
     return tallies

@@ -150,6 +150,7 @@ def render_backward(
     sh: Tensor | None,
     screen: Tensor | None,
     screen_absolute: Tensor | None,
+    fragments: Tensor | None = None,
 ) -> None:
     """Gradients of the model from gradients of the pictures."""
 
