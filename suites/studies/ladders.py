@@ -171,6 +171,8 @@ LADDERS = (
            reason="means less the camera's centre, both rounded to float32: off by 1e-7 of the distance"),
     Ladder(component="rasterizer", name="times the harmonics", rungs=decades(0, 6),
            problem=_scene(lambda s, h: s.but(sh=s.sh * h))),
+    Ladder(component="fragments", name="times as large", rungs=decades(0, 6),
+           problem=_leaf("fragments", "scales", torch.mul)),
     # at 16 the derivative of every float32 sigmoid is off by 5 %: 1 - opacity is rounded to 6e-8
     Ladder(component="pipeline", name="opacity logit", rungs=(1.0, 2.0, 4.0, 8.0),
            problem=_leaf("pipeline", "opacity_logits", torch.add)),

@@ -3,6 +3,7 @@
 from splatproof.suites.twins.anchors import DECODING
 from splatproof.suites.twins.diffusion import DIFFUSION
 from splatproof.suites.twins.files import PACKING
+from splatproof.suites.twins.fragments import FRAGMENTS
 from splatproof.suites.twins.hierarchy import HIERARCHY
 from splatproof.suites.twins.images import LOSS, SSIM
 from splatproof.suites.twins.optimizers import ADAM
@@ -16,7 +17,7 @@ from splatproof.suites.twins.twin import Component
 COMPONENTS: dict[str, Component] = {
     component.name: component
     for component in (
-        RASTERIZER, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, DIFFUSION, SOFT_RANK,
+        RASTERIZER, FRAGMENTS, PIPELINE, LOSS, SSIM, ADAM, DECODING, HIERARCHY, DIFFUSION, SOFT_RANK,
         STITCHING, STORED, PACKING, TRAINING,
     )
 }  # fmt: skip

@@ -1,15 +1,52 @@
 """Spread of opacity gradients: by hand, order, scale, bounds."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from splatproof.reference.density.opacity_spread import spread, tallied
+from helpers.tiny_scene import camera, random_gaussians
+from splatproof.reference.density.opacity_spread import fragment_gradients, spread, tallied
+from splatproof.reference.rasterizer.rasterize import rasterize
 
 
 def draws(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed)).double()
+
+
+def test_a_fragments_gradient_is_its_pixels_alone():
+    """Definition: o dL_p / do of each pixel p by a backward pass of that pixel alone."""
+    model, where = random_gaussians(12), replace(camera(1), width=7, height=6)
+    values = [v.double() for v in (model.means, model.quaternions, model.scales)]
+    opacities, sh = model.opacities.double().requires_grad_(), model.sh.double()
+    by_colour = draws(6, 7, 3)
+    image = rasterize(where, *values, opacities, sh=sh, contributors=12)
+    loss = (image.colour * by_colour).sum(dim=2).flatten()
+    wanted = [torch.autograd.grad(one, opacities, retain_graph=True)[0] for one in loss]
+    found, drawn = fragment_gradients(where, *values, opacities.detach(), sh, by_colour)
+    torch.testing.assert_close(found, torch.stack(wanted) * opacities.detach())
+    assert image.contributor_ids is not None
+    assert torch.equal(drawn.sum(dim=1), (image.contributor_ids >= 0).sum(dim=2).flatten())
+    assert not found[~drawn].any()
+    assert drawn.any()
+
+
+def test_a_clamped_fragment_passes_nothing_on_and_counts():
+    model = random_gaussians(1)
+    shape = (model.quaternions.double(), 0 * model.scales.double() + 100)
+    where = replace(camera(1), width=4, height=4)
+    found, drawn = fragment_gradients(
+        where,
+        model.means.double(),
+        *shape,
+        torch.ones(1).double(),
+        model.sh.double(),
+        draws(4, 4, 3),
+    )
+    assert drawn.all()
+    assert not found.any()
 
 
 def test_by_hand():
