@@ -83,8 +83,8 @@ class StrategicDensity(Density):
 
     strategy: Strategy = "gradient"
     """How. gradient: what the loss pulls at is cloned and split; error: of it only what several views show
-    errors of; mcmc: nothing is removed, what is transparent is moved; spread: of all, as many as the pace allows, drawn
-    by how far pixels of several views disagree about their opacity (LiteGS)."""
+    errors of; mcmc: nothing is removed, what is transparent is moved; spread: as many
+    as are pulled at, but drawn of all by how far pixels of several views disagree about their opacity (LiteGS)."""
     mcmc: Mcmc = field(default_factory=Mcmc)
     """What strategy mcmc does beside moving Gaussians."""
     error: ErrorGate = field(default_factory=ErrorGate)
@@ -120,11 +120,7 @@ class StrategicDensity(Density):
         else:
             self._require_unset("mcmc")
         if strategy == "spread":
-            self._require_unset("gradient", "split_gradient", "insertion")
-            require(self.most is not None, "density.most", self.most,
-                    "a number of Gaussians under strategy spread, which grows up to it")  # fmt: skip
-            require(self.pace == "even", "density.pace", self.pace,
-                    "even under strategy spread: nothing else says how many grow")  # fmt: skip
+            self._require_unset("split_gradient", "insertion")
         if strategy != "error":
             self._require_unset("error")
         if not self.looks:

@@ -1,10 +1,9 @@
-"""Density control by what single pixels say: those whose opacity views disagree about are cloned and split."""
+"""Density control by what single pixels say: those whose opacity they disagree about are cloned and split."""
 
 from collections.abc import Iterator
 
 import torch
 
-from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.threedgs.error_control import splats_of
@@ -20,58 +19,61 @@ class SpreadControl(DensityControl):
     def __init__(
         self, settings: StrategicDensity, *, iterations: int, extent: float, scorer: ViewScorer
     ) -> None:
-        """Start without statistics; none are needed between densifications.
+        """Start without statistics.
 
         Args:
-            settings: Steps of a 30,000 step run, shrunk to this one's; `most` is not None, its pace even.
+            settings: Thresholds and steps of a 30,000 step run, shrunk to this one's.
             iterations: Steps of the run.
             extent: Size of the scene in scene units.
             scorer: Renders views, by a backend that tallies fragments.
         """
         super().__init__(settings, iterations=iterations, extent=extent)
-        self.needs: frozenset[Statistic] = frozenset()
         self.scorer = scorer
-
-    def watches(self, step: int) -> bool:
-        """Never: views are looked at when a densification comes.
-
-        Args:
-            step: Number of the step, from 1.
-        """
-        del step
-        return False
-
-    def observe(self, seen: Observation) -> None:
-        """Nothing is noted."""
-        del seen
 
     def edits(
         self, step: int, parameters: Parameters, generator: torch.Generator
     ) -> Iterator[Edit]:
         """Look at views and densify, then reset opacities, each where its step has come.
 
-        As many are drawn, without replacement, as `most_after` leaves room for. LiteGS adds as many as it
-        removes, and a split leaves the parent there; here a drawn one is cloned or split as by strategy gradient.
+        As many are drawn, without replacement, as the loss pulls at, and as there is room for. In LiteGS a
+        number that grows evenly says how many, as a threshold of 0 and an even pace do here, and a split leaves
+        the parent there; here a drawn one is cloned or split as by strategy gradient.
 
         Args:
             step: Number of the step, from 1; its update is done.
             parameters: The model's tensors, those of a GaussianModel.
             generator: Source of the views, of who grows and of the children's positions.
 
-        Source: MooreThreads, "LiteGS", its release; views drawn anew in place of an epoch's: ours.
+        Source: MooreThreads, "LiteGS", its release; how many grow, and views drawn anew in place of an epoch's:
+            ours.
         """
         if self.densifies(step):
             splats, count = splats_of(parameters), len(parameters)
             most = self.most_after(step, count)
-            assert most is not None
+            wanted = self.pulled(count)
+            wanted = wanted if most is None else min(wanted, max(0, most - count))
             views = self.scorer.drawn(step, splats, generator)
             tallies = torch.stack([self.scorer.tallied(view, splats) for view in views]).sum(dim=0)
-            drawn = by_weight(spread(tallies).cpu(), max(0, most - count), generator)
+            drawn = by_weight(spread(tallies).cpu(), wanted, generator)
             resting = torch.ones(count, dtype=torch.bool, device=splats.means.device)
             resting[drawn.to(resting.device)] = False
-            # any pull above the threshold: who grows is drawn already
-            self.gradient_sum = self.seen = torch.ones(count, device=splats.means.device)
-            self.absolute_sum = torch.zeros(count, device=splats.means.device)
+            # those that are drawn are pulled at by more than the threshold, and nobody else is
+            self.gradient_sum = torch.full_like(splats.opacities, 1 + self.settings.gradient)
+            self.absolute_sum, self.seen = (
+                torch.zeros_like(splats.opacities),
+                torch.ones_like(splats.opacities),
+            )
             yield self.densify(step, parameters, generator, resting, most)
         if self.resets(step):
             yield self.reset(parameters)
+
+    def pulled(self, count: int) -> int:
+        """How many rows the loss has pulled at by the threshold or more since the last densification.
+
+        Args:
+            count: Rows of the model; statistics of another number are none.
+        """
+        if len(self.gradient_sum) != count:
+            return 0
+        gradient = self.gradient_sum / self.seen.clamp(min=1)
+        return int((gradient >= self.settings.gradient).sum())

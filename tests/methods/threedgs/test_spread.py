@@ -21,7 +21,7 @@ from splatproof.reference.density import opacity_spread
 RUN = Run(threads=1, seed=3)
 SPREAD = StrategicDensity(
     strategy="spread", most=80, pace="even", scored_views=3, start=0, interval=10, least_interval=10,
-    stop=25_000, reset_interval=0,
+    stop=25_000, reset_interval=0, gradient=0.0,
 )  # fmt: skip
 SHORT = ThreeDGS(iterations=60, sh_degree=1, density=SPREAD)
 
@@ -34,7 +34,13 @@ def control(**changed: object) -> tuple[SpreadControl, object]:
     density = replace(SPREAD, least_opacity=0.0, **changed)  # type: ignore[arg-type]
     model, plan = prepare(tiny_scene(), replace(SHORT, density=density), RUN)
     assert isinstance(plan.density, SpreadControl)
+    pulled_at(plan.density)
     return plan.density, model.parameters
+
+
+def pulled_at(control: SpreadControl) -> None:
+    """The loss pulled at each of 40 Gaussians in two views, from 0 to 1 in the mean."""
+    control.gradient_sum, control.seen = torch.linspace(0, 2, 40), torch.full((40,), 2.0)
 
 
 def test_who_grows_is_drawn_by_the_spread(monkeypatch: pytest.MonkeyPatch):
@@ -44,6 +50,7 @@ def test_who_grows_is_drawn_by_the_spread(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("splatproof.methods.threedgs.spread_control.spread", lambda tallies: scores)
     grown = []
     for seed in range(200):
+        pulled_at(found)
         monkeypatch.setattr(found, "most_after", lambda step, count: count + 1)
         (edit,) = found.edits(10, rows, seeded(seed))  # type: ignore[arg-type]
         assert edit.parents is not None
@@ -64,6 +71,20 @@ def test_the_score_is_of_all_views_together():
     assert (together > 0).sum() > 20
     # each view alone says other things
     assert not torch.allclose(together, opacity_spread.spread(tallies[0]))
+
+
+@pytest.mark.parametrize(("gradient", "wanted"), [(0.0, 40), (0.5, 20), (1.1, 0)])
+def test_as_many_grow_as_are_pulled_at(gradient, wanted):
+    found, rows = control(gradient=gradient, most=None, pace="free")
+    (edit,) = found.edits(10, rows, seeded())  # type: ignore[arg-type]
+    assert edit.parents is not None
+    seen = 40 if wanted < 40 else len(edit.parents) - 40  # some show in no photo
+    assert len(edit.parents) == 40 + min(wanted, seen)
+    assert seen > 20
+    # statistics start anew
+    (edit,) = found.edits(20, rows, seeded())  # type: ignore[arg-type]
+    assert edit.parents is not None
+    assert len(edit.parents) == 40
 
 
 def test_nothing_grows_where_nothing_is_seen_or_no_room_is_left():
@@ -105,9 +126,10 @@ def test_a_gaussian_alone_and_one_view_alone_are_enough():
 @pytest.mark.parametrize(
     ("density", "said"),
     [
-        (replace(SPREAD, most=None, pace="free"), "density.most is None, expected a number"),
-        (replace(SPREAD, pace="free"), "density.pace is 'free', expected even under"),
-        (replace(SPREAD, gradient=1e-3), "density.gradient is 0.001, expected 0.0002, its default"),
+        (
+            replace(SPREAD, split_gradient=1e-3),
+            "density.split_gradient is 0.001, expected 0.0, its",
+        ),
         (replace(SPREAD, insertion=Insertion(share=0.1)), "density.insertion.share is 0.1"),
         (replace(SPREAD, mcmc=Mcmc(growth=0.1)), "density.mcmc.growth is 0.1, expected 0.05"),
         (replace(SPREAD, error=ErrorGate(pixels=1.0)), "density.error.pixels is 1.0"),
