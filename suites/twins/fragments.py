@@ -31,10 +31,12 @@ def by_definition(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
         leaves: The Gaussians.
         given: Camera and gradient.
     """
-    values = [leaves[name] for name in SHAPE]
-    by_colour = given["by_colour"].to(values[0].dtype)
-    camera = given["camera"].to(values[0].dtype)
-    found = opacity_spread.fragment_gradients(camera, *values, by_colour)
+    dtype = leaves["means"].dtype
+    by_colour = given["by_colour"].to(dtype)
+    found = opacity_spread.fragment_gradients(
+        given["camera"].to(dtype), leaves["means"], leaves["quaternions"], leaves["scales"],
+        leaves["opacities"], leaves["sh"], by_colour,
+    )  # fmt: skip
     return opacity_spread.tallied(*found) / by_colour[:, :, 0].numel()
 
 

@@ -19,13 +19,15 @@ def draws(*shape: int, seed: int = 0) -> torch.Tensor:
 def test_a_fragments_gradient_is_its_pixels_alone():
     """Definition: o dL_p / do of each pixel p by a backward pass of that pixel alone."""
     model, where = random_gaussians(12), replace(camera(1), width=7, height=6)
-    values = [v.double() for v in (model.means, model.quaternions, model.scales)]
+    means, turns, scales = (v.double() for v in (model.means, model.quaternions, model.scales))
     opacities, sh = model.opacities.double().requires_grad_(), model.sh.double()
     by_colour = draws(6, 7, 3)
-    image = rasterize(where, *values, opacities, sh=sh, contributors=12)
+    image = rasterize(where, means, turns, scales, opacities, sh=sh, contributors=12)
     loss = (image.colour * by_colour).sum(dim=2).flatten()
     wanted = [torch.autograd.grad(one, opacities, retain_graph=True)[0] for one in loss]
-    found, drawn = fragment_gradients(where, *values, opacities.detach(), sh, by_colour)
+    found, drawn = fragment_gradients(
+        where, means, turns, scales, opacities.detach(), sh, by_colour
+    )
     torch.testing.assert_close(found, torch.stack(wanted) * opacities.detach())
     assert image.contributor_ids is not None
     assert torch.equal(drawn.sum(dim=1), (image.contributor_ids >= 0).sum(dim=2).flatten())
