@@ -73,6 +73,23 @@ def test_the_score_is_of_all_views_together():
     assert not torch.allclose(together, opacity_spread.spread(tallies[0]))
 
 
+def test_who_grows_is_scored_by_all_that_is_looked_at(monkeypatch: pytest.MonkeyPatch):
+    found, rows = control(scored_views=99)
+    heard: list[torch.Tensor] = []
+
+    def listening(tallies: torch.Tensor) -> torch.Tensor:
+        heard.append(tallies)
+        return opacity_spread.spread(tallies)
+
+    monkeypatch.setattr("splatproof.methods.threedgs.spread_control.spread", listening)
+    list(found.edits(10, rows, seeded()))  # type: ignore[arg-type]
+    splats = splats_of(rows)  # type: ignore[arg-type]
+    views = found.scorer.drawn(10, splats, seeded())
+    wanted = torch.stack([found.scorer.tallied(view, splats) for view in views]).sum(dim=0)
+    assert len(views) == 5
+    torch.testing.assert_close(heard, [wanted])
+
+
 @pytest.mark.parametrize(("gradient", "wanted"), [(0.0, 40), (0.5, 20), (1.1, 0)])
 def test_as_many_grow_as_are_pulled_at(gradient, wanted):
     found, rows = control(gradient=gradient, most=None, pace="free")

@@ -53,9 +53,9 @@ def test_a_clamped_fragment_passes_nothing_on_and_counts():
 
 def test_by_hand():
     gradients = torch.tensor([[1.0, 2.0, 0.0], [-1.0, 2.0, 0.0], [0.0, 2.0, 0.0]]).double()
-    drawn = torch.tensor([[True, True, False], [True, True, False], [False, True, False]])
+    drawn = torch.tensor([[True, True, True], [True, True, False], [False, True, False]])
     tallies = tallied(gradients, drawn)
-    assert tallies.tolist() == [[0, 2, 2], [6, 12, 3], [0, 0, 0]]
+    assert tallies.tolist() == [[0, 2, 2], [6, 12, 3], [0, 0, 1]]
     # 2 (2 / 3 - 0) and 3 (12 / 4 - (6 / 4)^2)
     assert spread(tallies).tolist() == pytest.approx([4 / 3, 2.25, 0])
 
