@@ -58,9 +58,17 @@ class ViewScorer:
             splats: The model.
             generator: Source of the draw.
         """
-        chosen = torch.randperm(len(self.views), generator=generator)[: self.count]
         factor = self.resolution.factor(step, self.total)
-        return [self.scored(self.views[index], factor, splats) for index in chosen.tolist()]
+        return [self.scored(view, factor, splats) for view in self.chosen(generator)]
+
+    def chosen(self, generator: torch.Generator) -> list[View]:
+        """Some views, drawn without replacement.
+
+        Args:
+            generator: Source of the draw.
+        """
+        indices = torch.randperm(len(self.views), generator=generator)[: self.count]
+        return [self.views[index] for index in indices.tolist()]
 
     @torch.no_grad()
     def scored(self, view: View, factor: float, splats: Splats) -> ScoredView:
@@ -106,18 +114,24 @@ class ViewScorer:
             (found,) = torch.autograd.grad(summed, ones, marks.to(summed))
         return found[:, 0]
 
-    def tallied(self, view: ScoredView, splats: Splats) -> Float[Tensor, "n 3"]:
+    def tallied(self, step: int, view: View, splats: Splats) -> Float[Tensor, "n 3"]:
         """What the fragments of one view say of each Gaussian's opacity, see reference.density.opacity_spread.
 
         Args:
-            view: One of `drawn`.
-            splats: The model that it shows.
+            step: Number of the step, from 1: the photo has its size.
+            view: A training view.
+            splats: The model.
         """
         assert self.backend.tally is not None
+        factor = self.resolution.factor(step, self.total)
+        view = view if factor == 1 else shrunk(view, factor)
+        device = splats.means.device
+        truth = view.load().to(device)
+        valid = None if view.load_mask is None else view.load_mask().to(device)
         moving = replace(splats, opacities=splats.opacities.clone().requires_grad_())
-        background = torch.tensor(self.background, device=splats.means.device)
+        background = torch.tensor(self.background, device=device)
         with torch.enable_grad():
             drawn = self.backend.draw(view.camera, moving, background=background, mode=self.mode)
-            loss = photometric_loss(drawn.colour, view.truth, dssim=self.dssim, mask=view.valid)
+            loss = photometric_loss(drawn.colour, truth, dssim=self.dssim, mask=valid)
             (by_colour,) = torch.autograd.grad(loss, drawn.colour)
             return self.backend.tally(drawn, by_colour)

@@ -52,8 +52,9 @@ class SpreadControl(DensityControl):
             most = self.most_after(step, count)
             wanted = self.pulled(count)
             wanted = wanted if most is None else min(wanted, max(0, most - count))
-            views = self.scorer.drawn(step, splats, generator)
-            tallies = torch.stack([self.scorer.tallied(view, splats) for view in views]).sum(dim=0)
+            views = self.scorer.chosen(generator)
+            looked = [self.scorer.tallied(step, view, splats) for view in views]
+            tallies = torch.stack(looked).sum(dim=0)
             drawn = by_weight(spread(tallies).cpu(), wanted, generator)
             resting = torch.ones(count, dtype=torch.bool, device=splats.means.device)
             resting[drawn.to(resting.device)] = False

@@ -64,9 +64,9 @@ def test_who_grows_is_drawn_by_the_spread(monkeypatch: pytest.MonkeyPatch):
 def test_the_score_is_of_all_views_together():
     found, rows = control(scored_views=99)
     splats = splats_of(rows)  # type: ignore[arg-type]
-    views = found.scorer.drawn(10, splats, seeded())
+    views = found.scorer.chosen(seeded())
     assert len(views) == 5
-    tallies = [found.scorer.tallied(view, splats) for view in views]
+    tallies = [found.scorer.tallied(10, view, splats) for view in views]
     together = opacity_spread.spread(torch.stack(tallies).sum(dim=0))
     assert (together > 0).sum() > 20
     # each view alone says other things
@@ -84,8 +84,8 @@ def test_who_grows_is_scored_by_all_that_is_looked_at(monkeypatch: pytest.Monkey
     monkeypatch.setattr("splatproof.methods.threedgs.spread_control.spread", listening)
     list(found.edits(10, rows, seeded()))  # type: ignore[arg-type]
     splats = splats_of(rows)  # type: ignore[arg-type]
-    views = found.scorer.drawn(10, splats, seeded())
-    wanted = torch.stack([found.scorer.tallied(view, splats) for view in views]).sum(dim=0)
+    views = found.scorer.chosen(seeded())
+    wanted = torch.stack([found.scorer.tallied(10, view, splats) for view in views]).sum(dim=0)
     assert len(views) == 5
     torch.testing.assert_close(heard, [wanted])
 
