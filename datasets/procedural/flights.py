@@ -5,6 +5,7 @@ import torch
 from jaxtyping import Float
 
 from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.vectors import norm
 from splatproof.reference.types.camera import Camera
 
 
@@ -22,10 +23,10 @@ def looking(
         size: Width and height in pixels.
         focal: Focal length in pixels.
     """
-    forward = (target - eye) / np.linalg.norm(target - eye)
+    forward = (target - eye) / norm(target - eye)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
     right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
+    right /= norm(right)
     return _posed(eye, np.stack([right, np.cross(forward, right), forward]), size, focal)
 
 

@@ -8,6 +8,7 @@ import trimesh
 from jaxtyping import Float, Int
 
 from splatproof.datasets.procedural.units import Number, Triple
+from splatproof.datasets.procedural.vectors import norm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +67,9 @@ def polygon(
     """
     corners = np.asarray(corners, dtype=float)
     normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    normal /= np.linalg.norm(normal)
+    normal /= norm(normal)
     if coords is None:
-        along = (corners[1] - corners[0]) / np.linalg.norm(corners[1] - corners[0])
+        along = (corners[1] - corners[0]) / norm(corners[1] - corners[0])
         uv = (corners - corners[0]) @ np.stack([along, np.cross(normal, along)]).T
         uv -= uv.min(axis=0)
         coords = np.hstack([uv, np.tile(uv.max(axis=0), (len(uv), 1))])
@@ -92,7 +93,7 @@ def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: Number, top: Number)
     outline = np.asarray(outline, dtype=float)
     sides = []
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        width, height = float(np.linalg.norm(b - a)), top - bottom
+        width, height = float(norm(b - a)), top - bottom
         corners = [[*a, bottom], [*b, bottom], [*b, top], [*a, top]]
         coords = [
             [u, v, width, height] for u, v in ((0, 0), (width, 0), (width, height), (0, height))

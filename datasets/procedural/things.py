@@ -18,6 +18,7 @@ from splatproof.datasets.procedural.shapes import (
 )
 from splatproof.datasets.procedural.surface import Material
 from splatproof.datasets.procedural.units import Number, Triple
+from splatproof.datasets.procedural.vectors import norm
 
 Parts = list[tuple[Shape, Material]]
 
@@ -197,7 +198,7 @@ def _strip(low: list[float], high: list[float], wide: Number) -> Shape:
     """A pane across the car between two heights of its profile, 1 cm outside it."""
     a, b = np.array(low), np.array(high)
     out = np.array([b[1] - a[1], a[0] - b[0]])
-    out = out / np.linalg.norm(out) * 0.012 * np.sign(out[1])
+    out = out / norm(out) * 0.012 * np.sign(out[1])
     a, b = a + out, b + out
     return polygon(
         [

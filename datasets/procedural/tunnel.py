@@ -27,6 +27,7 @@ from splatproof.datasets.procedural.shapes import (
 from splatproof.datasets.procedural.surface import Paint, Surface, layered, step
 from splatproof.datasets.procedural.tracing import Caster
 from splatproof.datasets.procedural.units import Number
+from splatproof.datasets.procedural.vectors import norm
 from splatproof.datasets.procedural.world import Builder, World
 
 HALF_WIDTH, SPRING = 2.4, 1.9
@@ -75,7 +76,7 @@ def frame(s: Number) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Unit vectors ahead and to the left at s."""
     ahead = centre(s + 0.05)[0] - centre(s - 0.05)[0]
     ahead[2] = 0
-    ahead /= np.linalg.norm(ahead)
+    ahead /= norm(ahead)
     return ahead, np.array([-ahead[1], ahead[0], 0.0])
 
 

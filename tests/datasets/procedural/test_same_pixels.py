@@ -6,7 +6,7 @@ import sys
 
 SCRIPT = """
 import hashlib
-from splatproof.datasets.procedural import ray_images, worlds
+from splatproof.datasets.procedural import aerial, ray_images, worlds
 for world in ("tunnel", "street", "courtyard"):
     plan = worlds.plan(world, "small", 0)
     shot = plan.shots[0]
@@ -14,9 +14,12 @@ for world in ("tunnel", "street", "courtyard"):
     frame = ray_images.take(stage.caster, stage.lighting, shot.camera, samples=2, seed=3,
                             exposure=stage.exposure, seeds=stage.object_seeds)
     print(world, hashlib.sha256(frame.colour.tobytes()).hexdigest(), flush=True)
+church = aerial.church(0)
+for part in (church.vertices, church.normals, church.coords):
+    print("church", hashlib.sha256(part.tobytes()).hexdigest(), flush=True)
 """
 MODES = ({}, {"MKL_CBWR": "COMPATIBLE"}, {"MKL_CBWR": "AVX2", "OPENBLAS_CORETYPE": "Haswell"})
-"""What the libraries take on another processor: without and with fused multiplications."""
+"""What the libraries take on another processor: without and with fused multiplications, and without AVX-512."""
 
 
 def test_pixels_do_not_depend_on_the_libraries_kernels():
