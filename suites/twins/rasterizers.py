@@ -78,17 +78,22 @@ def _problem(
     )  # fmt: skip
 
 
-def draws(rasterize: Rasterize, keep: int = 16) -> Callable[..., Any]:
-    """`start` of a rasterizer with the contract's signature; `keep`: SH coefficients to use.
+def draws(
+    rasterize: Rasterize, keep: int = 16, stored: torch.dtype | None = None
+) -> Callable[..., Any]:
+    """`start` of a rasterizer with the contract's signature.
 
     Args:
         rasterize: Function with the signature of the reference's rasterizer.
         keep: Number of SH coefficients that are used, 1, 4, 9 or 16.
+        stored: Type that the coefficients are rounded to before they are used; None: their own.
     """
 
     def call(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
         model = [leaves[name] for name in ACTIVATED[:4]]
-        return rasterize(given["camera"], *model, sh=leaves["sh"][:, :keep]).colour
+        sh = leaves["sh"][:, :keep]
+        rounded = sh if stored is None else sh.to(stored).to(sh.dtype)
+        return rasterize(given["camera"], *model, sh=rounded).colour
 
     return functional(call)
 
@@ -128,6 +133,9 @@ RASTERIZER = Component(
              approximates="harmonics of degree 2 and 3 are left out"),
         Twin(name="cpu, SH of degree 0", start=draws(native.rasterize, keep=1),
              approximates="harmonics of degree 1 to 3 are left out"),
+        Twin(name="cpu, bf16 harmonics", start=draws(native.rasterize, stored=torch.bfloat16),
+             approximates="harmonics are rounded to bfloat16 first, which halves what they take in memory; the kernel "
+             "reads floats, so its speed is that of the exact twin and a conversion"),
         Twin(name="cpu, stop at 1/255", start=draws(partial(native.rasterize_roughly, EARLY)),
              approximates="a block ends where less than 1/255 of the light is left of each pixel"),
         Twin(name="cpu, 3 sigma", start=draws(partial(native.rasterize_roughly, NARROW)),
