@@ -93,7 +93,7 @@ def walls(outline: Float[np.ndarray, "k 2"] | list, bottom: Number, top: Number)
     outline = np.asarray(outline, dtype=float)
     sides = []
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
-        width, height = float(norm(b - a)), top - bottom
+        width, height = norm(b - a), top - bottom
         corners = [[*a, bottom], [*b, bottom], [*b, top], [*a, top]]
         coords = [
             [u, v, width, height] for u, v in ((0, 0), (width, 0), (width, height), (0, height))

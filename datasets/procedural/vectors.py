@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float
 
 
-def norm(vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, ""]:
+def norm(vector: Float[np.ndarray, " n"]) -> float:
     """Euclidean length, rounded alike on every machine.
 
     Without an axis numpy asks a library for the inner product, whose order of sums and fused multiplications follow the
@@ -14,4 +14,4 @@ def norm(vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, ""]:
     Args:
         vector: Components.
     """
-    return np.linalg.norm(vector, axis=0)
+    return float(np.linalg.norm(vector, axis=0))
