@@ -124,12 +124,17 @@ class Trainer:
                 spent = time.process_time()
 
     def recounted(self, steps: int) -> None:
-        """Go on to another number of steps, with photos in full size.
+        """Go on to another number of steps, with photos of the size that they have reached.
+
+        Larger ones would take longer than the steps by whose speed the number was told.
 
         Args:
             steps: Steps of the whole training, those that are done included.
         """
-        self.plan = replace(self.plan, steps=max(steps, self.step), resolution=Resolution())
+        reached = min(self.step, self.plan.steps)
+        factor = self.plan.resolution.factor(reached, self.plan.steps)
+        kept = Resolution(coarsest=factor, full_from=1.0) if factor > 1 else Resolution()
+        self.plan = replace(self.plan, steps=max(steps, self.step), resolution=kept)
 
     def advance(self) -> dict[str, float]:
         """One step: render views, follow the loss's gradient, control the density.

@@ -10,6 +10,7 @@ from splatproof.methods.auto.fit import MEASURED, Recount
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.session import train
 
@@ -42,6 +43,23 @@ def test_more_steps_or_fewer(steps):
     _, told = trained(run, steps)
     assert told == list(range(1, steps + 1))
     assert last[-1] == (steps, steps)
+
+
+@pytest.mark.parametrize(("full_from", "smaller"), [(1.0, True), (0.5, False)])
+def test_photos_keep_the_size_that_they_have_reached(full_from, smaller):
+    """By the speed of steps on them the number was told."""
+    run, resolution = Run(threads=1), Resolution(coarsest=2.0, full_from=full_from)
+    model, plan = prepare(tiny_scene(), replace(SETTINGS, resolution=resolution), run)
+    trainer, view = Trainer(model, plan, run), plan.views[0]
+    while trainer.step < 25:
+        trainer.advance()
+    before = trainer.sized(view).camera.width
+    assert (before < view.camera.width) == smaller
+    for steps in (60, 90):
+        trainer.recounted(steps)
+        while trainer.step < steps - 1:
+            trainer.advance()
+            assert trainer.sized(view).camera.width == before
 
 
 @pytest.mark.parametrize("at", [20, 30])
