@@ -118,7 +118,7 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   pictures.shapes = needs_shapes(out) || pictures.fragments;
   const int features = model.channels + (pictures.distance ? 2 : pictures.depth || pictures.median ? 1 : 0);
   if (pictures.fragments && (pictures.moduli || features != 3))
-    throw std::invalid_argument("fragments are told of three colours alone, without absolute gradients on the screen and without depth");
+    throw std::invalid_argument("fragments are told of three colours, without absolute gradients and depth");
   if (model.count > 0 && !state.features.size() && !in_geo(model.channels, features))
     throw std::invalid_argument("gradients by the distance, of a picture without it");
   const int stride = sum_stride(features);
