@@ -150,7 +150,7 @@ def claim(**changed) -> Claim:
     return Claim(**{**plain, **changed})
 
 
-def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
+def test_what_runs_is_what_the_claims_are_about_and_its_other_lengths(tmp_path: Path):
     known = claim_sources.known(["tunnel", "sparse", "city"])
     work = claim_running.work_for([claim()], [], known, tmp_path, quick=False)
     (suite,) = work.suites
@@ -158,6 +158,7 @@ def test_what_runs_is_what_the_claims_are_about_and_half_of_it(tmp_path: Path):
         "scaffold-gs",
         "3dgs",
         "scaffold-gs@half",
+        "scaffold-gs@double",
         "3dgs@half",
     }
     assert {case.protocol.name for case in suite.cases} == {"tunnel"}
