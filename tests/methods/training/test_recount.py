@@ -60,6 +60,8 @@ def test_photos_keep_the_size_that_they_have_reached(full_from, smaller):
         while trainer.step < steps - 1:
             trainer.advance()
             assert trainer.sized(view).camera.width == before
+    trainer.recounted(10)
+    assert trainer.plan.steps == trainer.step, "those that are done are"
 
 
 @pytest.mark.parametrize("at", [20, 30])
