@@ -133,7 +133,7 @@ class Trainer:
         """
         reached = min(self.step, self.plan.steps)
         factor = self.plan.resolution.factor(reached, self.plan.steps)
-        kept = Resolution(coarsest=factor, full_from=1.0) if factor > 1 else Resolution()
+        kept = Resolution(coarsest=factor, full_from=1.0)
         self.plan = replace(self.plan, steps=max(steps, self.step), resolution=kept)
 
     def advance(self) -> dict[str, float]:
