@@ -5,6 +5,7 @@
 #include "harmonics.inl"
 #include "projection.inl"
 #include "projection_backward.inl"
+#include "ellipse.inl"
 #include "raster.inl"
 #include "footprint.inl"
 #include "raster_backward.inl"

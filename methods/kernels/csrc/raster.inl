@@ -9,55 +9,15 @@ INLINE void prefetch(const Tiles& tiles, uint32_t id, int features) {
   if (!in_line(tiles, features)) __builtin_prefetch(tiles.features + (size_t)id * tiles.stride);
 }
 
-// The interval of x, relative to `mx`, that a support covers between dy = d0 and dy = d1 relative to its mean;
-// a little more, so that rounding never cuts a contribution off.
-INLINE void span(const float (*g)[L], vf reach2, vf d0, vf d1, vf& from, vf& to) {
-  const vf tip = load(g[TIP]), slope = load(g[L12]) * load(g[INV_L11]), l22 = load(g[L22]), zero = all(0);
-  const vf right = minimum(maximum(tip, d0), d1), left = minimum(maximum(zero - tip, d0), d1);
-  const vf vr = l22 * right, vl = l22 * left, inv = load(g[INV_L11]);
-  const vf slack = all(1e-3f) + all(1e-6f) * absolute(slope) * (absolute(right) + absolute(left));
-  to = square_root(maximum(reach2 - vr * vr, zero)) * inv - slope * right + slack;
-  from = zero - square_root(maximum(reach2 - vl * vl, zero)) * inv - slope * left - slack;
-}
-
-INLINE vf wider_reach(const float (*g)[L], float reach) {
-  return minimum(load(g[LOG_OPACITY]) - all(LEAST), all(reach)) * all(1.0001f) + all(1e-4f);
-}
-INLINE vf wider_half(const float (*g)[L]) { return load(g[HALF_Y]) * all(1.0001f) + all(1e-3f); }
-
-// Which of a tile's blocks hold a pixel row that the support of a Gaussian covers some of; `mx`, `my` is its mean
-// relative to the tile's corner. The sixteen lanes are the tile's rows of pixels.
-INLINE unsigned blocks_met(const float* g, float reach, float mx, float my, vf rows) {
-  const vf dy = rows - all(my), v = all(g[L22]) * dy;
-  const float slope = g[L12] * g[INV_L11];
-  const float own = g[LOG_OPACITY] - LEAST, least = own < reach ? own : reach;
-  const vf reach2 = all(least * 1.0001f + 1e-4f) - v * v;
-  const vf half = square_root(maximum(reach2, all(0))) * all(g[INV_L11]);
-  const vf middle = all(mx) - all(slope) * dy;
-  const vf slack = all(1e-3f) + all(1e-6f * __builtin_fabsf(slope)) * absolute(dy);
-  const vf from = middle - half - slack, to = middle + half + slack;
-  const unsigned some = bits(reach2 >= all(0));
-  unsigned met = 0;
-  for (int c = 0; c < 4; ++c) {  // the centres of this column of blocks are at 4c + 0.5 to 4c + 3.5
-    unsigned in = some & bits(to >= all(BLOCK * c + 0.5f)) & bits(from <= all(BLOCK * c + 3.5f));
-    in |= in >> 2;
-    in |= in >> 1;
-    met |= (in & 0x1111) << c;
-  }
-  return met;
-}
-
 INLINE void set_rank(float* rec, uint32_t rank) {
   const uint32_t mark = FIRST_RANK + rank;
   __builtin_memcpy(rec + R_RANK, &mark, sizeof mark);
 }
 
 // Fill the record of one Gaussian, the `rank`-th of the tile whose corner is (left, top).
-INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec,
-                        float& mx, float& my) {
+INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int features, float left, float top, float* rec) {
   const float* g = tiles.geo + (size_t)id * GEO;
-  mx = (g[X_WHOLE] - left) + g[X_PART];
-  my = (g[Y_WHOLE] - top) + g[Y_PART];
+  const float mx = (g[X_WHOLE] - left) + g[X_PART], my = (g[Y_WHOLE] - top) + g[Y_PART];
   if (in_line(tiles, features)) __builtin_memcpy(rec, g, GEO * sizeof(float));
   else {
     const float* f = tiles.features + (size_t)id * tiles.stride;
@@ -69,24 +29,28 @@ INLINE void fill_record(const Tiles& tiles, uint32_t id, uint32_t rank, int feat
   set_rank(rec, rank);
 }
 
-constexpr int AHEAD = 16;  // Gaussians that are fetched before they are needed
+constexpr int AHEAD = 48;  // Gaussians that are fetched before they are needed: about what a far cache takes
 
-// Fill recs for the entries [begin, begin + count) of a tile's list, and, unless `met` is null, note which blocks
-// they meet.
+// Fill recs for the entries [begin, begin + count) of a tile's list, and, with MEET, note which blocks they meet;
+// `met` has room for whole groups of LANES.
 template <bool MEET>
 STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int left, int top, uint32_t first,
                    uint32_t begin, int count, uint16_t* met) {
   const int stride = rec_stride(features);
   const uint32_t* ids = tiles.entries + first + begin;
-  float lines[L];
-  for (int l = 0; l < L; ++l) lines[l] = l + 0.5f;
-  const vf rows = load(lines);
   for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, ids[k], features);
-  for (int k = 0; k < count; ++k) {
-    if (k + AHEAD < count) prefetch(tiles, ids[k + AHEAD], features);
-    float mx, my;
-    fill_record(tiles, ids[k], begin + (uint32_t)k, features, (float)left, (float)top, scratch.recs + (size_t)k * stride, mx, my);
-    if (MEET) met[k] = (uint16_t)blocks_met(tiles.geo + (size_t)ids[k] * GEO, tiles.reach, mx, my, rows);
+  for (int k = 0; k < count; k += L) {
+    const int here = count - k < L ? count - k : L;
+    for (int l = 0; l < here; ++l) {
+      if (k + l + AHEAD < count) prefetch(tiles, ids[k + l + AHEAD], features);
+      fill_record(tiles, ids[k + l], begin + (uint32_t)(k + l), features, (float)left, (float)top,
+                  scratch.recs + (size_t)(k + l) * stride);
+    }
+    if (!MEET) continue;
+    alignas(64) float g[GEO][L];
+    transpose_rows([=](int r) { return tiles.geo + (size_t)ids[k + (r < here ? r : here - 1)] * GEO; }, g[0], L);
+    blocks_met(g, tiles.reach, (load(g[X_WHOLE]) - all((float)left)) + load(g[X_PART]),
+               (load(g[Y_WHOLE]) - all((float)top)) + load(g[Y_PART]), met + k);
   }
 }
 
@@ -294,27 +258,36 @@ struct Window {
   int left, top;
 };
 
-// A block within the picture where colours alone are wanted: the usual case, without branches.
-INLINE void write_colours(const Tiles& tiles, const Pictures& out, int x, int y, const float* state) {
-  float colours[3][L];
-  for (int c = 0; c < 3; ++c) {
-    const vf behind = all(out.background ? out.background[c] : 0);
-    store(colours[c], load(state + (ST_FEATURES + c) * L) + load(state + ST_LEFT * L) * behind);
-  }
-  for (int j = 0; j < BLOCK; ++j) {
-    float* row = out.colour + ((size_t)(y + j) * tiles.width + x) * 3;
-    for (int i = 0; i < BLOCK; ++i)
-      for (int c = 0; c < 3; ++c) row[3 * i + c] = colours[c][BLOCK * j + i];
-  }
+// A block's values into a picture of one number a pixel, where there is one.
+INLINE void write_plane(float* plane, int width, int x, int y, vf values) {
+  if (!plane) return;
+  alignas(64) float v[L];
+  store(v, values);
+  for (int j = 0; j < BLOCK; ++j) __builtin_memcpy(plane + (size_t)(y + j) * width + x, v + BLOCK * j, BLOCK * sizeof *v);
+}
+
+// A block within a picture of three channels: the usual case, without branches by pixel.
+INLINE void write_within(const Tiles& tiles, const Pictures& out, int x, int y, const float* state) {
+  const vf left = load(state + ST_LEFT * L), sum = load(state + ST_SUM * L);
+  alignas(64) float colours[3][L], rows[3 * L];
+  for (int c = 0; c < 3; ++c)
+    store(colours[c], load(state + (ST_FEATURES + c) * L) + left * all(out.background ? out.background[c] : 0));
+  join_columns<3>(colours, rows);
+  for (int j = 0; j < BLOCK; ++j)
+    __builtin_memcpy(out.colour + ((size_t)(y + j) * tiles.width + x) * 3, rows + 3 * BLOCK * j, 3 * BLOCK * sizeof *rows);
+  write_plane(out.alpha, tiles.width, x, y, sum);
+  write_plane(out.left, tiles.width, x, y, left);
+  if (out.median) write_plane(out.median, tiles.width, x, y, load(state + ST_MEDIAN * L));
+  if (!out.depth && !out.distance) return;
+  const vf scale = keep(sum > all(0), all(1) / sum);
+  write_plane(out.depth, tiles.width, x, y, load(state + (ST_FEATURES + 3) * L) * scale);
+  if (out.distance) write_plane(out.distance, tiles.width, x, y, load(state + (ST_FEATURES + 4) * L) * scale);
 }
 
 STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int b, const float* state) {
   const int x0 = tile.left + (b % 4) * BLOCK, y0 = tile.top + (b / 4) * BLOCK;
-  const bool only_colour = out.channels == 3 && !(out.alpha || out.left || out.depth || out.distance || out.median);
-  if (only_colour && x0 + BLOCK <= tiles.width && y0 + BLOCK <= tiles.height) {
-    write_colours(tiles, out, x0, y0, state);
-    return;
-  }
+  if (out.channels == 3 && x0 + BLOCK <= tiles.width && y0 + BLOCK <= tiles.height)
+    return write_within(tiles, out, x0, y0, state);
   for (int l = 0; l < L; ++l) {
     const int x = x0 + l % BLOCK, y = y0 + l / BLOCK;
     if (x >= tiles.width || y >= tiles.height) continue;
@@ -332,6 +305,16 @@ STAGE void write_block(const Tiles& tiles, const Pictures& out, Window tile, int
   }
 }
 
+// Ask for the lines of the picture that a tile will be written to, before it is drawn.
+INLINE void expect_colours(const Tiles& tiles, const Pictures& out, Window tile) {
+  const int down = tiles.height - tile.top < TILE ? tiles.height - tile.top : TILE;
+  const int across = (tiles.width - tile.left < TILE ? tiles.width - tile.left : TILE) * out.channels;
+  for (int j = 0; j < down; ++j) {
+    const float* row = out.colour + ((size_t)(tile.top + j) * tiles.width + tile.left) * out.channels;
+    for (int i = 0; i < across; i += L) __builtin_prefetch(row + i, 1);
+  }
+}
+
 // With AGAIN the picture's Gaussians have been drawn before: which blocks they meet stands in `tiles`, and stays.
 template <bool AGAIN>
 void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch, int tile) {
@@ -341,6 +324,7 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
   const int rows = ST_FEATURES + (features + 3) / 4 * 4;
   const uint32_t first = tiles.start[tile], total = AGAIN ? tiles.processed[tile] : tiles.start[tile + 1] - first;
   const Centres centres;
+  expect_colours(tiles, out, window);
   unsigned open = 0;  // blocks that have a pixel which is not full
   for (int b = 0; b < BLOCKS; ++b) {
     float* state = scratch.state + (size_t)b * rows * L;
@@ -357,7 +341,7 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
   for (uint32_t done = 0; open && done < total; done += CHUNK) {
     const int count = total - done < (uint32_t)CHUNK ? (int)(total - done) : CHUNK;
     int lengths[BLOCKS];
-    uint16_t met[CHUNK];
+    uint16_t met[CHUNK];  // whole groups of LANES
     prepare<!AGAIN>(tiles, scratch, features, window.left, window.top, first, done, count, met);
     if (AGAIN) __builtin_memcpy(met, tiles.blocks + first + done, count * sizeof *met);
     nothing_at(scratch.recs + (size_t)count * stride, stride, done + (uint32_t)count - 1);

@@ -93,20 +93,27 @@ INLINE vf everything(const Drawn<N>& d) {
   else return d.left + d.sum + d.depth + d.red + d.green + d.blue + everything(d.rest);
 }
 
+// Every lane, or the compiler would leave out registers that nobody reads.
+INLINE void add_lanes(vf total, float* sink) {
+  float out[LANES];
+  store(out, total);
+  for (float lane : out) *sink += lane;
+}
+
 template <int N>
 STAGE int64_t blend_blocks(int64_t rounds, float* sink) {
   const Records records;
   const Pixels pixels;
+  vf total = all(0);
   for (int64_t i = 0; i < rounds; ++i) {
     Drawn<N> drawn;
     for (int k = 0; k < GAUSSIANS; ++k) {
       const Record& r = records.each[k];
       draw(drawn, r, all(r.u0) + load(pixels.x) * all(r.l11), pixels);
     }
-    float out[LANES];
-    store(out, everything(drawn));
-    *sink += out[0];
+    total = total + everything(drawn);
   }
+  add_lanes(total, sink);
   return rounds * GAUSSIANS * N * LANES;
 }
 
@@ -155,6 +162,7 @@ STAGE int64_t backward_blocks(int64_t rounds, float* sink) {
   alignas(64) float rows[SUMS][LANES][LANES], turned[LANES][LANES], by[3][LANES];
   for (int c = 0; c < 3; ++c)
     for (int l = 0; l < LANES; ++l) by[c][l] = 0.1f * (float)c + 0.01f * (float)l;
+  vf total = all(0);
   for (int64_t i = 0; i < rounds; ++i) {
     Behind<N> behind;
     for (int first = GAUSSIANS - LANES; first >= 0; first -= LANES) {
@@ -174,13 +182,11 @@ STAGE int64_t backward_blocks(int64_t rounds, float* sink) {
       }
       for (int j = 0; j < SUMS; ++j) {
         transpose(rows[j][0], LANES, turned[0], LANES);
-        vf sum = load(turned[0]);
-        for (int l = 1; l < LANES; ++l) sum = sum + load(turned[l]);
-        store(turned[0], sum);
-        *sink += turned[0][0];
+        for (int l = 0; l < LANES; ++l) total = total + load(turned[l]);
       }
     }
   }
+  add_lanes(total, sink);
   return rounds * GAUSSIANS * N * LANES;
 }
 

@@ -145,21 +145,24 @@ def roofline(rows: Sequence[Row]) -> list[str]:
     stages = [row for row in mine if "share" in row]
     if not stages:
         return []
-    measured = [total_stage(row) for row in stages]
+    twins, levels = ({row[key]: None for row in peaks} for key in ("twin", "level"))
+    peak = {(row["level"], row["twin"]): row for row in peaks}
     return [
         "## Share of what the machine could do",
         ("Peaks of idealised loops (everything in the first-level cache, every lane used), by "
         "`methods/kernels/csrc/roofline_level.cpp`:"),
-        table(("peak", *(row["twin"] for row in peaks)),
-              [(peaks[0]["case"], *(f"{number(row['value'])} {row['unit']}" for row in peaks))]),
-        (f"Stages of one step on {stages[0]['case']}. The floor of the blend is the lanes of 4x4 "
+        table(("peak", *twins),
+              [(peak[level, next(iter(twins))]["case"],
+                *(f"{number(peak[level, twin]['value'])} {peak[level, twin]['unit']}" for twin in twins))
+               for level in levels]),
+        (f"Stages of one training step on {stages[0]['case']}: colours alone, nothing else is drawn. The floor of the blend is the lanes of 4x4 "
         "blocks that hold some pixel of a Gaussian's support before the block is full, at the "
         "peak's time a pair; of the stages over Gaussians, the bytes they must touch at the "
         "bandwidth measured over as many bytes."),
-        table(("stage", "ms", "floor ms", "share", "bound by"),
-              [(row["twin"].replace("_", " "), number(ms), number(row["floor_ms"]),
+        table(("stage", "level", "ms", "floor ms", "share", "bound by"),
+              [(row["twin"].replace("_", " "), row["level"], number(total_stage(row)), number(row["floor_ms"]),
                 "-" if row["share"] is None else f"{100 * row['share']:.0f} %", row["bound"])
-               for row, ms in zip(stages, measured, strict=True)]),
+               for row in stages]),
     ]  # fmt: skip
 
 

@@ -7,19 +7,19 @@ from functools import partial
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from splatproof import _ext
-from splatproof.methods.kernels import adam, loss, rasterizer
+from splatproof.methods.kernels import adam, loss
 from splatproof.methods.kernels.roofline import Pairs, Peak, count_pairs, measure_peak
+from splatproof.methods.kernels.step import ViewGradients
 from splatproof.suites.case_costs import timed
 from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
 from splatproof.suites.studies.speed.idle import SHARE, Patience, undisturbed
 from splatproof.suites.twins.random_scenes import speed_scene
 
 SIZE, QUICK_SIZE = (100_000, 800, 600), (2_000, 160, 120)
-NUMBERS = 59
-"""Parameters of a Gaussian of degree 3."""
+DEGREE, NUMBERS = 3, 59
+"""Of the harmonics, and parameters of a Gaussian of that degree."""
 PROJECTED_BYTES = 101
 """Written a Gaussian: 16 numbers of its ellipse, 8 of its features, radius and a flag."""
 SORT_BYTES = 3 * 2 * 8
@@ -41,15 +41,28 @@ class Floor:
 
 
 def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
-    """The machine's peaks (keys value, unit), then a row a stage with floor_ms and share.
+    """At each level of SIMD: the machine's peaks (keys value, unit), then a row a stage with floor_ms and share.
 
-    Stages bound by memory are held against the bandwidth over as many bytes as they touch, so that
-    what fits a cache is held against the cache.
+    The level in use comes first, then those below it; of machines with vectors the portable one is left out,
+    which nobody draws with there. Stages bound by memory are held against the bandwidth over as many bytes as
+    they touch, so that what fits a cache is held against the cache.
 
     Args:
         quick: Measure briefly, and whatever others use of the machine.
         patience: How long to wait until nobody else uses the machine.
     """
+    used = _ext.simd_level()
+    levels = _ext.simd_levels()[: _ext.simd_levels().index(used) + 1]
+    try:
+        for level in reversed(levels[1:] or levels):
+            _ext.set_simd_level(level)
+            for row in _at_level(quick=quick, patience=patience):
+                yield {**row, "level": level}
+    finally:
+        _ext.set_simd_level(used)
+
+
+def _at_level(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
     seconds = 0.02 if quick else 0.5
     peak, percent = undisturbed(partial(measure_peak, seconds), patience, anyway=quick)
     if peak is None:
@@ -64,12 +77,10 @@ def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
         yield _row(twin, f"{_ext.simd_level()}, {torch.get_num_threads()} threads", percent,
                    value=value, unit=unit)  # fmt: skip
     size = QUICK_SIZE if quick else SIZE
-    scene, gradient = speed_scene(*size)
+    scene, _ = speed_scene(*size)
     pairs = count_pairs(scene.camera, scene.means, scene.quaternions, scene.scales, scene.opacities)
     runs = 3 if quick else 15
-    measured, percent = undisturbed(
-        lambda: stage_milliseconds(scene, gradient, runs), patience, anyway=quick
-    )
+    measured, percent = undisturbed(lambda: stage_milliseconds(scene, runs), patience, anyway=quick)
     for stage, floor in floors(size, pairs, peak, 0.01 if quick else 0.1).items():
         ms = None if measured is None else measured[stage]
         note = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
@@ -90,25 +101,26 @@ def _row(twin: str, case: str, percent: float, **values: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def stage_milliseconds(scene: GaussianScene, gradient: Tensor, runs: int) -> dict[str, float]:
+def stage_milliseconds(scene: GaussianScene, runs: int) -> dict[str, float]:
     """Medians of the stages of one training step on this scene; the first run is not counted.
 
     Args:
         scene: Gaussians and the camera that looks at them.
-        gradient: Gradient of a loss by the image, height x width x 3.
         runs: Number of runs that the medians are of, >= 1.
     """
     seen: dict[str, list[float]] = {}
-    truth = torch.zeros(gradient.shape)
+    truth = torch.zeros(scene.camera.height, scene.camera.width, 3)
+    drawn = torch.zeros_like(truth).requires_grad_()
     values, steps = torch.zeros(len(scene.means), NUMBERS), torch.ones(len(scene.means), NUMBERS)
     moments = [torch.zeros_like(values) for _ in range(2)]
-    leaves = scene.arguments(torch.float32)
+    parameters = {
+        "means": scene.means, "quaternions": scene.quaternions, "log_scales": scene.scales.log(),
+        "opacity_logits": scene.opacities.logit(), "sh_dc": scene.sh[:, :1].contiguous(),
+        "sh_rest": scene.sh[:, 1:].contiguous(),
+    }  # fmt: skip
+    gradients = ViewGradients()
     for run in range(runs + 1):
-        for leaf in leaves:
-            leaf.grad = None
-        image = rasterizer.rasterize(scene.camera, *leaves[:4], sh=leaves[4]).colour
-        image.backward(gradient)
-        drawn = image.detach().requires_grad_()
+        gradients.of(scene.camera, parameters, truth, degree=DEGREE)
         stages = {name: 1e3 * value for name, value in _ext.stage_seconds().items()}
         stages["loss"] = _milliseconds(partial(loss.photometric, drawn, truth))
         stages["adam"] = _milliseconds(

@@ -102,23 +102,27 @@ def test_three_sigma_cut_no_more_than_they_say(simd_level):
     assert changed > 0
 
 
-def test_a_single_gaussian_is_whole_within_three_sigma(simd_level):
+@pytest.mark.parametrize("sigmas", [1.0, 3.0])
+@pytest.mark.parametrize("half_turn", [0.0, 0.2, 0.39, 1.1])
+def test_a_single_gaussian_is_whole_within_its_sigmas(simd_level, sigmas, half_turn):
+    """Also a long one across several tiles, turned about the line of sight by twice `half_turn`."""
     camera = random_scene(1, 3, width=64, height=64).camera
     ahead = camera.rotation.double().T @ torch.tensor([0.0, 0.0, 4.0]).double()
+    axis = math.sin(half_turn) * camera.rotation[2]
     scene = GaussianScene(
         camera=camera,
         means=(camera.centre.double() + ahead).float()[None],
-        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        scales=torch.full((1, 3), 0.3),
+        quaternions=torch.tensor([[math.cos(half_turn), *axis.tolist()]]),
+        scales=torch.tensor([[1.0, 0.1, 0.1] if half_turn else [0.3, 0.3, 0.3]]),
         opacities=torch.tensor([0.9]),
         sh=torch.zeros(1, 1, 3),  # grey: 0.5
     )
-    rough, exact = both(scene, native.Shortcuts(sigmas=3.0))
+    rough, exact = both(scene, native.Shortcuts(sigmas=sigmas))
     _, distance = alphas(scene)
-    within = (distance[:, 0] < 3).reshape(64, 64)
+    within = (distance[:, 0] < sigmas).reshape(64, 64)
     assert torch.equal(rough[within], exact[within])
     lost = (exact - rough)[~within]
-    assert 0 < float(lost.max()) <= 0.5 * 0.9 * math.exp(-4.5) + ROUNDING
+    assert 0 < float(lost.max()) <= 0.5 * 0.9 * math.exp(-(sigmas**2) / 2) + ROUNDING
 
 
 def test_bits_do_not_depend_on_threads(simd_level):

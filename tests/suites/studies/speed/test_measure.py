@@ -254,26 +254,33 @@ def test_an_unknown_backend_is_refused():
         next(speed.rows(quick=True, backend="reference"))
 
 
-def test_the_roofline_has_peaks_and_a_share_of_every_stage(monkeypatch):
+def test_the_roofline_has_peaks_and_a_share_of_every_stage_at_every_level_of_vectors(monkeypatch):
     monkeypatch.setattr(speed_roofline, "QUICK_SIZE", (300, 64, 48))
-    rows = list(speed_roofline.rows(quick=True, patience=idle.Patience(0.0)))
-    peaks = {row["twin"]: row["value"] for row in rows if "value" in row}
-    assert set(peaks) == {"multiply-adds", "blend forward", "blend backward", "memory"}
-    assert all(value > 0 for value in peaks.values())
-    stages = {row["twin"]: row for row in rows if "share" in row}
-    assert set(stages) == {*_ext.stage_seconds(), "loss", "adam"}
-    for row in stages.values():
-        ms = row["backward_ms"] if row["forward_ms"] is None else row["forward_ms"]
-        assert row["share"] == pytest.approx(row["floor_ms"] / ms)
-        assert row["share"] > 0
+    used = _ext.simd_level()
+    every = list(speed_roofline.rows(quick=True, patience=idle.Patience(0.0)))
+    levels = list(dict.fromkeys(row["level"] for row in every))
+    assert levels[0] == used == _ext.simd_level()
+    assert set(levels) == set(_ext.simd_levels()[1:] or _ext.simd_levels())
+    for level in levels:
+        rows = [row for row in every if row["level"] == level]
+        peaks = {row["twin"]: row for row in rows if "value" in row}
+        assert set(peaks) == {"multiply-adds", "blend forward", "blend backward", "memory"}
+        assert all(row["value"] > 0 and row["case"].startswith(level) for row in peaks.values())
+        stages = {row["twin"]: row for row in rows if "share" in row}
+        assert set(stages) == {*_ext.stage_seconds(), "loss", "adam"}
+        for row in stages.values():
+            ms = row["backward_ms"] if row["forward_ms"] is None else row["forward_ms"]
+            assert row["share"] == pytest.approx(row["floor_ms"] / ms)
+            assert row["share"] > 0
 
 
 def test_a_refused_roofline_says_so(monkeypatch):
     monkeypatch.setattr(idle.Watch, "percent", lambda self: 40.0)
     monkeypatch.setattr(speed_roofline, "measure_peak", lambda seconds: None)
-    (row,) = speed_roofline.rows(quick=False, patience=idle.Patience(0.0))
-    assert not row["ok"]
-    assert "refused" in row["note"]
+    refused = list(speed_roofline.rows(quick=False, patience=idle.Patience(0.0)))
+    assert len(refused) == len(_ext.simd_levels()[1:] or _ext.simd_levels())
+    assert not any(row["ok"] for row in refused)
+    assert all("refused" in row["note"] for row in refused)
 
 
 points = st.lists(st.tuples(st.floats(1e-3, 1e3), st.floats(1e-9, 1.0)), min_size=1, max_size=20)

@@ -32,8 +32,17 @@ ROWS = [
     row("pipeline", "cpu", "20000 320x240"),
     row("rasterizer", "cpu avx512", "20000 320x240"),
     row("rasterizer", "rough", "20000 320x240", usual=False, approximates="much", grad_rel_l2=None),
-    row("roofline", "multiply-adds", "avx512", value=400.0, unit="GFLOP/s"),
-    row("roofline", "blend", "x", floor_ms=2.0, share=0.5, bound="loop", backward_ms=None),
+    row("roofline", "multiply-adds", "avx512", level="avx512", value=400.0, unit="GFLOP/s"),
+    row(
+        "roofline",
+        "blend",
+        "x",
+        level="avx512",
+        floor_ms=2.0,
+        share=0.5,
+        bound="loop",
+        backward_ms=None,
+    ),
 ]
 
 
@@ -65,7 +74,7 @@ def section(page: str) -> str:
 
 def test_shares_are_computed():
     page = speed_page.page(MACHINE, ROWS, ["images/a.png"])
-    assert "| blend | 4.00 | 2.00 | 50 % | loop |" in page
+    assert "| blend | avx512 | 4.00 | 2.00 | 50 % | loop |" in page
     assert "| 20000 320x240 | 4.00 | 6.00 | 2.00 | 5.00 | 500 | 200 | 50.0 |" in page
     assert "| rough * |" in page
     assert "rough: much" in page
