@@ -197,11 +197,16 @@ def render_milliseconds(
         background: Colour behind everything, sRGB in [0, 1].
     """
     chosen = [views[int(i * len(views) / TIMED_FRAMES)] for i in range(TIMED_FRAMES)]
-    model.render(chosen[0].without_truth(), background)
+
+    def draw(view: View) -> None:
+        if model.render(view.without_truth(), background).colour.is_cuda:
+            torch.cuda.synchronize()  # the call returns before the GPU has drawn
+
+    draw(chosen[0])
     times: list[float] = []
     for view in chosen:
         started = time.perf_counter()
-        model.render(view.without_truth(), background)
+        draw(view)
         times.append(time.perf_counter() - started)
         if len(times) >= 3 and sum(times) > TIMED_SECONDS:
             break

@@ -72,7 +72,7 @@ class Case:
     forward_only: bool = False
     """Leave the backward pass out."""
     growth: bool = False
-    """Only the component's `usual` twin: how its cost grows."""
+    """Only the component's `usual` twin, and those on a device of their own: how cost grows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import PurePosixPath
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +13,13 @@ from helpers.fake_methods import fake_scene, model_of
 from splatproof.base.errors import DataError
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.result import picture_name
-from splatproof.suites.held_out import error_picture, score_views, to_8_bit
+from splatproof.suites.held_out import (
+    TIMED_FRAMES,
+    error_picture,
+    render_milliseconds,
+    score_views,
+    to_8_bit,
+)
 
 PROTOCOL = load_protocol("default")
 MODEL = model_of(0.3, "reference")
@@ -107,3 +114,14 @@ def test_what_moves_is_scored_apart_where_it_is_known(tmp_path):
     assert np.isnan(unknown.metrics["moving_psnr"])
     plain = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path / "plain")
     assert "moving_psnr" not in plain[0].metrics
+
+
+@pytest.mark.parametrize("on_gpu", [True, False])
+def test_a_frame_on_a_gpu_is_timed_until_it_is_drawn(monkeypatch, on_gpu):
+    waits = []
+    drawn = SimpleNamespace(colour=SimpleNamespace(is_cuda=on_gpu))
+    monkeypatch.setattr(type(MODEL), "render", lambda *_: drawn)
+    monkeypatch.setattr(torch.cuda, "synchronize", lambda: waits.append(None))
+    views = list(fake_scene("town", PROTOCOL).test_views)
+    assert render_milliseconds(views, MODEL, torch.zeros(3)) >= 0
+    assert len(waits) == on_gpu * (1 + TIMED_FRAMES)

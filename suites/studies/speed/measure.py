@@ -304,7 +304,7 @@ def takes_part(component: Component, twin: Twin, case: Case) -> bool:
         case: Size that would be timed.
     """
     if case.growth:
-        return twin.name == component.usual
+        return twin.name == component.usual or twin.device_mb is not None
     return case.size == component.judged or twin.most is None or case.size[0] <= twin.most
 
 

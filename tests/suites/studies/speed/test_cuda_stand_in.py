@@ -12,7 +12,7 @@ from splatproof.reference.rasterizer import rasterize as rasterizer
 from splatproof.reference.types.camera import Camera
 from splatproof.suites.studies.speed import judge as speed_judge
 from splatproof.suites.studies.speed.idle import Patience
-from splatproof.suites.studies.speed.measure import Timer
+from splatproof.suites.studies.speed.measure import Timer, takes_part
 from splatproof.suites.studies.speed.session import Here, with_backend
 from splatproof.suites.twins import cuda
 from splatproof.suites.twins.registry import COMPONENTS
@@ -74,6 +74,13 @@ def test_gsplats_twins_are_timed_with_memory_of_their_device():
         assert row["forward_ms"] > 0
         assert row["backward_ms"] > 0
         assert row["device_mb"] == 12.0
+
+
+def test_large_cases_are_for_the_usual_twin_and_those_on_a_device():
+    component = with_backend("rasterizer", "cuda")
+    case = next(case for case in component.cases if case.growth)
+    timed = [twin.name for twin in component.twins if takes_part(component, twin, case)]
+    assert timed == [component.usual, *NAMES]
 
 
 def test_without_a_gpu_the_command_says_what_is_missing(tmp_path, capsys, monkeypatch):
