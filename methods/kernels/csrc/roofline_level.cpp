@@ -47,10 +47,13 @@ INLINE Footing footing(const Record& r, vf shear, const float* row) {
   return {u, v, keep(s <= all(r.limit), alpha)};
 }
 
+// Chains that wait for their own last sum alone: enough of them to fill two units whose sums take four to five steps.
 int64_t fma(int64_t rounds, float* sink) {
   constexpr int CHAINS = 12;
   const NF factor = NF{} + 0.999f, term = NF{} + 1e-3f;
-  NF a = term, b = a, c = a, d = a, e = a, f = a, g = a, h = a, i = a, j = a, k = a, l = a;
+  // each starts elsewhere, or they would be one to the compiler
+  NF a = term, b = a + term, c = b + term, d = c + term, e = d + term, f = e + term;
+  NF g = f + term, h = g + term, i = h + term, j = i + term, k = j + term, l = k + term;
   for (int64_t round = 0; round < rounds; ++round) {
     asm volatile("" : "+m"(*sink));  // rounds are not merged
     a = a * factor + term; b = b * factor + term; c = c * factor + term; d = d * factor + term;

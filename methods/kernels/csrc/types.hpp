@@ -166,7 +166,7 @@ struct Loss {
   float* gradient;             // [height, width, channels] or null
 };
 
-constexpr int LOSS_STRIP = 320;  // floats of a row that are compared at once
+constexpr int LOSS_STRIP = 448;  // floats of a row that are compared at once
 constexpr int loss_margin(int channels) { return (5 * channels + LANES - 1) / LANES * LANES; }
 inline size_t loss_scratch(int margin) { return (size_t)87 * LOSS_STRIP + (size_t)112 * margin; }
 
