@@ -158,7 +158,7 @@ def roofline(rows: Sequence[Row]) -> list[str]:
         (f"Stages of one training step on {stages[0]['case']}: colours alone, nothing else is drawn. The floor of the blend is the lanes of 4x4 "
         "blocks that hold some pixel of a Gaussian's support before the block is full, at the "
         "peak's time a pair; of the stages over Gaussians, the bytes they must touch at the "
-        "bandwidth measured over as many bytes."),
+        "bandwidth measured over as many bytes. Above 100 % a stage's own loop does better than the idealised one."),
         table(("stage", "level", "ms", "floor ms", "share", "bound by"),
               [(row["twin"].replace("_", " "), row["level"], number(total_stage(row)), number(row["floor_ms"]),
                 "-" if row["share"] is None else f"{100 * row['share']:.0f} %", row["bound"])
