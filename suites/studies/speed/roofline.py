@@ -19,7 +19,7 @@ from splatproof.suites.twins.random_scenes import speed_scene
 
 SIZE, QUICK_SIZE = (100_000, 800, 600), (2_000, 160, 120)
 DEGREE, NUMBERS = 3, 59
-"""Of the harmonics, and parameters of a Gaussian of that degree."""
+"""Degree of the harmonics, and parameters of a Gaussian with them."""
 PROJECTED_BYTES = 101
 """Written a Gaussian: 16 numbers of its ellipse, 8 of its features, radius and a flag."""
 SORT_BYTES = 3 * 2 * 8
@@ -41,7 +41,7 @@ class Floor:
 
 
 def rows(*, quick: bool, patience: Patience) -> Iterator[dict[str, Any]]:
-    """At each level of SIMD: the machine's peaks (keys value, unit), then a row a stage with floor_ms and share.
+    """Peaks of the machine at each level of SIMD (keys value, unit), then a row a stage with floor_ms and share.
 
     The level in use comes first, then those below it; of machines with vectors the portable one is left out,
     which nobody draws with there. Stages bound by memory are held against the bandwidth over as many bytes as

@@ -103,6 +103,7 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     names = [choice.component for choice in found.plan.choices]
     assert names == [
         "matched points", "completed depths", "exposure", "blocks", "points", "Gaussians", "largest scale", "steps",
+        "dropout",
     ]  # fmt: skip
     assert found.plan.choices[2].because.startswith("probe: ")
 

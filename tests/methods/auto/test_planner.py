@@ -122,6 +122,26 @@ def test_the_pace_stands_in_the_plan_and_needs_a_cap_that_only_the_plan_knows():
     assert planned(AutoSettings()).settings.density.pace == PACE
 
 
+@pytest.mark.parametrize(("looks", "dropout"), [(59, 0.0), (60, 0.2), (250, 0.2)])
+def test_dropout_is_for_photos_that_are_looked_at_often(looks, dropout):
+    found = planned(AutoSettings(steps=looks * FACTS.views))
+    assert found.settings.dropout == dropout
+    (told,) = (one for one in found.choices if one.component == "dropout")
+    assert told.value == (f"{dropout:g}" if dropout else "off")
+    assert "by heart" in told.because
+
+
+def test_dropout_that_is_given_stays_and_completed_depths_keep_their_own():
+    asked = AutoSettings(steps=40, dropout=0.3)
+    found = planned(asked)
+    assert found.settings.dropout == 0.3
+    assert [one.because for one in found.choices if one.component == "dropout"] == ["given"]
+    own = replace(usual(AutoSettings(), FACTS), dropout=0.5)
+    few = plan(AutoSettings(steps=40), FACTS, own, (), SPEED, 50.0, base="stratosplat")
+    assert few.settings.dropout == 0.5
+    assert "dropout" not in {one.component for one in few.choices}
+
+
 def test_exposures_compete_where_photos_differ():
     assert [one.setting for one in candidates(AutoSettings(), FACTS)] == ["exposure"]
     for spread in (0.001, math.nan):
