@@ -185,7 +185,9 @@ STAGE int64_t backward_blocks(int64_t rounds, float* sink) {
       }
       for (int j = 0; j < SUMS; ++j) {
         transpose(rows[j][0], LANES, turned[0], LANES);
-        for (int l = 0; l < LANES; ++l) total = total + load(turned[l]);
+        vf sum = load(turned[0]);
+        for (int l = 1; l < LANES; ++l) sum = sum + load(turned[l]);
+        total = total + sum;
       }
     }
   }
