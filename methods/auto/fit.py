@@ -52,7 +52,7 @@ from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import exposed
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.initialise import with_random_points
+from splatproof.methods.training.initialise import with_points, with_random_points
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.remembering import remembering
 from splatproof.methods.training.resolution import Resolution
@@ -248,7 +248,9 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         start = speed = None
         if completes:
             trial = completing(chosen, settings)
-            start = started(scene, trial, run, "stratosplat")
+            unkept = replace(run, folder=None)
+            matched = with_points(scene, unkept, dense_cell=chosen.dense_cell, dense=chosen.dense)
+            start = started(matched, replace(trial, dense_cell=0.0), unkept, "stratosplat")
             speed = measure(start, trial, run, "stratosplat")
             left = settings.seconds * (1 - RESERVE) - (clock() - began)
             counted = replace(facts, points=len(start.points))
@@ -261,7 +263,8 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
                 chosen, base = shortened(trial, count), "stratosplat"
                 completion = (*completion, *smaller)
             else:
-                start, speed, completion = None, None, (too_slow(count),)
+                start = started(matched, replace(chosen, dense_cell=0.0), unkept, "3dgs")
+                speed, completion = None, (too_slow(count),)
         speed = speed or measure(scene, chosen, run, base)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
     left = settings.seconds * (1 - RESERVE) - (clock() - began)

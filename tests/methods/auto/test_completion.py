@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import pytest
+import torch
 
 from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import UsageError
+from splatproof.methods.auto.base import started
 from splatproof.methods.auto.completion import (
     DROPOUT,
     ENOUGH,
@@ -23,6 +25,8 @@ from splatproof.methods.auto.method import cost
 from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.training import initialise
+from splatproof.methods.training.fewer_points import with_at_most
 
 FACTS = facts_of(aerial_scene(), 2**20)
 ASKED = AutoSettings(seconds=20.0, probe_share=0.0)
@@ -140,11 +144,28 @@ def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes
     wanted, _ = planned_completion(ASKED, FACTS, points=len(scene.points), moves=False)
     assert wanted
     found = planned(scene, replace(ASKED, **budget), Run(threads=1))
-    assert (found.start is not None) == completes
     assert found.plan.base == ("stratosplat" if completes else "3dgs")
     (told,) = [one for one in found.plan.choices if one.component == "completed depths"]
     assert (f"and {LEAST} are needed" in told.because) == (not completes)
     assert found.plan.settings.sh_interval == (1000 if completes else 0)
+
+
+@pytest.mark.parametrize(("steps", "base"), [(LEAST - 1, "3dgs"), (LEAST, "stratosplat")])
+def test_photos_are_matched_once_whether_depths_are_completed_or_not(steps, base, monkeypatch):
+    scene, asked = aerial_scene().for_training(), replace(ASKED, dense_cell=8.0, steps=steps)
+    calls = []
+
+    def matched(scene, *settings):  # these photos are too small to be matched
+        calls.append(settings)
+        return with_at_most(scene, 20)
+
+    monkeypatch.setattr(initialise, "with_dense_points", matched)
+    found = planned(scene, asked, Run(threads=1))
+    assert (found.plan.base, len(calls)) == (base, 1)
+    assert found.start is not None
+    assert base == "stratosplat" or len(found.start.points) < len(scene.points)
+    again = started(scene, found.plan.settings, Run(threads=1), base)  # as a continued run does
+    assert torch.equal(found.start.points.positions, again.points.positions)
 
 
 @pytest.mark.parametrize("steps", [LEAST, RESETS_FROM])
