@@ -90,7 +90,7 @@ def sized(
         steps: How many steps fit under some settings.
     """
     whole = count = steps(settings)
-    factor, most = 1.0, coarsest(facts)
+    factor, most = 1.0, coarsest(facts.width, facts.height)
     while count < ENOUGH and factor < most:
         factor *= 2
         settings = replace(settings, resolution=Resolution(coarsest=factor, full_from=1.0))

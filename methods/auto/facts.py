@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,15 +43,15 @@ class SceneFacts:
     views: int
     """Number of training views."""
     width: int
-    """Median width in pixels."""
+    """Pixels of the photo that is in the middle by size."""
     height: int
-    """Median height in pixels."""
+    """Pixels of the same photo."""
     points: int
-    """Number of sparse points."""
+    """Number of points that training can start from: sparse ones, or drawn where there are none."""
     track: float
     """Mean number of training views that see a point; nan where tracks are not known."""
     coverage: float
-    """Mean number of training views whose image a point falls into, hidden or not."""
+    """Mean number of training views whose image a point falls into, hidden or not; nan: there are no points."""
     neighbours: float
     """Median number of other training views that see at least a tenth of a view's points."""
     angle: float
@@ -98,13 +98,14 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
     chosen = [(row, views[row]) for row in range(0, len(views), step)][:SAMPLES]
     photos = [images.load(view) for _, view in chosen]
     sizes = torch.tensor([view.size for view in views]).double()
+    height, width = sizes[sizes.prod(dim=1).argsort(stable=True)[len(views) // 2]].int().tolist()
     swept = all(view.time is not None for view in scene.views) and any(
         view.load_sweep is not None for view in views
     )
     return SceneFacts(
         views=len(views),
-        width=int(sizes[:, 1].median()),
-        height=int(sizes[:, 0].median()),
+        width=width,
+        height=height,
         points=len(scene.points),
         track=float(counts[counts > 0].mean()) if counts.any() else math.nan,
         coverage=_coverage(views, positions),
@@ -123,6 +124,18 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
         moving=moving_share(scene) if swept else 0.0,
         image_bytes=int(sizes.prod(dim=1).sum()) * 12,
     )  # fmt: skip
+
+
+def without_points(facts: SceneFacts) -> SceneFacts:
+    """Facts of a scene whose points were drawn: what drawn points say of overlap and baselines is nothing.
+
+    Args:
+        facts: As they were counted with drawn points.
+    """
+    nothing = math.nan
+    return replace(
+        facts, track=nothing, coverage=nothing, neighbours=nothing, angle=nothing, bare=1.0
+    )
 
 
 def moving_share(scene: Scene) -> float:

@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 
-import torch
-
 from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
@@ -29,15 +27,17 @@ from splatproof.methods.auto.completion import (
     sized,
     too_slow,
 )
-from splatproof.methods.auto.facts import SceneFacts, facts_of
+from splatproof.methods.auto.facts import SceneFacts, facts_of, without_points
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
+from splatproof.methods.auto.photos import Photos, planned_photos, reading_threads, working
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
     RANDOM_POINTS,
     AutoPlan,
     Choice,
+    bounded,
     candidates,
     compete,
     plan,
@@ -65,8 +65,8 @@ PLAN = "plan.json"
 """The plan beside the checkpoint: a run that is continued keeps it."""
 RESERVE = 0.03
 """Share of the seconds that is kept back for what nobody can measure before."""
-READING = 0.1
-"""Share of the seconds in which photos are read ahead."""
+READING, ALL_READ = 0.1, 0.5
+"""Share of the seconds in which photos are read ahead; of large ones, which training could not read as it goes, all are."""
 MEASURED = 30
 """Steps over which the final speed is measured."""
 PROBE_STEPS = 300
@@ -98,24 +98,31 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     """
     began = time.perf_counter()
     key = run_key(scene, settings, run)
-    scene = remembering(scene, run.image_bytes)
+    kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
+    told = read_json(kept) if kept is not None and kept.is_file() else {}
+    told = told if told.get("key") == key else {}
+    if told:
+        photos = Photos(factor=float(told["factor"]), train=tuple(told["train"]))
+    else:
+        photos = planned_photos(scene, settings, run)
+    scene = remembering(working(scene, photos), run.image_bytes)
     goal = keep_back(scene) if settings.db else None
     scene = goal.scene if goal else scene
-    kept = None if run.folder is None else run.folder / "checkpoint" / PLAN
-    if kept is not None and kept.is_file() and (told := read_json(kept)).get("key") == key:
+    if told:
         chosen, spent = build(Settings, told["settings"], str(kept)), float(told["spent"])
         base: Base = told["base"]
         choices = tuple(Choice(**one) for one in told["choices"])
         start = _started(scene, chosen, run, base)
     else:
-        made = planned(scene, settings, run)
+        made = planned(scene, settings, run, photos)
         chosen, choices, base = made.plan.settings, made.plan.choices, made.plan.base
         start = made.start or _started(scene, chosen, run, base)
         spent = time.perf_counter() - began
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            stored = {"key": key, "settings": asdict(chosen), "base": base,
-                      "spent": spent, "choices": [asdict(one) for one in choices]}  # fmt: skip
+            stored = {"key": key, "factor": photos.factor, "train": photos.train,
+                      "settings": asdict(chosen), "base": base, "spent": spent,
+                      "choices": [asdict(one) for one in choices]}  # fmt: skip
             write_text(kept, json.dumps(stored))
     run.on_stage("plan", spent)  # of the first attempt, where this one goes on
     for one in choices:
@@ -148,12 +155,13 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     return finish(train(run, prepared))
 
 
-def read_ahead(scene: Scene, seconds: float) -> None:
-    """Read training photos on all threads, so that whatever looks at them next finds them in memory.
+def read_ahead(scene: Scene, seconds: float, readers: int) -> None:
+    """Read training photos side by side, so that whatever looks at them next finds them in memory.
 
     Args:
         scene: One that remembers its photos.
         seconds: Wall seconds after which no further photo is begun; training reads the others itself.
+        readers: How many are read at once.
     """
     ends = time.perf_counter() + seconds
 
@@ -161,7 +169,7 @@ def read_ahead(scene: Scene, seconds: float) -> None:
         if time.perf_counter() < ends:
             view.load()
 
-    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+    with ThreadPoolExecutor(readers) as pool:
         list(pool.map(read, scene.train_views))
 
 
@@ -216,23 +224,32 @@ class Recount:
         return steps
 
 
-def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
+def planned(
+    scene: Scene, settings: AutoSettings, run: Run, photos: Photos | None = None
+) -> Planned:
     """Facts, speed, what the probe says, and the plan that follows; nothing is kept of the trainings.
 
     Args:
-        scene: The scene as a method gets it.
+        scene: The scene as a method gets it, with the photos that are trained on.
         settings: The budget, and what of the plan is fixed.
         run: Seed, threads and backend.
+        photos: What was decided of the photos; None: they are all there.
 
     Raises: DataError for a scene that cannot be trained on.
     """
     clock = time.perf_counter
-    began = clock()
+    photos = photos or Photos(train=scene.train)
+    began = clock() - photos.seconds
+    free = available_mb()
     with threads(run.threads):
-        read_ahead(scene, READING * settings.seconds)
+        share = ALL_READ if photos.factor > 1 else READING
+        readers = reading_threads(photos.factor, scene.train_views, run.image_bytes)
+        read_ahead(scene, share * settings.seconds, readers)
         pointed = with_random_points(scene, RANDOM_POINTS, run.seed)
         facts = facts_of(pointed, run.image_bytes)
-        chosen = usual(settings, facts)
+        if not len(scene.points):
+            facts = without_points(facts)
+        chosen = bounded(settings, usual(settings, facts), facts, free)
         matching = planned_matching(scene, settings, facts, chosen.most_points, run)
         chosen = replace(
             chosen, dense_cell=matching.cell,
@@ -275,11 +292,9 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> Planned:
         because="the scene has none; --points triangulated may find some",
     )  # fmt: skip
     lacking = () if len(scene.points) else (drawn,)
-    choices = (*lacking, matching.choice, *motion, *completion, *choices)
+    choices = (*photos.choices, *lacking, matching.choice, *motion, *completion, *choices)
     points = len(start.points) if start else facts.points
-    made = plan(
-        settings, replace(facts, points=points), chosen, choices, speed, left, available_mb(), base
-    )
+    made = plan(settings, replace(facts, points=points), chosen, choices, speed, left, free, base)
     return Planned(plan=made, facts=facts, start=start)
 
 
@@ -288,7 +303,8 @@ def _probed(
 ) -> tuple[Settings, tuple[Choice, ...]]:
     """The usual settings with what won in short trainings from sparse points, and why."""
     began = time.perf_counter()
-    probe = probe_of(scene, run) if asked.probe_share else None
+    competing = candidates(asked, facts)
+    probe = probe_of(scene, run) if asked.probe_share and competing else None
     if probe is None:
         return usual, ()
     most = max(1000, facts.views * PIXELS // PIXELS_A_GAUSSIAN)
@@ -301,7 +317,7 @@ def _probed(
         time.perf_counter, began + asked.probe_share * asked.seconds,
         training_seconds(small, facts, speed, PROBE_STEPS),
     )  # fmt: skip
-    won, choices = compete(tried, candidates(asked, facts), probe.score, better, left)
+    won, choices = compete(tried, competing, probe.score, better, left)
     return replace(
         won, iterations=usual.iterations, dense_cell=usual.dense_cell, density=usual.density
     ), choices

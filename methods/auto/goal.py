@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from splatproof.base.errors import DataError
-from splatproof.methods.auto.probe import HELD, psnr, spread
+from splatproof.methods.auto.probe import HELD, psnr, spread, valid_of
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.reference.types.scene import Scene, View
@@ -82,10 +82,10 @@ class Goal:
     def score(self) -> float:
         """Mean PSNR in dB of the photos that were kept back."""
         fitted = self.finish(self.model)
-        found = [
-            psnr(fitted.render(view.without_truth(), self.background).colour, view.load())
-            for view in self.kept.views
-        ]
+        found = []
+        for view in self.kept.views:
+            image = fitted.render(view.without_truth(), self.background).colour
+            found.append(psnr(image, view.load(), valid_of(view)))
         return sum(found) / len(found)
 
     def __call__(self, step: int, seconds: float) -> int | None:

@@ -1,5 +1,6 @@
 """Whether photos are matched before training, judged by facts and by what a pair takes."""
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -67,7 +68,9 @@ def planned_matching(
     if asked.dense_cell == 0:
         return _none("given")
     if asked.dense_cell is None:
-        if not facts.track < LONG_TRACK:  # nan, too: without tracks nobody knows what to match
+        if math.isnan(facts.track):
+            return _none("nothing says which photos see the same points")
+        if not facts.track < LONG_TRACK:
             return _none(
                 f"a point was found in {facts.track:.1f} photos: matched points gain nothing"
             )

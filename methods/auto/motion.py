@@ -38,6 +38,10 @@ def planned_motion(
     if facts.moving < LEAST_MOVING:
         seen = told if facts.swept else "no LiDAR sweep tells what moves"
         return False, (_choice(False, seen),)
+    if asked.megabytes:
+        return False, (
+            _choice(False, "megabytes is given, and Gaussians that move have no such bound"),
+        )
     given = asked.against_motion()
     if given:
         return False, (

@@ -50,6 +50,8 @@ RANDOM_POINTS = 10_000
 """Points that training starts from where structure from motion left none: drawn in sight of the cameras."""
 LEAST_GAUSSIANS = 1000
 """Gaussians that a plan allows however few pixels there are."""
+HEAD_BYTES, VIEW_BYTES = 4096, 64
+"""Bytes of a saved model beside its Gaussians, and of each photo's exposure, at most."""
 MEMORY_SHARE = 0.8
 """Share of the free memory that a plan takes: the estimate is right to a quarter."""
 WORTH = 0.3
@@ -101,6 +103,17 @@ def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
         asked: The budget, and what is fixed.
         facts: What was measured.
     """
+    return usual_for(asked, facts.width, facts.height)
+
+
+def usual_for(asked: AutoSettings, width: int, height: int) -> Settings:
+    """Settings that the size of the photos decides, and what is asked for.
+
+    Args:
+        asked: The budget, and what is fixed.
+        width: Pixels of a photo.
+        height: Pixels of a photo.
+    """
     return Settings(
         iterations=asked.steps or 1000,
         sh_degree=3 if asked.sh_degree is None else asked.sh_degree,
@@ -112,23 +125,24 @@ def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
         exposure=asked.exposure or "off",
         random_points=RANDOM_POINTS,
         dense_cell=asked.dense_cell or 0.0,
-        most_points=max(1, facts.width * facts.height // PIXELS_A_POINT)
+        most_points=max(1, width * height // PIXELS_A_POINT)
         if asked.most_points is None
         else asked.most_points,
-        resolution=Resolution(coarsest=coarsest(facts), full_from=FULL_FROM)
+        resolution=Resolution(coarsest=coarsest(width, height), full_from=FULL_FROM)
         if asked.coarsest is None
         else Resolution(coarsest=asked.coarsest, full_from=FULL_FROM),
         density=GROWTH if asked.gradient is None else replace(GROWTH, gradient=asked.gradient),
     )  # fmt: skip
 
 
-def coarsest(facts: SceneFacts) -> float:
+def coarsest(width: int, height: int) -> float:
     """Largest power of two up to 8 by which photos can be shrunk and still show something.
 
     Args:
-        facts: Size of the photos.
+        width: Pixels of a photo.
+        height: Pixels of a photo.
     """
-    room = min(facts.width, facts.height) / LEAST_SHORT_SIDE
+    room = min(width, height) / LEAST_SHORT_SIDE
     return float(2 ** max(0, min(3, math.floor(math.log2(max(room, 1))))))
 
 
@@ -203,19 +217,43 @@ def most_gaussians(
         free: Megabytes of this machine's memory that are free.
     """
     pixels = facts.views * facts.width * facts.height
-    bounds = [(
+    shown = (
         pixels // PIXELS_A_GAUSSIAN,
         f"all photos together have {pixels:,} pixels, {PIXELS_A_GAUSSIAN} a Gaussian",
-    )]  # fmt: skip
+    )
+    most, why = min([shown, *_room(asked, facts, degree, free)])
+    return max(1 if asked.megabytes else LEAST_GAUSSIANS, most), why
+
+
+def _room(
+    asked: AutoSettings, facts: SceneFacts, degree: int, free: float
+) -> list[tuple[int, str]]:
+    """Gaussians that fit into the file and into memory, and why; nothing where neither has a bound."""
+    bounds = []
     if asked.megabytes:
-        fit = asked.megabytes * MEBIBYTE / (4 * (11 + 3 * (degree + 1) ** 2))
+        room = asked.megabytes * MEBIBYTE - HEAD_BYTES - VIEW_BYTES * facts.views
+        fit = room / (4 * (11 + 3 * (degree + 1) ** 2))
         bounds.append((int(fit), f"what {asked.megabytes:g} MB hold"))
     if math.isfinite(free):
         none, one = (training_mb(facts, count, degree) for count in (0, 1))
         room = max(0.0, MEMORY_SHARE * free - none) / (one - none)
         bounds.append((int(room), f"what training may hold of {free:,.0f} MB of free memory"))
-    most, why = min(bounds)
-    return max(1 if asked.megabytes else LEAST_GAUSSIANS, most), why
+    return bounds
+
+
+def bounded(asked: AutoSettings, settings: Settings, facts: SceneFacts, free: float) -> Settings:
+    """Settings whose start has no more points than file and memory hold Gaussians: nothing takes the others away later.
+
+    Args:
+        asked: The budget.
+        settings: What has been chosen.
+        facts: What was measured.
+        free: Megabytes of this machine's memory that are free.
+    """
+    fewest = 1 if asked.megabytes else LEAST_GAUSSIANS
+    room = [max(fewest, most) for most, _ in _room(asked, facts, settings.sh_degree, free)]
+    points = [] if settings.most_points is None else [settings.most_points]
+    return replace(settings, most_points=min([*points, *room], default=None))
 
 
 def training_mb(facts: SceneFacts, gaussians: int, degree: int) -> float:
@@ -301,6 +339,18 @@ def plan(
         because="given" if asked.widest is not None
         else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on",
     ))  # fmt: skip
+    degree = settings.sh_degree
+    told.append(Choice(
+        component="harmonics", value=f"degree {degree}",
+        because="given" if asked.sh_degree is not None else "colours may change with the direction they are seen from",
+        expects=f"{4 * (11 + 3 * (degree + 1) ** 2)} bytes a Gaussian",
+    ))  # fmt: skip
+    if base != "pvg":
+        told.append(Choice(
+            component="opacity term", value=f"{settings.opacity_weight:g}" if settings.opacity_weight else "off",
+            because="given" if asked.opacity_weight is not None
+            else "what no photo needs shall fade" if settings.opacity_weight else "resets do its work",
+        ))  # fmt: skip
     if asked.steps is None:
         count = steps_in(seconds, settings, facts, speed)
         bound, enough = most_steps(settings, facts.views, base)

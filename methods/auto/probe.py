@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.methods.contracts.run import Run
@@ -54,7 +54,7 @@ class Probe:
         fitted = explicit(trainer.model, self.scene, self.run.backend)
         background = torch.tensor(self.run.background)
         return tuple(
-            psnr(fitted.render(view.without_truth(), background).colour, photo)
+            psnr(fitted.render(view.without_truth(), background).colour, photo, valid_of(view))
             for view, photo in zip(self.held, self.photos, strict=True)
         )
 
@@ -125,14 +125,29 @@ def kept(view: View) -> View:
     return replace(view, load=load)
 
 
-def psnr(image: Float[Tensor, "h w 3"], photo: Float[Tensor, "h w 3"]) -> float:
+def valid_of(view: View) -> Bool[Tensor, "h w"] | None:
+    """The pixels of a view that count; None: all of them.
+
+    Args:
+        view: One that a photo is compared for.
+    """
+    return None if view.load_mask is None else view.load_mask()
+
+
+def psnr(
+    image: Float[Tensor, "h w 3"],
+    photo: Float[Tensor, "h w 3"],
+    valid: Bool[Tensor, "h w"] | None = None,
+) -> float:
     """10 log10 (1 / MSE) of an image in [0, 1] after clamping, at most 100.
 
     Args:
         image: Render, not clamped.
         photo: What it is compared with.
+        valid: The pixels that count; None, or where there are none: all of them.
     """
-    error = float((image.clamp(0, 1) - photo).square().mean())
+    off = (image.clamp(0, 1) - photo).square()
+    error = float((off if valid is None or not valid.any() else off[valid]).mean())
     return -10 * math.log10(max(error, 1e-10))
 
 

@@ -71,14 +71,12 @@ class AutoSettings:
             value = getattr(self, name)
             fine = value is None or low <= value <= high
             require(fine, name, value, f"{low} to {high}, or None: planned")
-        small = not (self.completed and self.megabytes)
-        require(
-            small,
-            "completed",
-            self.completed,
-            "False, or None, where megabytes bounds the saved model: virtual "
-            "Gaussians have no such bound",
-        )
+        for name, what in (("completed", "virtual Gaussians"), ("motion", "Gaussians that move")):
+            value = getattr(self, name)
+            expected = (
+                f"False, or None, where megabytes bounds the saved model: {what} have no such bound"
+            )
+            require(not (value and self.megabytes), name, value, expected)
         for name, without in LACKING.items() if self.motion else ():
             value = getattr(self, name)
             expected = f"{without:g}, or None, where motion is True: what moves does not have it"

@@ -6,11 +6,12 @@ from splatproof.base.memory import MEBIBYTE
 from splatproof.methods.auto.facts import SceneFacts
 
 
-def told(facts: SceneFacts) -> list[tuple[str, str, str]]:
+def told(facts: SceneFacts, points: int) -> list[tuple[str, str, str]]:
     """(what, how much, what follows of it) of each fact, for people.
 
     Args:
         facts: What was measured.
+        points: Number of points that the scene has of its own.
     """
 
     def known(value: float, text: str) -> str:
@@ -19,9 +20,9 @@ def told(facts: SceneFacts) -> list[tuple[str, str, str]]:
     return [
         ("photos", f"{facts.views} of {facts.width} x {facts.height} pixels",
          f"{facts.image_bytes / MEBIBYTE:,.0f} MB in memory"),
-        ("points", f"{facts.points:,}",
+        ("points", f"{points:,}" if points else "none",
          f"{100 * facts.bare:.0f} % of the photos' cells of 16 x 16 pixels show none"),
-        ("overlap", f"each place in {facts.coverage:.1f} photos",
+        ("overlap", known(facts.coverage, f"each place in {facts.coverage:.1f} photos"),
          known(facts.track, f"a point was found in {facts.track:.1f} of them; a photo has "
                             f"{facts.neighbours:.0f} neighbours")),
         ("baselines", known(facts.angle, f"{facts.angle:.0f} degrees"),

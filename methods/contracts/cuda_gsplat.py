@@ -103,5 +103,6 @@ def _collect(means: Any, probe: ScreenProbe) -> None:
         # gsplat sets .absgrad in its own backward, before this hook
         probe.signed.grad = gradient[0].to(probe.signed)
         probe.absolute.grad = means.absgrad[0].to(probe.absolute)
+        hook.remove()  # it holds `means`, which holds it where Python's collector does not see it
 
-    means.register_hook(leave)
+    hook = means.register_hook(leave)

@@ -20,6 +20,8 @@ from splatproof.reference.types.scene import Scene, SparsePoints
 NEIGHBOURS = 3
 RANDOM_DEPTHS = (0.1, 10.0)
 """Depths of random points, in extents of the scene."""
+LEAST_EXTENT = 1e-6
+"""Extent in scene units below which cameras count as standing in one place."""
 LEAST_SQUARED = 1e-7
 """Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
 
@@ -89,7 +91,8 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
     """The scene with points drawn at random where it has none; a scene with points as it is.
 
     A point lies on the ray through a uniform place in the image of a uniform training camera, at a
-    depth that is log-uniform from 0.1 to 10 extents; colours are uniform. Every point is in sight,
+    depth that is log-uniform from 0.1 to 10 extents, of cameras that are all in one place 0.1 to 10 scene
+    units: from there nothing says how far away anything is. Colours are uniform. Every point is in sight,
     whether cameras look inwards, ahead or down, near or far for how they are spread; its track is
     the one view that it was drawn in.
 
@@ -109,7 +112,9 @@ def with_random_points(scene: Scene, count: int, seed: int) -> Scene:
     cameras = [view.camera for view in scene.train_views]
     sizes = torch.tensor([[camera.width, camera.height] for camera in cameras]).double()
     pixels = torch.cat([draws[:, :2] * sizes[chosen], torch.ones(count, 1)], dim=1)
-    near, far = (math.log(factor * max(extent(scene), 1e-6)) for factor in RANDOM_DEPTHS)
+    reach = extent(scene)
+    reach = 1.0 if reach < LEAST_EXTENT else reach
+    near, far = (math.log(factor * reach) for factor in RANDOM_DEPTHS)
     depth = (near + (far - near) * draws[:, 2:]).exp()
     to_ray = torch.stack([camera.K.double().inverse() for camera in cameras])[chosen]
     pose = torch.stack([camera.world_to_camera.double() for camera in cameras])[chosen]

@@ -223,7 +223,8 @@ class Trainer:
         factor = self.plan.resolution.factor(self.step, self.plan.steps)
         if factor == 1:
             return view
-        return shrunk(replace(view, load=lambda: self.photo(view).cpu()), factor)
+        small = shrunk(replace(view, load=lambda: self.photo(view).cpu()), factor)
+        return view if small.size == view.size else small
 
     def photo(self, view: View) -> Tensor:
         """A view's photo on the device, from memory where it is kept; not to be written into.

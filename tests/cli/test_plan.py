@@ -1,6 +1,11 @@
 import json
+import shlex
 
+import pytest
+
+from helpers.tiny_scene import tiny_scene
 from splatproof.cli import main
+from splatproof.datasets.catalogue import opening
 from splatproof.suites import city_plan
 
 CITY = city_plan.City()
@@ -55,3 +60,64 @@ def test_what_fits_nowhere_is_told(capsys):
     assert "–" in capsys.readouterr().out
     assert main(["plan", "--memory-gb", "0.1"]) == 2
     assert "use larger machines" in capsys.readouterr().err
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    """Every scene is the same tiny one, and what it was opened by is told."""
+    rules = []
+
+    def opened(scene, protocol):
+        rules.append(protocol)
+        return tiny_scene(views=9)
+
+    monkeypatch.setattr(opening, "open_scene", opened)
+    return rules
+
+
+PLAN = ["plan", "my scene", "--seconds", "2"]
+
+
+def test_the_plan_of_a_scene_says_what_was_measured_and_what_follows(tiny, capsys):
+    assert main(PLAN) == 0
+    shown = capsys.readouterr()
+    for word in ("photos", "baselines", "matched points", "harmonics", "dropout", "steps"):
+        assert word in shown.out
+    assert "nan" not in shown.out.replace("Gaussians", "")
+    assert main([*PLAN, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["facts"]["views"] == 8
+    assert {"steps", "points", "harmonics"} <= {one["component"] for one in told["choices"]}
+
+
+def test_the_command_that_a_plan_names_is_the_plan(tiny, capsys):
+    given = [
+        "--megabytes",
+        "1.5",
+        "--db",
+        "30",
+        "--protocol",
+        "city_400",
+        "--width",
+        "48",
+        "--seed",
+        "7",
+    ]
+    assert main([*PLAN, *given]) == 0
+    told = capsys.readouterr().err
+    command = shlex.split(told[told.index("`") + 1 : told.rindex("`")])
+    assert command[:4] == ["bench", "fit", "auto", "my scene"]
+    assert dict(zip(command[4::2], command[5::2], strict=True)) == {
+        "--out": "OUT", "--seconds": "2", **dict(zip(given[::2], given[1::2], strict=True)),
+    }  # fmt: skip
+    assert tiny[0].width == 48
+
+
+def test_what_is_for_cities_is_refused_for_a_scene(tiny, capsys):
+    for option in (["--views", "5"], ["--iterations", "7"], ["--blocks", "2"], ["--all"], ["--simulate"],
+                   ["--memory-gb", "2"], ["--height", "5"], ["--spread", "0.5"]):  # fmt: skip
+        assert main([*PLAN, *option]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert f"{option[0]} is for the plan of a city; leave 'my scene' or it out" in said.err
+    assert tiny == []

@@ -23,9 +23,12 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 
 from splatproof.base.quiet import is_quiet, silenced
 
+WIDE = 160
+"""Columns of a table where stdout is no terminal."""
 LINE_SECONDS = 10.0
 """Seconds between lines of progress where stderr is no terminal."""
 
@@ -69,6 +72,18 @@ def print_record(record: Mapping[str, object]) -> None:
 def print_text(text: str) -> None:
     """Print a result for a person on stdout, as it is (no markup, no wrapping)."""
     print(text, flush=True)
+
+
+def print_table(table: Table) -> None:
+    """Print a table as a result for a person, on stdout.
+
+    Args:
+        table: As wide as the terminal; in a file or pipe, `WIDE` columns.
+    """
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = WIDE
+    console.print(table)
 
 
 def emit(record: Mapping[str, object], text: str) -> None:

@@ -16,6 +16,12 @@ MACHINES = (1, 2, 4, 8, 16, 32, 64)
 """Numbers of machines that are planned for where nobody says which."""
 WIDTH, HEIGHT = 1_600, 1_200
 """Pixels of a view of a city where nobody says."""
+VIEWS, GAUSSIANS, ITERATIONS, REFINEMENT = 10_000, 100_000_000, 30_000, 7_000
+"""A city's views and Gaussians, steps of a block and of the refinement, where nobody says."""
+MARGIN, VIEWS_A_BLOCK = 0.15, 2.5
+"""Blocks of a city where nobody says."""
+CORES, MEMORY_GB = 16, 64.0
+"""Machines where nobody says."""
 HEADING = "blocks machines workers  block GB  block h  blocks h  serial h   wall h"
 
 
@@ -26,16 +32,16 @@ def plan(
     megabytes: float | None = None,
     db: float | None = None,
     protocol: str | None = None,
-    views: int = 10_000,
-    gaussians: int = 100_000_000,
+    views: int = VIEWS,
+    gaussians: int = GAUSSIANS,
     width: int | None = None,
     height: int | None = None,
-    iterations: int = 30_000,
-    refinement: int = 7_000,
-    margin: float = 0.15,
-    views_a_block: float = 2.5,
-    cores: int = 16,
-    memory_gb: float = 64.0,
+    iterations: int = ITERATIONS,
+    refinement: int = REFINEMENT,
+    margin: float = MARGIN,
+    views_a_block: float = VIEWS_A_BLOCK,
+    cores: int = CORES,
+    memory_gb: float = MEMORY_GB,
     blocks: tuple[int, ...] = (),
     machines: tuple[int, ...] = (),
     every: Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="all")] = False,
@@ -82,7 +88,17 @@ def plan(
         seed: With --simulate: seed of the draw; with SCENE: of the short trainings. None: 0.
     """
     if scene:
-        return _of_scene(scene, seconds, megabytes, db, protocol, width, seed, simulate=simulate)
+        for_cities = {
+            "--views": views != VIEWS, "--gaussians": gaussians != GAUSSIANS, "--height": height is not None,
+            "--iterations": iterations != ITERATIONS, "--refinement": refinement != REFINEMENT,
+            "--margin": margin != MARGIN, "--views-a-block": views_a_block != VIEWS_A_BLOCK,
+            "--cores": cores != CORES, "--memory-gb": memory_gb != MEMORY_GB, "--blocks": bool(blocks),
+            "--machines": bool(machines), "--all": every, "--spread": spread is not None, "--simulate": simulate,
+        }  # fmt: skip
+        for option, given in for_cities.items():
+            if given:
+                raise UsageError(f"{option} is for the plan of a city; leave {scene!r} or it out")
+        return _of_scene(scene, seconds, megabytes, db, protocol, width, seed)
     for_scenes = {
         "--seconds": seconds, "--megabytes": megabytes, "--db": db, "--protocol": protocol,
     }  # fmt: skip
@@ -139,13 +155,9 @@ def _of_scene(
     protocol: str | None,
     width: int | None,
     seed: int | None,
-    *,
-    simulate: bool,
 ) -> int:
     from splatproof.cli.plan_scene import plan_scene
 
-    if simulate:
-        raise UsageError(f"--simulate is for the plan of a city; leave {scene!r} or it out")
     return plan_scene(
         scene, seconds=60.0 if seconds is None else seconds, megabytes=megabytes or 0.0,
         db=db or 0.0, protocol=protocol or "default", width=width, seed=seed or 0,

@@ -1,5 +1,6 @@
 """`bench plan SCENE`: what method auto would do with a scene on this machine, and why."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 
@@ -32,18 +33,21 @@ def plan_scene(
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.auto.fit import planned, remembering
     from splatproof.methods.auto.goal import keep_back
+    from splatproof.methods.auto.photos import planned_photos, working
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
     from splatproof.metrics.protocol_files import load_protocol, resized
 
     asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
-    run = Run(seed=seed)
-    opened = open_scene(scene, resized(load_protocol(protocol), width)).for_training()
+    rules = resized(load_protocol(protocol), width)
+    run = Run(seed=seed, background=rules.background)
+    opened = open_scene(scene, rules).for_training()
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)
-        seen = keep_back(opened).scene if db else opened
-        found = planned(remembering(seen, run.image_bytes), asked, run)
+        photos = planned_photos(opened, asked, run)
+        seen = remembering(working(opened, photos), run.image_bytes)
+        found = planned(keep_back(seen).scene if db else seen, asked, run, photos)
     if output.wants_json():
         output.print_record(
             {"scene": opened.name, "facts": asdict(found.facts), "seconds": found.plan.seconds,
@@ -51,12 +55,18 @@ def plan_scene(
              "settings": asdict(found.plan.settings)}
         )  # fmt: skip
         return 0
-    output.console().print(_table(("measured", "", ""), told(found.facts)))
+    output.print_table(_table(("measured", "", ""), told(found.facts, len(opened.points))))
     chosen = [(one.component, one.value, one.because, one.expects) for one in found.plan.choices]
-    output.console().print(_table(("chosen", "", "because", "expected"), chosen))
+    output.print_table(_table(("chosen", "", "because", "expected"), chosen))
+    given = {
+        "--seconds": f"{seconds:g}", "--megabytes": f"{megabytes:g}" if megabytes else "",
+        "--db": f"{db:g}" if db else "", "--protocol": "" if protocol == "default" else protocol,
+        "--width": str(width or ""), "--seed": str(seed or ""),
+    }  # fmt: skip
+    options = " ".join(f"{option} {shlex.quote(value)}" for option, value in given.items() if value)
     output.log(
         f"training would take about {found.plan.seconds:.0f} s; "
-        f"`bench fit auto {scene} --out OUT --seconds {seconds:g}{f' --db {db:g}' if db else ''}` does it"
+        f"`bench fit auto {shlex.quote(scene)} --out OUT {options}` does it"
     )
     return 0
 

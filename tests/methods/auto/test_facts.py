@@ -57,7 +57,7 @@ def test_what_is_counted():
 
 def test_a_scene_without_tracks_says_so():
     facts = facts_of(tiny_scene(), ROOM)
-    words = {what: (value, meaning) for what, value, meaning in told(facts)}
+    words = {what: (value, meaning) for what, value, meaning in told(facts, facts.points)}
     assert words["baselines"][0] == "not known"
     assert facts.coverage > 0
 

@@ -15,6 +15,7 @@ from splatproof.methods.auto.fit import PLAN, Recount, fit, planned
 from splatproof.methods.auto.goal import keep_back
 from splatproof.methods.auto.probe import probe_of
 from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.threedgs.settings import Settings
@@ -102,10 +103,34 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
     assert names == [
-        "matched points", "completed depths", "exposure", "blocks", "points", "Gaussians", "largest scale", "steps",
-        "dropout",
+        "matched points", "completed depths", "exposure", "blocks", "points", "Gaussians", "largest scale",
+        "harmonics", "opacity term", "steps", "dropout",
     ]  # fmt: skip
     assert found.plan.choices[2].because.startswith("probe: ")
+
+
+def test_a_model_is_no_larger_than_was_asked_for_however_many_points_it_starts_from(tmp_path):
+    asked = AutoSettings(megabytes=0.02, seconds=20.0, steps=200, probe_share=0.0, exposure="gain")
+    save_model(fit(tiny_scene(points=400), asked, Run(threads=1)), tmp_path / "model", Origin())
+    size = sum(path.stat().st_size for path in (tmp_path / "model").rglob("*") if path.is_file())
+    assert 0.01 * 2**20 < size <= 0.02 * 2**20
+
+
+def test_pixels_that_do_not_count_judge_nothing():
+    mask = torch.ones(18, 24, dtype=torch.bool)
+    mask[:, 12:] = False
+    scene = tiny_scene(views=10, mask=mask)
+
+    def spoilt(view):
+        return replace(view, load=lambda: torch.where(mask[..., None], view.load(), 0.0))
+
+    other = replace(scene, views=tuple(map(spoilt, scene.views)))
+    scores = []
+    for one in (scene, other):
+        probe = probe_of(one, Run(threads=1))
+        assert probe is not None
+        scores.append(probe.score(Settings(iterations=20, sh_degree=0)))
+    assert scores[0] == scores[1]
 
 
 def goal_of(db: float) -> tuple[dict[str, str], dict[str, int]]:
@@ -158,11 +183,11 @@ def test_photos_are_read_once_and_only_as_long_as_there_is_time():
         return replace(view, load=lambda: reads.append(view.name) or view.load())
 
     scene = replace(scene, views=tuple(counted(view) for view in scene.views))
-    auto.read_ahead(auto.remembering(scene, 0), -1.0)
+    auto.read_ahead(auto.remembering(scene, 0), -1.0, 2)
     assert reads == []
     remembered = auto.remembering(scene, 2**20)
     for _ in range(2):
-        auto.read_ahead(remembered, 10.0)
+        auto.read_ahead(remembered, 10.0, 2)
     assert sorted(reads) == [view.name for view in scene.train_views]
 
 

@@ -53,6 +53,14 @@ def test_gaussians_move_where_sweeps_show_motion(known, moves, because):
     assert because in choice.because
 
 
+def test_nothing_moves_in_a_file_of_a_bound_that_what_moves_does_not_have():
+    found, (choice,) = planned_motion(DRIVE, AutoSettings(megabytes=1.0), facts())
+    assert not found
+    assert choice.because == "megabytes is given, and Gaussians that move have no such bound"
+    with pytest.raises(UsageError, match="motion is True, .* megabytes bounds the saved model"):
+        AutoSettings(megabytes=1.0, motion=True)
+
+
 def test_nothing_is_said_of_a_scene_of_one_moment():
     assert planned_motion(tiny_scene(), AutoSettings(), facts(moments=1)) == (False, ())
     assert planned_motion(tiny_scene(), AutoSettings(), facts(moments=0)) == (False, ())

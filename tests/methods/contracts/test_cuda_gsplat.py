@@ -3,7 +3,9 @@
 This shows that arguments and results are translated rightly; it runs no line of gsplat.
 """
 
+import gc
 import sys
+import weakref
 from types import SimpleNamespace
 from typing import Any
 
@@ -70,6 +72,25 @@ def test_arguments_and_results_are_translated(mode, background, lit):
     assert probe.absolute.grad is not None
     torch.testing.assert_close(probe.signed.grad, torch.ones(15, 2))
     assert torch.allclose(probe.absolute.grad, torch.full((15, 2), 7.0))
+
+
+def test_nothing_of_a_step_outlives_it(monkeypatch):
+    """A hook on a tensor that its own closure holds is a circle that nobody collects: 20 GB in 2,500 steps."""
+    alive = []
+
+    def watched(*given, **options):
+        image, alpha, meta = rasterization(*given, **options)
+        alive.append(weakref.ref(meta["means2d"]))
+        return image, alpha, meta
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=watched))
+    g = random_gaussians(3)
+    probe = ScreenProbe.zeros(3, g.means)
+    given = (camera(2), g.means, g.quaternions, g.scales, g.opacities)
+    cuda_gsplat.rasterize(*given, sh=g.sh, probe=probe).colour.mean().backward()
+    gc.collect()
+    assert probe.signed.grad is not None
+    assert [held() for held in alive] == [None]
 
 
 def test_what_gsplat_does_not_give_is_refused():

@@ -106,6 +106,19 @@ def test_random_points_lie_where_a_training_camera_sees():
     assert not torch.equal(other.positions, positions)
 
 
+def test_points_are_drawn_in_front_of_cameras_that_all_stand_in_one_place():
+    """A panorama without points: its extent is 0, and nothing drawn at 0 would ever be seen."""
+    scene = replace(tiny_scene(), points=sparse_points(torch.zeros(0, 3)))
+    pose = scene.views[0].camera.world_to_camera
+    scene = replace(scene, views=tuple(
+        replace(view, camera=replace(view.camera, world_to_camera=pose)) for view in scene.views
+    ))  # fmt: skip
+    points = initialise.with_random_points(scene, 500, seed=3).points
+    depth = project_points(scene.views[0].camera, points.positions)[1]
+    assert float(depth.min()) >= 0.1 - 1e-6
+    assert float(depth.max()) <= 10 + 1e-6
+
+
 def test_scenes_with_points_and_settings_without_random_ones_stay_as_they_are():
     scene = tiny_scene()
     assert initialise.with_random_points(scene, 500, seed=0) is scene

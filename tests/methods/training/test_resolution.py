@@ -84,6 +84,19 @@ def test_training_renders_small_views_first():
     assert sizes == [max(LEAST_SIDE, round(whole / 2))] * 4 + [whole] * 4
 
 
+def test_photos_that_are_as_small_as_can_be_stay_as_they_are():
+    """Shrunk to its own size, a photo once waited for itself, for ever."""
+    scene, run = tiny_scene(), Run(threads=1)
+    scene = replace(scene, views=tuple(shrunk(view, 9.0) for view in scene.views))
+    settings = Settings(iterations=4, resolution=Resolution(coarsest=2.0, full_from=0.5))
+    trainer = Trainer(*prepare(scene, settings, run), run)
+    (view, *_) = scene.train_views
+    trainer.step = 1
+    assert view.size == (LEAST_SIDE, LEAST_SIDE)
+    assert trainer.sized(view) is view
+    assert trainer.photo(trainer.sized(view)).shape[:2] == view.size
+
+
 def test_the_loss_falls_whatever_the_sizes():
     losses = []
     run = Run(threads=1, report=lambda step, total, values: losses.append(values["loss"]))

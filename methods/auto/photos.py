@@ -1,0 +1,200 @@
+"""Which photos are trained on and how large, where the seconds do not hold all of them at full size."""
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from splatproof.methods.auto.planner import Choice, usual_for
+from splatproof.methods.auto.probe import kept, spread
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.speed import VIEWS, Speed, measure
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.training.image_room import READING_BYTES
+from splatproof.methods.training.resolution import shrunk
+from splatproof.methods.training.threads import threads
+from splatproof.reference.types.scene import Scene, View
+
+LARGE = 500_000
+"""Pixels of a photo up to which all photos are trained on as they are: a minute holds a thousand steps of them."""
+ENOUGH = 1000
+"""Steps that are to fit: photos are halved until they do."""
+SHORT_SIDE = 300
+"""Pixels that the short side of a photo keeps, however few steps fit."""
+SMALL = 100_000
+"""About as many pixels the photos have on which the speed of this machine is measured."""
+READING = 0.3
+"""Share of the seconds that reading large photos may take; of more photos some are left out, evenly."""
+FEWEST = 12
+"""Photos that are read however long it takes."""
+BYTES = 12
+"""Bytes of a pixel in memory: three float32."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Photos:
+    """What is trained on."""
+
+    factor: float = 1.0
+    """Factor, >= 1, by which both sides of every training photo are shrunk before anything looks at it."""
+    train: tuple[int, ...]
+    """Indices of the training views that are read."""
+    choices: tuple[Choice, ...] = ()
+    """Each decision and why; none where nothing is left out."""
+    seconds: float = 0.0
+    """Wall seconds that the decision took."""
+
+
+def working(scene: Scene, photos: Photos) -> Scene:
+    """The scene with the photos that are trained on, each as large as it is trained on.
+
+    Args:
+        scene: As a method gets it.
+        photos: What was decided of it.
+    """
+    views = list(scene.views)
+    if photos.factor > 1:
+        for index in photos.train:
+            views[index] = shrunk(views[index], photos.factor)
+    return replace(scene, views=tuple(views), train=photos.train)
+
+
+def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
+    """Halve large photos until `ENOUGH` steps fit into the seconds, and read as many as can be read.
+
+    A step of a photo of twelve million pixels takes half a second, and reading it as long: a minute at that size is
+    a blur. Photos with priors, sweeps or sky masks keep their size, and so do all where the number of steps or
+    `coarsest` is given.
+
+    Args:
+        scene: As a method gets it, with points.
+        asked: The budget.
+        run: Threads, and bytes for photos in memory.
+
+    Source: ours.
+    """
+    began = time.perf_counter()
+    views = scene.train_views
+    everything = Photos(train=scene.train)
+    pixels = middle_pixels(views)
+    fixed = asked.steps is not None or asked.coarsest is not None
+    if pixels <= LARGE or fixed or any(map(_has_more, views)):
+        return everything
+    views[len(views) // 2].load()
+    each = time.perf_counter() - began
+    with threads(run.threads):
+        speed = _speed(scene, asked, run, math.sqrt(pixels / SMALL))
+        readers = reading_threads(1.0, views, run.image_bytes)
+    spent = time.perf_counter() - began
+    count = min(len(views), max(FEWEST, int(READING * asked.seconds * readers / each)))
+    left = asked.seconds - spent - count * each / readers
+    short = min(min(view.size) for view in views)
+    factor = size_factor(
+        pixels, points=len(scene.points), speed=speed, seconds=left,
+        most=max(1.0, short / SHORT_SIDE),
+    )  # fmt: skip
+    while (
+        count * pixels / factor**2 * BYTES > run.image_bytes and short / (2 * factor) >= SHORT_SIDE
+    ):
+        factor *= 2
+    fitting = int(run.image_bytes / (pixels / factor**2 * BYTES))
+    because = f"reading one takes {each:.1f} s"
+    if fitting < count:
+        count, because = max(FEWEST, fitting), f"{run.image_bytes >> 20:,} MB hold no more"
+    count = min(len(views), count)
+    train = tuple(sorted(spread(scene.train, count)))
+    return Photos(
+        factor=factor, train=train, seconds=time.perf_counter() - began,
+        choices=_choices(factor, views[0].size, pixels, speed, left, count, len(views), because),
+    )  # fmt: skip
+
+
+def middle_pixels(views: Sequence[View]) -> int:
+    """Pixels of the photo in the middle, by size.
+
+    Args:
+        views: At least one.
+    """
+    sizes = sorted(view.camera.width * view.camera.height for view in views)
+    return sizes[len(sizes) // 2]
+
+
+def reading_threads(factor: float, views: Sequence[View], image_bytes: int) -> int:
+    """How many photos may be read at once: no more than what reading them takes fits into the bytes for photos.
+
+    Args:
+        factor: Factor by which each is shrunk once it is read.
+        views: What is read, as it is after that.
+        image_bytes: Bytes for photos.
+    """
+    largest = max(view.camera.width * view.camera.height for view in views) * factor**2
+    return max(1, min(torch.get_num_threads(), int(image_bytes / (READING_BYTES * largest))))
+
+
+def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most: float) -> float:
+    """Least power of two by which photos are shrunk so that `ENOUGH` steps fit.
+
+    Args:
+        pixels: Pixels of a photo.
+        points: Points to start from; twice as many Gaussians are taken to be there in the middle of the training,
+            and no more than one for every other pixel.
+        speed: Of photos with `SMALL` pixels.
+        seconds: Wall seconds of training.
+        most: Largest factor, >= 1.
+
+    Returns: A power of two of at most `most`, the largest where even that is not enough.
+    """
+    factor = 1.0
+    while 2 * factor <= most and seconds / step_seconds(pixels, factor, points, speed) < ENOUGH:
+        factor *= 2
+    return factor
+
+
+def step_seconds(pixels: int, factor: float, points: int, speed: Speed) -> float:
+    """Wall seconds of a step on one photo.
+
+    Args:
+        pixels: Pixels of a photo at full size.
+        factor: Factor by which it is shrunk.
+        points: As for `size_factor`.
+        speed: Of photos with `SMALL` pixels.
+    """
+    seen = pixels / factor**2
+    return speed.pixels * seen / SMALL + speed.gaussian * min(2 * points, seen / 2)
+
+
+def _has_more(view: View) -> bool:
+    """Whether a view has what would be lost with its size."""
+    return any(load is not None for load in (view.load_prior, view.load_sweep, view.load_sky))
+
+
+def _speed(scene: Scene, asked: AutoSettings, run: Run, factor: float) -> Speed:
+    """How fast steps on a few small photos are."""
+    few = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
+    views = list(scene.views)
+    for index in few:
+        views[index] = kept(shrunk(views[index], factor))
+    width, height = views[few[0]].camera.width, views[few[0]].camera.height
+    small = replace(scene, views=tuple(views), train=few)
+    return measure(small, usual_for(asked, width, height), run)
+
+
+def _choices(
+    factor: float, size: tuple[int, int], pixels: int, speed: Speed, seconds: float,
+    count: int, views: int, because: str,
+) -> tuple[Choice, ...]:  # fmt: skip
+    height, width = size
+    told = []
+    if factor > 1:
+        whole = max(0.0, seconds) / step_seconds(pixels, 1.0, 0, speed)
+        told.append(Choice(
+            component="photos' size", value=f"1/{factor:g} of {width:,} x {height:,} pixels",
+            because=f"at full size about {whole:.0f} steps would fit, and {ENOUGH} are wanted",
+        ))  # fmt: skip
+    if count < views:
+        told.append(
+            Choice(component="photos", value=f"{count} of {views}, evenly", because=because)
+        )
+    return tuple(told)
