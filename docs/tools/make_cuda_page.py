@@ -1,8 +1,9 @@
-"""Make docs/cuda.md: python docs/tools/make_cuda_page.py [RUNS/speed.jsonl [FIT ...]]
+"""Make docs/cuda.md: python docs/tools/make_cuda_page.py [RUNS/speed.jsonl [FIT ...]], or --released FIT ...
 
 From the rows that `bench study speed --backend cuda --out RUNS` has written on a machine with a GPU, and from folders
 of `bench fit` there, each with a file command.txt that holds its command. They are kept in docs/cuda.json with what the
-machine and its software are; run there. Without rows the page is written again from that file.
+machine and its software are; run there. With --released the folders are those of the table of long trainings, and
+all else stays. Without anything the page is written again from that file.
 """
 
 import json
@@ -91,9 +92,18 @@ either case) included; the scoring is not. PSNR and SSIM are means over the thre
   The models have 39,818 and 39,914 Gaussians. Of the held-out photos dji_0026 was looked at: paths, lawns and shadows are right in either
   picture, and the crowns of the trees are smears, of other strokes in each.
 - Scores of two sizes do not compare: the larger photos have more to get wrong.
-- No longer training, no second seed and no other scene was run; nor a training of a million Gaussians, where the first table lets one expect
-  most of a GPU.
-"""
+
+## The release's settings, and a minute of a laptop
+
+Method 3dgs with the release's settings and no other, on the GPU, at the photos' own size, beside method auto in a minute on two cores without one:
+
+{released_commands}
+
+{released}
+
+{released_findings}"""
+FINDINGS = Path(__file__).resolve().parents[1] / "cuda_findings.md"
+"""What the table of long trainings shows, written by hand."""
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -126,12 +136,12 @@ def read_training(folder: Path) -> dict[str, Any]:
         "command": (folder / "command.txt").read_text(encoding="utf-8").strip(),
         "steps": curve[-1]["step"], "seconds": curve[-1]["seconds"], "mark_seconds": at.get(MARK),
         "cpu_seconds": curve[-1]["cpu_seconds"], "gaussians": curve[-1]["values"]["gaussians"],
-        "psnr": None, "ssim_3dgs": None, "init_seconds": None, "views": {},
+        "psnr": None, "ssim_3dgs": None, "init_seconds": None, "views": {}, "flip": None,
     }  # fmt: skip
     record = folder / "record.json"
     if record.exists():
         held = json.loads(record.read_text(encoding="utf-8"))
-        told |= {name: held["metrics"][name] for name in ("psnr", "ssim_3dgs")}
+        told |= {name: held["metrics"][name] for name in ("psnr", "ssim_3dgs", "flip")}
         told["init_seconds"] = held["stages"]["init"]
         told["views"] = {image["name"]: image["metrics"]["psnr"] for image in held["images"]}
     return told
@@ -234,6 +244,28 @@ def trained(rows: list[dict[str, Any]]) -> str:
     return lined(heads, lines, 2)
 
 
+def released(rows: list[dict[str, Any]]) -> str:
+    """The table of long trainings with the release's settings, and of method auto.
+
+    Args:
+        rows: As `read_training` makes them.
+    """
+    heads = ("scene", "method", "by", "seed", "steps", "s in all", "CPU s", "PSNR", "SSIM", "FLIP", "Gaussians")
+    lines = []
+    for row in rows:
+        method, scene = row["command"].split()[2:4]
+        planned = int(asked(row["command"], "iterations") or row["steps"])
+        ended = row["steps"] < planned
+        scores = ("psnr", ".2f"), ("ssim_3dgs", ".3f"), ("flip", ".3f")
+        lines.append((
+            scene, method, asked(row["command"], "backend") or "two cores", asked(row["command"], "seed"),
+            f"{row['steps']:,}" + (f" of {planned:,}, ended" if ended else ""), f"{row['seconds']:.0f}",
+            f"{row['cpu_seconds']:.0f}", *("" if ended else format(row[name], form) for name, form in scores),
+            f"{row['gaussians']:,.0f}",
+        ))  # fmt: skip
+    return lined(heads, lines, 3)
+
+
 def page() -> str:
     """The page of the committed rows."""
     known = json.loads(ROWS.read_text(encoding="utf-8"))
@@ -245,15 +277,22 @@ def page() -> str:
         least=min(others), most=max(others), mark=MARK,
         commands="```\n" + "\n".join(row["command"] for row in known["trainings"]) + "\n```",
         trainings=trained(known["trainings"]),
+        released_commands="```\n" + "\n".join(row["command"] for row in known["released"]) + "\n```",
+        released=released(known["released"]), released_findings=FINDINGS.read_text(encoding="utf-8"),
     )  # fmt: skip
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
+    if sys.argv[1:2] == ["--released"]:
+        found = json.loads(ROWS.read_text(encoding="utf-8"))
+        found["released"] = [read_training(Path(name)) for name in sys.argv[2:]]
+        ROWS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    elif len(sys.argv) > 1:
         found = {
             "machine": machine(),
             "rows": read_rows(Path(sys.argv[1])),
             "trainings": [read_training(Path(name)) for name in sys.argv[2:]],
+            "released": json.loads(ROWS.read_text(encoding="utf-8"))["released"],
         }
         ROWS.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     PAGE.write_text(page(), encoding="utf-8")
