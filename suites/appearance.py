@@ -94,4 +94,6 @@ def _without_sensor(scene: Scene) -> str:
     others = sorted({view.sensor for view in scene.test_views} - trained)
     if not others:
         return ""
-    return f"no training view is of sensor {', '.join(map(repr, others))}: those of all sensors count"
+    return (
+        f"no training view is of sensor {', '.join(map(repr, others))}: those of all sensors count"
+    )

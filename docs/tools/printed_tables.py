@@ -84,7 +84,9 @@ def _table(table: Printed, rows: Sequence[Measured]) -> str:
     ]  # fmt: skip
     scenes = ", ".join(dict.fromkeys(run.scene for run in alike))
     means = f"Here: mean over {scenes}. " if scenes else ""
-    return "\n".join(lines) + f"\n\n{means}Pairs of rows in the printed order: {'; '.join(agreed)}.\n"
+    return (
+        "\n".join(lines) + f"\n\n{means}Pairs of rows in the printed order: {'; '.join(agreed)}.\n"
+    )
 
 
 def printed_value(table: Printed, line: Line, metric: str) -> float:
@@ -155,7 +157,9 @@ def busy(table: Printed, metric: str, rows: Sequence[Measured]) -> str:
     waiting = sorted({run.row for run in rows if run.row in named and waited(run)})
     if not waiting or SECONDS.get(metric) not in TIMES:
         return ""
-    return f"{metric} not testable here ({', '.join(waiting)}: timed while the machine had other work)"
+    return (
+        f"{metric} not testable here ({', '.join(waiting)}: timed while the machine had other work)"
+    )
 
 
 def _agreement(metric: str, pairs: Sequence[tuple[float, float]]) -> str:

@@ -237,9 +237,13 @@ def test_printed_rows_beside_ours():
     # printed: HDGS is above PVG; here b is below a, and as fast
     assert "psnr 0 of 1; fps 0 of 1." in text
     assert "Here: mean over s." in text
-    busy = [replace(one, values={**one.values, "train_seconds": 9.0, "cpu_seconds": 3.0}) for one in some_rows()]
-    assert "psnr 0 of 1; fps not testable here (a, b: timed while the machine had other work)." in (
-        printed_tables([table], busy)[-1]
+    busy = [
+        replace(one, values={**one.values, "train_seconds": 9.0, "cpu_seconds": 3.0})
+        for one in some_rows()
+    ]
+    assert (
+        "psnr 0 of 1; fps not testable here (a, b: timed while the machine had other work)."
+        in (printed_tables([table], busy)[-1])
     )
     turned = [replace(one, row="b" if one.row == "a" else "a") for one in some_rows()]
     assert "psnr 1 of 1" in printed_tables([table], turned)[-1]
