@@ -99,6 +99,8 @@ def test_what_a_mask_hides_says_nothing(name):
     hidden[:, 12:] = 100 * depths(2)[:, 12:]
     one, other = (local.loss(frame(depth, mask=mask)) for depth in (depths(), hidden))
     assert 0 < float(one) == float(other)
+    level = torch.where(mask, 3.0, depths())  # the rim of the mask has neighbours on one side alone
+    assert float(local.loss(frame(level, mask=mask))) == pytest.approx(0, abs=1e-6)
 
 
 def test_order_counts_and_neither_scale_nor_zero_point_of_the_prior():
