@@ -203,6 +203,7 @@ def _views(
                 else depth_loader(folder, photo.name, size, scaled),
                 load_sky=truth.sky_mask if photo.sky else None,
                 load_sweep=partial(read_sweep, sweep, shift, start) if sweep else None,
+                sweep_time=sweep.time - start if sweep else None,
                 load_moving=partial(truth.moving_masks, photo.moving) if photo.moving else None,
                 time=None if photo.time is None else photo.time - start,
                 sensor=photo.sensor,

@@ -162,7 +162,7 @@ COSTS = (
     Column(
         key="primitives",
         title="primitives",
-        about="Gaussians of the saved model",
+        about="Gaussians of the saved model, or its anchors, of which each becomes several",
         digits=0,
         source="primitives",
     ),

@@ -11,7 +11,7 @@ from splatproof.methods.contracts.reconstruction import Adapts, Reconstruction
 from splatproof.metrics.colour_fit import fit_colours
 from splatproof.reference.types.nearest_view import nearest_view
 from splatproof.reference.types.protocol import Protocol
-from splatproof.reference.types.scene import View
+from splatproof.reference.types.scene import Scene, View
 
 
 def shown(view: View, training: Sequence[View], model: Reconstruction, protocol: Protocol) -> View:
@@ -67,14 +67,33 @@ def usable_columns(width: int, protocol: Protocol) -> slice:
     return slice(0, width if protocol.appearance == "oracle" else width // 2)
 
 
-def told(model: Reconstruction, protocol: Protocol) -> str:
-    """What a record says of the appearance of its test views.
+def told(model: Reconstruction, protocol: Protocol, scene: Scene) -> str:
+    """What a record says of the appearance of its test views, and what a scene lacks for the rule.
 
     Args:
         model: What was scored.
         protocol: The rules.
+        scene: What it was scored on; sensors count.
     """
     rule = protocol.appearance
+    if rule == "nearest" and (lacking := _without_sensor(scene)):
+        return f"{rule}: {lacking}"
     if rule in ("half", "oracle") and not isinstance(model, Adapts):
         return f"{rule}: this kind of model has none to fit"
     return rule
+
+
+def _without_sensor(scene: Scene) -> str:
+    """Why sensors cannot say which training view has a test view's light; empty where they can."""
+    trained = {view.sensor for view in scene.train_views}
+    if trained == {""}:
+        return (
+            "no view names its sensor (views.json does), so views of all cameras count as of one; "
+            "a protocol with appearance = none does without"
+        )
+    others = sorted({view.sensor for view in scene.test_views} - trained)
+    if not others:
+        return ""
+    return (
+        f"no training view is of sensor {', '.join(map(repr, others))}: those of all sensors count"
+    )

@@ -232,7 +232,7 @@ def _run(job: Job, tell: Tell) -> None:
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     identity["environment"] |= before.facts | {
-        "appearance": appearance.told(model, job.case.protocol)
+        "appearance": appearance.told(model, job.case.protocol, scene)
     }
     result = Result(
         **identity,

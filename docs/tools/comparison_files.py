@@ -25,6 +25,8 @@ from splatproof.suites.records import read_record
 from splatproof.suites.suite_files import Case, load_suite
 
 DOCS = Path(__file__).parents[1]
+CURVES = "Training loss and number of stored primitives (Gaussians, or anchors of several each)"
+"""What a picture of curves shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +41,8 @@ class Comparison:
     """Protocol whose pictures are shown."""
     scene: str
     """Scene whose pictures are shown."""
-    units: str = "moments"
-    """What its held-out views are, in captions."""
+    units: str = "held-out views"
+    """What a strip shows, in captions."""
 
 
 def main(comparison: Comparison) -> None:
@@ -138,14 +140,14 @@ def _strips(shown: Shown, comparison: Comparison, docs: Path) -> list[Picture]:
         folders = {case.row: folder for case, folder in own}
         images = docs / "images" / comparison.suite
         for row, path in save_strips(folders, crops(views), images).items():
-            caption = (f"{row}, {scene}: held-out {comparison.units} it never saw; photo, render, FLIP error "
+            caption = (f"{row}, {scene}: {comparison.units} it never saw; photo, render, FLIP error "
                        "(black: none). Seed 0.")  # fmt: skip
             made.append(Picture(path=path.relative_to(docs).as_posix(), caption=caption, row=row))
     return made
 
 
 def _curves(shown: Shown, name: str, docs: Path, *, later: bool) -> list[Picture]:
-    """Loss and number of Gaussians over the steps, a line a row that was run now.
+    """Loss and number of stored primitives over the steps, a line a row that was run now.
 
     What is run later gets a picture of its own, named after its first row, so that the curves of rows
     that were run before stay on the page.
@@ -162,14 +164,14 @@ def _curves(shown: Shown, name: str, docs: Path, *, later: bool) -> list[Picture
         grown = [(step, values[COUNT]) for step, values in curve if COUNT in values]
         counts.plot([step for step, _ in grown], [count for _, count in grown], **line)
     _titled(losses, "training loss, mean of 10 points")
-    _titled(counts, "Gaussians")
+    _titled(counts, "stored primitives")
     counts.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     stem = f"curves_{file_name(drawn[0][0])}" if later else "curves"
     path = docs / "images" / name / f"{stem}.png"
     save(figure, path)
     which = f", of {', '.join(row for row, _ in drawn)}" if later else ""
     return [Picture(path=path.relative_to(docs).as_posix(),
-                    caption=f"Training loss and number of Gaussians over the steps{which}, seed 0.")]  # fmt: skip
+                    caption=f"{CURVES} over the steps{which}, seed 0.")]  # fmt: skip
 
 
 def _titled(axes: Axes, title: str) -> None:

@@ -11,6 +11,7 @@ from kept_rows import Picture
 from printed_tables import Printed, printed_tables
 
 from splatproof.reports.claims.claim import Claim
+from splatproof.reports.claims.obstacles import method_of
 from splatproof.reports.measured import Measured
 from splatproof.reports.statistics import summarise
 from splatproof.reports.verdicts import DOUBLE, HALF, SETTLED, Judged, Verdict, judge
@@ -22,8 +23,10 @@ QUALITY: tuple[Cell, ...] = (
     ("psnr", "PSNR ↑", 2), ("seen_psnr", "of what is seen ↑", 2), ("moving_psnr", "moving ↑", 2), ("still_psnr", "still ↑", 2),
     ("ssim_3dgs", "SSIM ↑", 4), ("flip", "FLIP ↓", 4), ("depth_abs_rel", "depth AbsRel ↓", 3),
     ("depth_delta1", "depth δ1 ↑", 3), ("disk_mb", "stored MB ↓", 2), ("render_ms", "ms a frame ↓", 1),
-    ("primitives", "Gaussians", 0),
+    ("primitives", "stored primitives", 0),
 )  # fmt: skip
+ANCHORED = ("scaffold-gs", "dlg-gs", "hdgs")
+"""Methods whose stored primitives are anchors, of which each becomes several Gaussians when it is drawn."""
 COSTS: tuple[Cell, ...] = (
     ("train_seconds", "train s", 0), ("cpu_seconds", "CPU s", 0), ("peak_memory_mb", "peak MB", 0),
 )  # fmt: skip
@@ -75,8 +78,18 @@ def _head(page: Page) -> str:
     machines = "; ".join(sorted({row.machine for row in done if row.machine})) or "nothing yet"
     return HEAD.format(
         title=page.title, suite=page.suite, machines=machines, intro=page.intro.rstrip(),
-        missing=_missing(page), settled=SETTLED, larger=_larger(page.suite),
+        missing=_missing(page), settled=SETTLED, larger=_larger(page.suite), counted=_counted(page),
     )  # fmt: skip
+
+
+def _counted(page: Page) -> str:
+    """What the tables count, where some rows count anchors."""
+    return COUNTED if any(_anchored(row) for _, _, row in page.planned) else ""
+
+
+def _anchored(row: str) -> bool:
+    """Whether a row's method stores anchors."""
+    return method_of(row) in ANCHORED
 
 
 def _larger(suite: str) -> str:
@@ -179,6 +192,8 @@ def _table(rows: Sequence[Measured], named: Sequence[str], cells: Sequence[Cell]
         own = [row.values for row in done if row.row == name]
         if own:
             texts = [number([v.get(key) for v in own], digits) for key, _, digits in shown]
+            if shown[-1][0] == "primitives" and _anchored(name):
+                texts[-1] += " †"
             lines.append(f"| {name} | {len(own)} | " + " | ".join(texts) + " |")
     return "\n".join(lines) + "\n"
 
@@ -236,4 +251,8 @@ the interval lies on both sides. *too short to judge*: fewer than three seeds, n
 still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
 the other: by the rows `@half` and `@double`, which have half and twice the steps, or, without one, by the training
 loss of the last fifth.
+{counted}"""
+COUNTED = """
+*stored primitives* are Gaussians, or, with †: anchors, each of which becomes up to k Gaussians when it is drawn
+(scaffold-gs and dlg-gs: k = 10; hdgs: K = 12 where its row says nothing else). Numbers with and without † do not compare.
 """

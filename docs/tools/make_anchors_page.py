@@ -12,7 +12,6 @@ ANCHORS = Comparison(
     title="The anchors suite: Scaffold-GS beside 3DGS where nothing moves",
     protocol="default",
     scene="courtyard",
-    units="views",
     intro="""\
 The scenes are `courtyard`, which splatproof makes itself, and drone photos of a beach, both without motion and without
 change of light. Both methods are trained for about as many processor seconds on one thread each, as the tables show;

@@ -13,7 +13,6 @@ SPARSE = Comparison(
     title="The sparse suite: few views from the air",
     protocol="aerial_sparse_3",
     scene="aerial-sparse/houses",
-    units="views",
     intro="""\
 Eight made aerial scenes from 3, 5, 7 and 9 views and three real flights from 3, 6 and 9 photos spread over them;
 sparse points are triangulated from the training views alone, at given poses, and few come out of three. So every row

@@ -18,6 +18,7 @@ STREET = Comparison(
     title="The street suite: HDGS, PVG and static controls",
     protocol="street",
     scene="street",
+    units="views of held-out moments",
     intro="""\
 The scene is `street`: a made drive of 12 moments with three cameras, four moving cars and seven people, and a
 LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what truly moves and over the rest.
@@ -26,12 +27,13 @@ LiDAR; every 4th moment is held out. *moving* and *still* are PSNR over what tru
 mean of the three.
 
 - `3dgs` and `scaffold-gs` know no time: what motion costs. They have no sky and no LiDAR either.
-- `pvg`: Gaussians that swing and fade; `@no-lidar`, `@no-sky` without what they name.
+- `pvg`: Gaussians that swing and fade; `@no-lidar` reads no sweep, `@no-sky` learns no sky.
 - `hdgs`: anchors in three layers that move, K = 12 Gaussians an initial anchor; `@n2`, `@n4` layers, `-leaf` with
   K = 6 for each anchor of the last layer, `-even` that from 20,000 and 5,000 anchors, as many Gaussians as three
   layers start from; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step; `@no-lds` without local
   depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth, warped, blurred and
-  disturbed as networks do); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`: layer 0 does not move;
+  disturbed as networks do; `~depth-lidar`: sweeps, completed); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`: layer 0 does not move;
+  `@no-lidar` lacks the LiDAR's term and still starts from sweeps, `@no-sweeps` reads none, as `pvg@no-lidar`;
   `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most 24,000 anchors in place of 10,000.
   `@ours`: two layers of at most 36,000 anchors with six Gaussians each, a sky that pixels mostly covered do not teach, other rates of
   scales and offsets; chosen on a drive that is in no table. All other rows have the papers' sky.

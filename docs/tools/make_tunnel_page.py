@@ -17,6 +17,7 @@ TUNNEL = Comparison(
     title="The tunnel suite: DLG-GS, Scaffold-GS and exposure baselines",
     protocol="tunnel",
     scene="tunnel",
+    units="cameras of the held-out stop",
     intro="""\
 The scene is `tunnel`: a rock tunnel that a rig of six cameras drives through, lit by the rig's own lamps alone. One
 stop of eight is held out with all its cameras. Protocols `tunnel`, `tunnel_half` and `tunnel_oracle` are one training,
@@ -28,12 +29,12 @@ of the three tunnels, as its tables are.
 - `3dgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
   networks must beat.
 - `dlg-gs`: adapted colours and depth constraints, with a depth prior (`~depth-oracle+noise`: true depth, warped,
-  blurred and disturbed as networks do); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
+  blurred and disturbed as networks do; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
   terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map.
 """,
     printed=(
         Printed(
-            paper="DLG-GS", table="1", title="its own tunnels, mean of three",
+            paper="DLG-GS", table="1", title="its own tunnels (printed: mean of three)",
             metrics=("psnr", "ssim", "fps", "gpu_hours"), protocol="tunnel",
             lines=(
                 Line(method="3DGS", row="3dgs"),
@@ -43,7 +44,7 @@ of the three tunnels, as its tables are.
             ),
         ),
         Printed(
-            paper="DLG-GS", table="3", title="ablation, mean of three tunnels",
+            paper="DLG-GS", table="3", title="ablation (printed: mean of three tunnels)",
             metrics=("psnr", "ssim"), protocol="tunnel",
             lines=(
                 Line(method="DLG-GS", variant="Base (Scaffold-GS)", row="scaffold-gs"),

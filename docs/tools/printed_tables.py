@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from splatproof.reports.measured import Measured
+from splatproof.reports.verdicts import TIMES, waited
 from splatproof.suites.published.rows import numbers
 
 OURS = {"storage_mb": "disk_mb", "fps": "fps", "psnr": "psnr", "ssim": "ssim_3dgs",
         "absrel": "depth_abs_rel", "delta1": "depth_delta1", "gpu_hours": "train_seconds"}  # fmt: skip
 """What we call a printed metric."""
+SECONDS = {"fps": "render_ms", "gpu_hours": "train_seconds"}
+"""The time that we measured behind a printed one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +78,15 @@ def _table(table: Printed, rows: Sequence[Measured]) -> str:
         cells = [_text(v) for metric in table.metrics for v in values[line, metric]]
         name = f"{line.method} {line.variant.rstrip('*')}".strip()
         lines.append(f"| {name} | `{line.row}` | " + " | ".join(cells) + " |")
-    agreed = [_agreement(metric, [values[line, metric] for line in table.lines])
-              for metric in table.metrics]  # fmt: skip
-    return "\n".join(lines) + "\n\nPairs of rows in the printed order: " + "; ".join(agreed) + ".\n"
+    agreed = [
+        busy(table, metric, alike) or _agreement(metric, [values[line, metric] for line in table.lines])
+        for metric in table.metrics
+    ]  # fmt: skip
+    scenes = ", ".join(dict.fromkeys(run.scene for run in alike))
+    means = f"Here: mean over {scenes}. " if scenes else ""
+    return (
+        "\n".join(lines) + f"\n\n{means}Pairs of rows in the printed order: {'; '.join(agreed)}.\n"
+    )
 
 
 def printed_value(table: Printed, line: Line, metric: str) -> float:
@@ -134,6 +143,23 @@ def ours(table: Printed, line: Line, metric: str, rows: Sequence[Measured]) -> f
         unit = 3600 if metric == "gpu_hours" else 1
         found = [v[OURS[metric]] / unit for v in own if OURS[metric] in v]
     return fmean(found) if found else math.nan
+
+
+def busy(table: Printed, metric: str, rows: Sequence[Measured]) -> str:
+    """That the order of rows by a time says nothing, in the words of the claims; empty where it does.
+
+    Args:
+        table: Its lines count.
+        metric: As in numbers.csv.
+        rows: Our cases that are compared.
+    """
+    named = {line.row for line in table.lines}
+    waiting = sorted({run.row for run in rows if run.row in named and waited(run)})
+    if not waiting or SECONDS.get(metric) not in TIMES:
+        return ""
+    return (
+        f"{metric} not testable here ({', '.join(waiting)}: timed while the machine had other work)"
+    )
 
 
 def _agreement(metric: str, pairs: Sequence[tuple[float, float]]) -> str:

@@ -1,4 +1,4 @@
-"""Strips: five held-out moments of a row, with the photo above and the error below."""
+"""Strips: up to five held-out views of a row, with the photo above and the error below."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,8 @@ from splatproof.reference.types.scene import View
 
 Image = UInt8[np.ndarray, "_ _ 3"]
 """BGR."""
-MOMENTS = 5
+VIEWS = 5
+"""Most views of a strip; several may show one moment."""
 SHARE = 0.6
 """Side of the shown part of a view over the view's, where something moves in it."""
 WIDTH = 190
@@ -58,9 +59,9 @@ def crops(views: Sequence[View]) -> list[Crop]:
     sizes = [int(mask.sum()) for mask in moving]
     if any(sizes):
         most = sorted(range(len(views)), key=lambda i: -sizes[i])
-        chosen = [i for i in most[:MOMENTS] if sizes[i]]
+        chosen = [i for i in most[:VIEWS] if sizes[i]]
     else:
-        chosen = [round(i * (len(views) - 1) / max(1, MOMENTS - 1)) for i in range(MOMENTS)]
+        chosen = [round(i * (len(views) - 1) / max(1, VIEWS - 1)) for i in range(VIEWS)]
     return [_around(views[i], moving[i]) for i in sorted(set(chosen))]
 
 

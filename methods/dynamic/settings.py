@@ -38,7 +38,8 @@ class LidarSettings:
     """The term that pulls rendered depth to what the LiDAR measured."""
 
     weight: float = 0.1
-    """Weight at the first step (PVG's release: 0.1; HDGS: 0.01); 0: sweeps are not read."""
+    """Weight at the first step (PVG's release: 0.1; HDGS: 0.01); 0: no such term. What training starts from is
+    chosen apart: start.sweep_points of pvg, from_sweeps of hdgs."""
     inverse: bool = True
     """Whether inverse depths are compared, as in PVG's release; False: depths, as in HDGS."""
     decay: float = 8000.0

@@ -39,7 +39,7 @@ class TimedPoints:
     colours: UInt8[Tensor, "n 3"]
     """SRGB of the photo where each was seen."""
     seconds: Float[Tensor, " n"]
-    """Float64, since the scene's first view: when each was hit."""
+    """Float64, since the scene's first view: when the sweep was taken that hit each."""
     moved: Bool[Tensor, " n"]
     """Whether other sweeps looked through where it was."""
     velocities: Float[Tensor, "n 3"]
@@ -61,9 +61,11 @@ class TimedPoints:
 def timed_points(scene: Scene, moments: Collection[float] | None = None) -> TimedPoints:
     """Returns of the training views' sweeps that a training photo of their moment shows, by time.
 
+    A moment is a sweep with all photos that it belongs to, be they triggered one after the other.
+
     Args:
         scene: Its training views with a sweep and a time count; a few sweeps and one image are held at a time.
-        moments: Times whose returns are wanted; None: all.
+        moments: Times of sweeps whose returns are wanted; None: all.
 
     Source: Chen et al. 2023, "Periodic Vibration Gaussian", Sec. 4.1 (its release leaves the colours
         black); which of them moved: ours, by looking through, as in LiDAR map cleaning.
@@ -101,7 +103,7 @@ def timed_points(scene: Scene, moments: Collection[float] | None = None) -> Time
 
 
 def swept_moments(scene: Scene) -> list[float]:
-    """Times of the training views that have a sweep, in order.
+    """Times of the training views' sweeps, each once, in order.
 
     Args:
         scene: Its training views count.
@@ -110,12 +112,16 @@ def swept_moments(scene: Scene) -> list[float]:
 
 
 def _swept(scene: Scene) -> dict[float, list[View]]:
-    """Training views with a sweep, by their time, in order."""
-    groups: dict[float, list[View]] = defaultdict(list)
+    """Training views with a sweep, by the time of the sweep, in order; of each those nearest to it first."""
+    groups: dict[float, list[tuple[float, View]]] = defaultdict(list)
     for view in scene.train_views:
         if view.load_sweep is not None and view.time is not None:
-            groups[view.time].append(view)
-    return dict(sorted(groups.items()))
+            time = view.time if view.sweep_time is None else view.sweep_time
+            groups[time].append((abs(view.time - time), view))
+    return {
+        time: [view for _, view in sorted(own, key=lambda one: one[0])]
+        for time, own in sorted(groups.items())
+    }
 
 
 def joined(parts: Sequence[TimedPoints]) -> TimedPoints:

@@ -1,7 +1,8 @@
 """The time that dynamic models count in: frames of a drive, its middle at 0."""
 
 import itertools
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -66,10 +67,12 @@ class Clock:
 
 
 def clock_of(scene: Scene) -> Clock:
-    """The clock of a scene: its frames are as far apart as its moments most often are.
+    """The clock of a scene: its frames are as far apart as photos of one sensor most often are.
+
+    So cameras that are triggered one after the other are of one frame.
 
     Args:
-        scene: Times of all views count, those of held-out ones too: they say when, not what.
+        scene: Times and sensors of all views count, those of held-out ones too: they say when, not what.
 
     Raises: DataError if a view has no time.
     """
@@ -79,10 +82,19 @@ def clock_of(scene: Scene) -> Clock:
                 f"scene {scene.name!r}: view {view.name!r} has no time, which a moving model needs; "
                 "add views.json, or use a static method such as 3dgs"
             )
-    moments = sorted({view.time for view in scene.views if view.time is not None})
-    gaps = sorted(b - a for a, b in itertools.pairwise(moments) if b - a > SAME)
+    by_sensor: dict[str, set[float]] = defaultdict(set)
+    for view in scene.views:
+        by_sensor[view.sensor].add(view.time or 0.0)
+    moments = sorted(set().union(*by_sensor.values()))
+    gaps = sorted(gap for own in by_sensor.values() for gap in _gaps(own)) or _gaps(moments)
     second = FRAME / (gaps[len(gaps) // 2] if gaps else ONE_MOMENT)
     first, last = (moments[0], moments[-1]) if moments else (0.0, 0.0)
     return Clock(
         middle=(first + last) / 2, second=second, duration=max((last - first) * second, FRAME)
     )
+
+
+def _gaps(times: Collection[float]) -> list[float]:
+    """Seconds between moments that follow each other, short to long."""
+    found = (b - a for a, b in itertools.pairwise(sorted(times)))
+    return sorted(gap for gap in found if gap > SAME)

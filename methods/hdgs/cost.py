@@ -27,7 +27,7 @@ def cost(settings: Settings, scene: Scene) -> Cost:
         scene: Opened under the protocol; no image is read.
     """
     cameras = [view.camera for view in scene.train_views]
-    swept = any(view.load_sweep for view in scene.train_views)
+    swept = settings.from_sweeps and any(view.load_sweep for view in scene.train_views)
     started = settings.anchors if swept else min(settings.anchors, len(scene.points))
     slots = settings.sizes.gaussians * started * GROWN
     pixels = statistics.fmean(camera.width * camera.height for camera in cameras)

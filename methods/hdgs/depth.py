@@ -1,7 +1,7 @@
 """Depth terms of rendered views: the order of a depth prior, smoothness, and outliers."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
@@ -73,7 +73,8 @@ def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
     """Steps of depth between neighbours, and soft ranks off their neighbourhood's, away from edges.
 
     Twins of `depth_supervision.smoothness_loss`, on the whole image, and of `outlier_loss`, on a crop
-    drawn at random, since ranking is quadratic in the pixels. A photo's edges are found once.
+    drawn at random, since ranking is quadratic in the pixels. Pixels that a mask hides are left out: no
+    step leads to one, and none is ranked. A photo's edges are found once.
 
     Args:
         settings: Weights, edge of the crop, threshold, temperature.
@@ -90,7 +91,10 @@ def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
         weight, depth = weights(frame), frame.output.depth
         across = weight[:, :-1] * (depth[:, 1:] - depth[:, :-1]).abs()
         down = weight[:-1] * (depth[1:] - depth[:-1]).abs()
-        return (across.sum() + down.sum()) / (depth.numel() * unit)
+        if (mask := frame.mask) is None:
+            return (across.sum() + down.sum()) / (depth.numel() * unit)
+        across, down = across * (mask[:, 1:] & mask[:, :-1]), down * (mask[1:] & mask[:-1])
+        return (across.sum() + down.sum()) / (mask.sum().clamp(min=1) * unit)
 
     def outliers(frame: Frame) -> Float[Tensor, ""]:
         depth, side = frame.output.depth, settings.crop
@@ -99,10 +103,13 @@ def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
             int(share * max(1, size - side + 1))
             for share, size in zip(draw, depth.shape, strict=True)
         )
-        part = depth[row : row + side, column : column + side]
-        weight = weights(frame)[row : row + side, column : column + side]
-        ranks = soft_rank(standardised(part.flatten()), settings.temperature) / part.numel()
-        return weighted_outliers(ranks.reshape(part.shape), weight, settings.delta)
+        crop = (slice(row, row + side), slice(column, column + side))
+        part, weight = depth[crop], weights(frame)[crop]
+        counts = torch.ones_like(part).bool() if frame.mask is None else frame.mask[crop]
+        values = part[counts]
+        ranks = soft_rank(standardised(values), settings.temperature) / max(1, len(values))
+        image = torch.zeros_like(part).masked_scatter(counts, ranks)
+        return weighted_outliers(image, weight, settings.delta, counts)
 
     made = (
         Term(name="depth steps", loss=smooth, weight=settings.smooth),
@@ -112,17 +119,26 @@ def local_terms(settings: DepthSettings, unit: float) -> tuple[Term, ...]:
 
 
 def weighted_outliers(
-    ranks: Float[Tensor, "h w"], weight: Float[Tensor, "h w"], delta: float
+    ranks: Float[Tensor, "h w"],
+    weight: Float[Tensor, "h w"],
+    delta: float,
+    counts: Bool[Tensor, "h w"],
 ) -> Float[Tensor, ""]:
     """1/N sum w e over the pixels where e, the rank's distance to its neighbourhood's mean, is large.
 
+    0 where no pixel counts.
+
     Args:
-        ranks: Soft ranks, divided by the number of pixels.
+        ranks: Soft ranks, divided by the number of pixels that count; 0 elsewhere.
         weight: Weight of each pixel, from `edge_weight`.
         delta: What e must be above.
+        counts: The N pixels that count, as neighbours too.
     """
-    mean = functional.avg_pool2d(
-        ranks[None, None], 3, stride=1, padding=1, count_include_pad=False
-    )[0, 0]
-    off = (ranks - mean).abs()
-    return (weight * torch.where(off > delta, off, 0)).mean()
+    if not bool(counts.any()):
+        return ranks.new_zeros(())
+    total, share = functional.avg_pool2d(
+        torch.stack([ranks, counts.to(ranks)])[:, None],
+        3, stride=1, padding=1, count_include_pad=False,
+    )[:, 0]  # fmt: skip
+    off = (ranks - total / share.clamp(min=0.1)).abs()
+    return (weight * torch.where(off > delta, off, 0))[counts].mean()

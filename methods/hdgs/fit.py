@@ -1,5 +1,6 @@
 """Training of method hdgs."""
 
+import math
 from dataclasses import replace
 
 import torch
@@ -33,7 +34,8 @@ ALWAYS = 1e4
 WITHIN = 0.9
 """Share of the points that lie within one unit of the model's origin."""
 FAR = 10.0
-"""Distance in the model's unit from which points are left to the sky: networks read positions."""
+"""Distance in the model's unit from which points are left to the sky, where there is one: networks read
+positions."""
 
 
 def fit(scene: Scene, settings: Settings, run: Run) -> DecodedModel:
@@ -68,9 +70,9 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[HdgsModel, Plan
     Raises: DataError for a scene that lacks what the settings ask for.
     """
     clock, size = clock_of(scene), extent(scene)
-    points = measured(scene, run.seed)
+    points = measured(scene, run.seed, sweeps=settings.from_sweeps)
     frame, moves = frame_of(points.positions), settings.motion == "vibration"
-    points = in_model(points, frame, clock, moves=moves)
+    points = in_model(points, frame, clock, moves=moves, sky=settings.sky.resolution > 0)
     voxel = settings.voxel / frame.unit
     voxel = voxel or voxel_for(points.positions, settings.anchors)
     at = sites(points, voxel, middle=0.0)
@@ -105,16 +107,18 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[HdgsModel, Plan
     )  # fmt: skip
 
 
-def measured(scene: Scene, seed: int) -> TimedPoints:
+def measured(scene: Scene, seed: int, *, sweeps: bool) -> TimedPoints:
     """Sparse points, which stand still, and returns of LiDAR sweeps where there are some, shuffled.
 
     Args:
         scene: Training views and points count.
         seed: Seed of the order.
+        sweeps: Whether sweeps are read.
 
     Raises: DataError if there is no point of either kind, or no training view.
     """
-    if not scene.train or not any(view.load_sweep for view in scene.train_views):
+    swept = sweeps and any(view.load_sweep for view in scene.train_views)
+    if not scene.train or not swept:
         require_points(scene)
     count = len(scene.points)
     sparse = TimedPoints(
@@ -122,29 +126,34 @@ def measured(scene: Scene, seed: int) -> TimedPoints:
         seconds=torch.zeros(count).double(), moved=torch.zeros(count).bool(),
         velocities=torch.zeros(count, 3),
     )  # fmt: skip
-    points = joined([sparse, in_motion(timed_points(scene), scene.up)])
+    returns = [in_motion(timed_points(scene), scene.up)] if swept else []
+    points = joined([sparse, *returns])
     generator = torch.Generator().manual_seed(seed)
     return points.take(torch.randperm(len(points), generator=generator))
 
 
-def in_model(points: TimedPoints, frame: Frame, clock: Clock, *, moves: bool) -> TimedPoints:
-    """The points as the model counts lengths and times, without those left to the sky.
+def in_model(
+    points: TimedPoints, frame: Frame, clock: Clock, *, moves: bool, sky: bool
+) -> TimedPoints:
+    """The points as the model counts lengths and times, without those left to the sky, if it has one.
 
     Args:
         points: In scene units and seconds.
         frame: The model's coordinates.
         clock: What turns seconds into model time.
         moves: Whether anything may move.
+        sky: Whether the model has a sky.
     """
     second = clock.second / CYCLE
     places = frame.inwards(points.positions)
+    kept = places.norm(dim=1) < (FAR if sky else math.inf)
     return replace(
         points,
         positions=places,
         seconds=(points.seconds - clock.middle) * second,
         moved=points.moved & moves,
         velocities=points.velocities / (frame.unit * second),
-    ).take(places.norm(dim=1) < FAR)
+    ).take(kept)
 
 
 def frame_of(positions: torch.Tensor) -> Frame:

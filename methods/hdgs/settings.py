@@ -163,6 +163,9 @@ class Settings:
     voxel: float = 0.0
     """Edge in scene units of the voxels that start with an anchor where a point is; growing makes
     them half as wide (the paper: 0.001 of a scene's size). 0: from `anchors`."""
+    from_sweeps: bool = True
+    """Whether anchors start from LiDAR returns too, where and as fast as sweeps say, if the scene has sweeps;
+    False: from sparse points alone, at rest, and with lidar.weight = 0 no sweep is read."""
     anchors: int = 10_000
     """Most anchors at the start where `voxel` is 0. With 4,000 training photos of world street are matched
     1.7 dB worse after 600 steps, and more steps hardly help."""

@@ -40,7 +40,7 @@ def with_priors(
         prior: "none", which returns the scene itself, or what `kinds.resolved` made.
         seed: Seed of the case.
         data: Hash of the scene's files, see `splatproof.datasets.fingerprint`; "": there are none
-            or they were not read, and images, depths and sweeps are hashed instead.
+            or they were not read, and images, masks, depths and sweeps are hashed instead.
         report: Told (views that have their prior, views in all).
     Returns: The scene; its facts name the kind, the hashes of weights and priors, and the share of
         valid pixels.
@@ -115,6 +115,7 @@ def _key(
         digest.update(view.camera.world_to_camera.numpy().tobytes())
         if not data:
             digest.update(view.load().numpy().tobytes())
+            digest.update(b"" if view.load_mask is None else view.load_mask().numpy().tobytes())
             digest.update(b"" if view.load_depth is None else view.load_depth().numpy().tobytes())
             digest.update(
                 b"" if view.load_sweep is None else view.load_sweep().positions.numpy().tobytes()

@@ -12,7 +12,8 @@ def nearest_view(view: View, training: Sequence[View]) -> View:
     """The training view whose light a view most probably has.
 
     Views of the same sensor come before others, then those that look in nearly the same direction
-    (within 30 degrees, as long as there are any), and of these the one whose centre is nearest.
+    (within 30 degrees, as long as there are any), and of these the one whose centre is nearest. Where no
+    training view has its sensor, those of all sensors count; the record of a run says so.
 
     Args:
         view: Any view.

@@ -70,10 +70,10 @@ class Protocol:
     region: Literal["full", "right_half"] = "full"
     """Part of each test image that is scored."""
     appearance: Literal["none", "nearest", "half", "exposure", "oracle"] = "none"
-    """What may be known of a test image's light. nearest: the appearance of the nearest training view;
-    half: a code that the model fits to its left half; exposure: an affine map of the render's colours,
-    fitted on its left half, whatever the model; oracle: the model sees all of it, and such rows are
-    not ranked. half and exposure need `region` right_half."""
+    """What may be known of a test image's light. nearest: the appearance of the nearest training view,
+    of the same sensor where views name theirs; half: a code that the model fits to its left half;
+    exposure: an affine map of the render's colours, fitted on its left half, whatever the model; oracle:
+    the model sees all of it, and such rows are not ranked. half and exposure need `region` right_half."""
     metrics: tuple[str, ...] = ("psnr", "ssim_3dgs", "ssim_valid", "flip")
     """Per-image metrics by their names in splatproof.metrics.registry; the first one ranks."""
     parts: tuple[Literal["moving", "vehicles", "people", "still"], ...] = ()

@@ -50,6 +50,9 @@ class View:
     """Reads the mask of the sky (True: sky) where it is known; None: unknown."""
     load_sweep: Callable[[], Sweep] | None = None
     """Reads the LiDAR sweep that belongs to this view; None: there is none."""
+    sweep_time: float | None = None
+    """Seconds since the scene's first view: when that sweep was taken, by which views know that they share
+    one; None: at the view's own time."""
     load_prior: Callable[[], DepthPrior] | None = None
     """Reads the depth prior that a case was given; None: it has none."""
     time: float | None = None

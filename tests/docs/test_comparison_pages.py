@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import fields as fields_of
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from comparison_files import page, planned
-from comparison_page import Page, render_page
+from comparison_page import ANCHORED, Page, render_page
 from kept_rows import Picture, contradicts, joined, pictures_of, plain
 from make_anchors_page import ANCHORS
 from make_sparse_page import SPARSE
@@ -18,7 +19,7 @@ from make_street_page import STREET
 from make_tunnel_page import TUNNEL
 from make_unseen_page import UNSEEN
 from printed_tables import Line, Printed, ours, printed_tables, printed_value
-from strips import MOMENTS, SHARE, WIDTH, crops, strip
+from strips import SHARE, VIEWS, WIDTH, crops, strip
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.methods.registry import methods
@@ -162,6 +163,27 @@ def test_a_page_shows_verdicts_tables_and_lengths():
     assert "Failed" not in text
 
 
+def test_anchors_are_not_taken_for_gaussians():
+    counted = [replace(one, values={**one.values, "primitives": 1234.0}) for one in some_rows()]
+    planned = {("s", "p", "a"): 3, ("s", "p", "hdgs@n2"): 3}
+    rows = [replace(one, row=one.row.replace("b", "hdgs@n2")) for one in counted]
+    text = render_page(small_page(rows, planned=planned), [])
+    assert "stored primitives |" in text
+    assert "| Gaussians |" not in text
+    assert "| 1,234 ± 0 |\n" in text
+    assert "| 1,234 ± 0 † |\n" in text
+    assert "†: anchors" in text
+    assert "†" not in render_page(small_page(counted), [])
+
+
+def test_methods_of_anchors_are_known():
+    fields = {
+        name: {field.name for field in fields_of(method.settings)}
+        for name, method in methods().items()
+    }
+    assert {name for name, own in fields.items() if own & {"k", "children"}} == set(ANCHORED)
+
+
 def test_a_claim_over_several_scenes_names_them():
     claims = [replace(claim, scenes=("s", "t")) for claim in small_page([]).claims]
     rows = [replace(one, scene=scene) for scene in "st" for one in some_rows()]
@@ -214,6 +236,15 @@ def test_printed_rows_beside_ours():
     text = printed_tables([table], some_rows())[-1]
     # printed: HDGS is above PVG; here b is below a, and as fast
     assert "psnr 0 of 1; fps 0 of 1." in text
+    assert "Here: mean over s." in text
+    busy = [
+        replace(one, values={**one.values, "train_seconds": 9.0, "cpu_seconds": 3.0})
+        for one in some_rows()
+    ]
+    assert (
+        "psnr 0 of 1; fps not testable here (a, b: timed while the machine had other work)."
+        in (printed_tables([table], busy)[-1])
+    )
     turned = [replace(one, row="b" if one.row == "a" else "a") for one in some_rows()]
     assert "psnr 1 of 1" in printed_tables([table], turned)[-1]
     assert "psnr 0 of 0" in printed_tables([table], [])[-1]
@@ -253,7 +284,7 @@ def test_strips_show_the_views_with_most_that_moves_around_it():
 def test_where_nothing_moves_whole_views_are_spread():
     chosen = crops(views({}))
     assert [crop.view for crop in chosen] == [f"v{i}.png" for i in (0, 2, 4, 5, 7)]
-    assert len(chosen) == MOMENTS
+    assert len(chosen) == VIEWS
     assert chosen[0].part == tuple(slice(0, side) for side in views({})[0].size)
     assert len(crops(views({})[:1])) == 1
 

@@ -77,8 +77,23 @@ def test_without_appearance_the_other_light_costs(tmp_path):
 def test_half_lets_a_model_that_can_fit_its_light_to_the_left_half(tmp_path):
     assert psnr(Fitting(SCENE, []), HALF, tmp_path) > 45
     assert psnr(Lit(SCENE, []), HALF, tmp_path) < 20  # this one cannot
-    assert "none to fit" in appearance.told(Lit(SCENE, []), HALF)
-    assert appearance.told(Fitting(SCENE, []), HALF) == "half"
+    assert "none to fit" in appearance.told(Lit(SCENE, []), HALF, SCENE)
+    assert appearance.told(Fitting(SCENE, []), HALF, SCENE) == "half"
+
+
+def test_the_nearest_views_light_needs_sensors_and_says_where_they_lack():
+    def told(*sensors: str) -> str:
+        names = [sensors[index % len(sensors)] for index in range(len(SCENE.views))]
+        views = (replace(v, sensor=name) for v, name in zip(SCENE.views, names, strict=True))
+        scene = replace(SCENE, views=tuple(views), test=(0,), train=(1, 2))
+        return appearance.told(Lit(SCENE, []), replace(RULES, appearance="nearest"), scene)
+
+    assert told("left") == "nearest"
+    assert told("").startswith("nearest: no view names its sensor (views.json does)")
+    assert "appearance = none does without" in told("")
+    assert told("left", "right", "front") == (
+        "nearest: no training view is of sensor 'left': those of all sensors count"
+    )
 
 
 def test_exposure_is_fitted_for_any_model(tmp_path):

@@ -1,6 +1,7 @@
 """Suite files: the product of each table, and one-line errors that name file, key and nearest."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from splatproof.base.errors import UsageError
 from splatproof.methods.registry import METHODS
 from splatproof.suites import run_case as cases
 from splatproof.suites.case_keys import case_key
-from splatproof.suites.suite_files import FOLDER, load_suite, quick_form
+from splatproof.suites.suite_files import FOLDER, load_suite, quick_form, suite_names
 
 GOOD = """
 description = "For tests"
@@ -211,6 +212,22 @@ def test_shared_settings_and_variants(tmp_path):
     ):
         with pytest.raises(UsageError, match=message):
             load_suite(written(tmp_path, wrong))
+
+
+@pytest.mark.parametrize(
+    "suite", [name for name in suite_names() if f"{name}-medium" in suite_names()]
+)
+def test_a_row_of_the_medium_form_differs_from_the_suites_in_its_length_alone(suite):
+    def settings(name: str) -> dict[str, set[str]]:
+        found: dict[str, set[str]] = {}
+        for case in load_suite(name).cases:
+            told = asdict(replace(case.settings, iterations=1))
+            found.setdefault(case.row, set()).add(json.dumps(told, sort_keys=True))
+        return found
+
+    own, medium = settings(suite), settings(f"{suite}-medium")
+    assert medium
+    assert medium == {row: own[row] for row in medium}
 
 
 def test_the_reduced_form_is_the_suite_beside_it():

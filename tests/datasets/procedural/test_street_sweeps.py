@@ -79,7 +79,7 @@ def share(flags: list[Tensor]) -> float:
 
 def test_a_view_has_the_sweep_of_its_own_moment(scene):
     for view in scene.views:
-        assert read(view).time == view.time
+        assert view.sweep_time == read(view).time == view.time
         assert read(view).positions.dtype == torch.float32
         assert read(view).origin.dtype == torch.float64
 

@@ -1,12 +1,14 @@
 """Points from sweeps: the colour of their moment's photo, and which of them moved."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.methods.dynamic import sweep_points
+from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import (
     depths,
     looked_through,
@@ -153,6 +155,51 @@ def test_some_moments_alone_have_the_returns_that_they_have_among_all():
     for name, value in vars(wanted).items():
         assert torch.equal(value, getattr(some, name)), name
     assert not swept_moments(tiny_scene())
+
+
+def test_cameras_triggered_one_after_the_other_share_their_sweep_once():
+    """Of each sweep three photos, 0.03 s apart; what moves goes 0.2 from one sweep to the next."""
+    thing = torch.tensor([[0.05 * i, 0.04 * (i % 3), 0.03 * (i % 2)] for i in range(6)])
+    behind = torch.stack(
+        torch.meshgrid(torch.arange(-3, 3, 0.05), torch.arange(-3, 3, 0.05), torch.tensor([8.0]),
+                       indexing="ij"), dim=-1
+    ).reshape(-1, 3)  # fmt: skip
+    scene = tiny_scene(views=13)
+    where = camera(2)
+    views = []
+    for index, view in enumerate(scene.views):
+        frame, late = divmod(index - 1, 3)
+        there = thing + torch.tensor([0.2 * frame - 0.4, 0.0, 0.0])
+        load = partial(sweep, torch.cat([there, behind]), where.centre)
+        views.append(
+            replace(
+                view, camera=where, time=0.1 * frame + 0.03 * late, sensor=str(late),
+                load_sweep=load, sweep_time=0.1 * frame,
+            )
+        )  # fmt: skip
+    scene = replace(scene, views=tuple(views), train=tuple(range(1, 13)), test=(0,))
+    assert swept_moments(scene) == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    found = in_motion(timed_points(scene), torch.tensor([0.0, -1.0, 0.0]).double())
+    assert found.seconds.unique().tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    own = found.take(found.positions[:, 2] < 1)
+    assert len(own) > 12
+    assert own.moved.all()
+    torch.testing.assert_close(
+        own.velocities, torch.tensor([[2.0, 0.0, 0.0]]).expand(len(own), 3), atol=0.02, rtol=0
+    )
+
+
+def test_the_photo_nearest_to_the_sweep_gives_the_colour():
+    point = torch.tensor([[0.0, 0.0, 0.0]])
+    scene = drive(at1=point, at2=point)
+    plain = {1: 0.2, 2: 0.8}
+    views = [
+        replace(view, camera=camera(2), sweep_time=0.19, load=partial(torch.full, view.size + (3,), plain.get(i, 0.0)))
+        for i, view in enumerate(scene.views)
+    ]  # fmt: skip
+    found = timed_points(replace(scene, views=tuple(views)))
+    assert found.seconds.tolist() == [0.19]
+    assert found.colours.tolist() == [[204, 204, 204]]
 
 
 def test_without_sweeps_there_are_none():

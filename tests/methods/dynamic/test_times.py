@@ -31,6 +31,18 @@ def test_a_missing_frame_is_a_longer_gap_not_another_clock():
     assert clock_of(part).second == pytest.approx(0.2)
 
 
+def test_cameras_triggered_one_after_the_other_are_of_one_frame():
+    scene = at(0.0, 0.03, 0.06, 0.1, 0.13, 0.16, 0.2, 0.23, 0.26)
+    assert clock_of(scene).second == pytest.approx(0.02 / 0.03)  # one camera, as far as it says
+    names = ("left", "front", "right") * 3
+    views = (replace(view, sensor=name) for view, name in zip(scene.views, names, strict=True))
+    clock = clock_of(replace(scene, views=tuple(views)))
+    assert clock.second == pytest.approx(0.2)
+    assert clock.duration == pytest.approx(0.2 * 0.26)
+    once = (replace(view, sensor=view.name) for view in at(0.0, 0.1, 0.2).views)
+    assert clock_of(replace(scene, views=tuple(once))).second == pytest.approx(0.2)
+
+
 def test_one_moment_alone_is_at_zero_and_lasts_a_frame():
     clock = clock_of(at(3.0, 3.0))
     assert clock.at(3.0) == 0

@@ -31,7 +31,12 @@ class Unseen(Model):
         raise AssertionError("a depth term looked at the model")
 
 
-def frame(depth: torch.Tensor, prior: DepthPrior | None = None, seed: int = 0) -> Frame:
+def frame(
+    depth: torch.Tensor,
+    prior: DepthPrior | None = None,
+    seed: int = 0,
+    mask: torch.Tensor | None = None,
+) -> Frame:
     """A view of the tiny drive with some depth rendered, all opaque."""
     view = tiny_drive().views[0]
     if prior is not None:
@@ -43,7 +48,7 @@ def frame(depth: torch.Tensor, prior: DepthPrior | None = None, seed: int = 0) -
     moment = Moment(step=1, total=2, generator=torch.Generator().manual_seed(seed))
     return Frame(
         view=view, moment=moment, splats=NOTHING, output=output, image=output.colour,
-        truth=view.load(), mask=None, model=Unseen(Parameters({}), {}),
+        truth=view.load(), mask=mask, model=Unseen(Parameters({}), {}),
     )  # fmt: skip
 
 
@@ -81,6 +86,21 @@ def test_crops_are_drawn_from_the_moment():
     small = term("depth outliers", crop=7)
     one, same, other = (float(small.loss(frame(depths(), seed=s))) for s in (0, 0, 1))
     assert one == same != other
+
+
+@pytest.mark.parametrize("name", ["depth steps", "depth outliers"])
+def test_what_a_mask_hides_says_nothing(name):
+    mask, local = torch.zeros(18, 24, dtype=torch.bool), term(name, crop=24, delta=0.01)
+    mask[:, :12] = True
+    assert float(local.loss(frame(depths(), mask=mask & False))) == 0
+    every = local.loss(frame(depths(), mask=mask | True))
+    torch.testing.assert_close(every, local.loss(frame(depths())))
+    hidden = depths()
+    hidden[:, 12:] = 100 * depths(2)[:, 12:]
+    one, other = (local.loss(frame(depth, mask=mask)) for depth in (depths(), hidden))
+    assert 0 < float(one) == float(other)
+    level = torch.where(mask, 3.0, depths())  # the rim of the mask has neighbours on one side alone
+    assert float(local.loss(frame(level, mask=mask))) == pytest.approx(0, abs=1e-6)
 
 
 def test_order_counts_and_neither_scale_nor_zero_point_of_the_prior():

@@ -17,12 +17,13 @@ from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
 from splatproof.methods.hdgs.cost import cost
 from splatproof.methods.hdgs.density import HdgsDensity
 from splatproof.methods.hdgs.fit import fit, prepare
+from splatproof.methods.hdgs.model import HdgsModel
 from splatproof.methods.hdgs.settings import DepthSettings, Settings
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
 from splatproof.methods.storage.ply import read_ply, write_ply
-from splatproof.reference.types.scene import View
+from splatproof.reference.types.scene import Sweep, View
 
 SHORT = Settings(
     iterations=24, gaussians=6, features=8, instance=4, anchors=40, sky=SkySettings(resolution=8),
@@ -157,6 +158,43 @@ def test_without_points_and_sweeps_there_is_nothing_to_start_from():
     with pytest.raises(DataError, match="0 sparse points"):
         fit(replace(scene, points=bare, views=views), without, RUN)
     assert fit(replace(scene, points=bare), without, RUN).primitives > 0
+    blind = replace(without, from_sweeps=False)
+    with pytest.raises(DataError, match="0 sparse points"):
+        fit(replace(scene, points=bare), blind, RUN)
+
+
+def test_a_start_without_sweeps_reads_none():
+    def unread() -> Sweep:
+        raise AssertionError("a sweep was read")
+
+    scene = tiny_drive()
+    closed = tuple(replace(view, load_sweep=unread) for view in scene.views)
+    blind = replace(SHORT, lidar=LidarSettings(weight=0.0), from_sweeps=False, iterations=2)
+    start = prepare(replace(scene, views=closed), blind, RUN)[0].parameters.state()
+    assert (start["rows.velocities"] == 0).all()
+    without = replace(scene, views=tuple(replace(view, load_sweep=None) for view in scene.views))
+    bare = prepare(without, blind, RUN)[0].parameters.state()
+    assert start.keys() == bare.keys()
+    assert all(torch.equal(start[name], bare[name]) for name in start)
+    assert cost(blind, replace(scene, views=closed)).cpu_seconds < cost(SHORT, scene).cpu_seconds
+
+
+def test_far_points_are_left_to_a_sky_where_there_is_one():
+    scene = tiny_drive()
+    places = scene.points.positions.clone()
+    places[0] = torch.tensor([1e4, 0.0, 0.0])
+    far = replace(scene, points=replace(scene.points, positions=places))
+    blind = replace(SHORT, lidar=LidarSettings(weight=0.0), from_sweeps=False, iterations=2)
+    without = replace(blind, sky=SkySettings(resolution=0))
+    assert max_x(prepare(far, blind, RUN)[0]) < 1e3
+    assert max_x(prepare(far, without, RUN)[0]) == pytest.approx(1e4, rel=0.01)
+    view = scene.views[3]
+    assert fit(far, without, RUN).render(view).colour.isfinite().all()
+
+
+def max_x(model: HdgsModel) -> float:
+    """Largest x of the anchors, in scene units."""
+    return float(model.frame.outwards(model.parameters.labels["centres"].double())[:, 0].max())
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,11 @@ def test_without_files_what_is_looked_at_counts(made):
     with_priors(replace(scene, views=tuple(views)), "counted", 0)
     views[2] = replace(scene.views[2], load_sweep=None)
     with_priors(replace(scene, views=tuple(views)), "counted", 0)
-    assert len(made) == 12
+    views[2] = replace(scene.views[2], load_mask=lambda: torch.zeros(18, 24) > 0)
+    with_priors(replace(scene, views=tuple(views)), "counted", 0)
+    views[2] = replace(scene.views[2], load_mask=lambda: torch.ones(18, 24) > 0)
+    with_priors(replace(scene, views=tuple(views)), "counted", 0)
+    assert len(made) == 20
 
 
 def test_a_run_that_was_stopped_goes_on_where_it_was(made, cache, monkeypatch):

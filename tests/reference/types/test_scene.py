@@ -170,7 +170,17 @@ def test_training_views_keep_what_trains_and_lose_the_truth(scene):
     assert (hidden.root, hidden.sources) == (None, ())
     assert [view.name for view in hidden.views] == [view.name for view in scene.views]
     for view, whole in zip(hidden.train_views, scene.train_views, strict=True):
-        for name in ("load", "load_mask", "load_sky", "load_sweep", "time", "sensor", "camera"):
+        kept = (
+            "load",
+            "load_mask",
+            "load_sky",
+            "load_sweep",
+            "sweep_time",
+            "time",
+            "sensor",
+            "camera",
+        )
+        for name in kept:
             assert getattr(view, name) is getattr(whole, name)
         assert (view.load_depth, view.load_moving) == (None, None)
     assert any(view.load_sweep for view in hidden.train_views)
@@ -200,7 +210,9 @@ def test_whatever_a_view_has_is_hidden_unless_it_is_known_to_be_shown():
     """A field that is added to View is hidden from rendering until someone decides otherwise."""
     sweep = Sweep(positions=torch.zeros(1, 3), origin=torch.zeros(3, dtype=torch.float64))
     whole = {name: (lambda: sweep) for name in View.__dataclass_fields__ if name.startswith("load")}
-    view = replace(tiny_scene().views[0], **whole, time=1.0, sensor="a", appearance="b")
+    view = replace(
+        tiny_scene().views[0], **whole, time=1.0, sweep_time=0.9, sensor="a", appearance="b"
+    )
     shown = view.without_truth()
     same = {
         name for name in View.__dataclass_fields__ if getattr(shown, name) is getattr(view, name)
