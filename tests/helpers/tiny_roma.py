@@ -14,6 +14,8 @@ from torch import Tensor, nn
 from splatproof.methods.priors import roma
 
 NAME = "tiny_roma_v1_outdoor.pth"
+SIZE = (320, 384)
+"""Height and width of the photo whose places the features tell apart."""
 
 
 def texture(height: int, width: int) -> Float[Tensor, "1 3 h w"]:
@@ -46,7 +48,7 @@ def tiny_folder(folder: Path) -> Path:
     for part in (network.coarse_matcher, network.fine_matcher):
         nn.init.zeros_(part[-1].weight)
         nn.init.zeros_(part[-1].bias)
-    photo, last, kept = texture(512, 640), network.xfeat[0].block_fusion[-1], []
+    photo, last, kept = texture(*SIZE), network.xfeat[0].block_fusion[-1], []
     with torch.no_grad():
         for part in network.modules():
             if isinstance(part, nn.BatchNorm2d):
@@ -69,7 +71,7 @@ def tiny_folder(folder: Path) -> Path:
 class Layer(nn.Module):
     """Stands for the package's layer."""
 
-    def __init__(self, before: int, after: int, **more: int) -> None:
+    def __init__(self, before: int, after: int, **more: Any) -> None:
         super().__init__()
         self.layer = nn.Sequential(nn.Conv2d(before, after, bias=False, **more))
 

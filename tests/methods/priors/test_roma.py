@@ -1,9 +1,11 @@
 """RoMa as a matcher: where matches lie, to a fraction of a pixel, by networks that say known ones; its weights; its real tiny class."""
 
+import importlib
 import sys
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +73,18 @@ def test_pixels_land_where_the_network_says(plane, off, size_a, size_b, grid, ba
     assert 0.1 < float(inside.double().mean()) < 1
     assert_close(certainty[inside], torch.full((int(inside.sum()),), 0.75))
     assert not certainty[outside].any()
+
+
+def test_between_the_nodes_of_a_coarse_grid_matches_lie_on_straight_lines():
+    """Exact for a linear map, but for the half of a cell that the outermost nodes lie inside the edge."""
+    plane = torch.tensor([[1.8, 0.3, -5], [-0.4, 0.5, 20], [0, 0, 1]]).double()
+    warp, _ = RomaMatcher(Says(plane, (60, 45), (80, 90), (12, 9)))(
+        torch.rand(60, 45, 3), torch.rand(80, 90, 3)
+    )
+    want = through(plane, middles(60, 45)) - middles(60, 45)
+    inner = slice(2, -2)  # cells are 5 pixels high and wide
+    assert_close(warp[inner, inner].double(), want[inner, inner], atol=1e-3, rtol=0)
+    assert float((warp.double() - want).norm(dim=-1).max()) < 4
 
 
 def told(image: Image.Image) -> Float[Tensor, "h w 3"]:
@@ -248,14 +262,14 @@ NOISY = pytest.mark.filterwarnings("default")
 def test_the_real_tiny_network_finds_a_shift_between_photos_of_other_sizes(tmp_path):
     """Its features are random, so that some places go wrong; more go where they belong than anywhere else."""
     matcher = load_matcher(tiny_roma.tiny_folder(tmp_path))
-    whole = tiny_roma.texture(512, 640)[0].permute(1, 2, 0)
-    warp, certainty = matcher(whole[96:416, 128:576], whole)
-    assert warp.shape == (320, 448, 2)
+    whole = tiny_roma.texture(*tiny_roma.SIZE)[0].permute(1, 2, 0)
+    warp, certainty = matcher(whole[64:256, 96:352], whole)
+    assert warp.shape == (192, 256, 2)
     assert not warp.is_inference()
     assert set(certainty.unique().tolist()) <= {0.0, 0.5}
-    counted = Counter(map(tuple, warp[32:-32, 32:-32].reshape(-1, 2).round().int().tolist()))
-    assert counted.most_common(1)[0][0] == (128, 96)
-    assert torch.equal(warp, matcher(whole[96:416, 128:576], whole)[0])
+    counted = Counter(map(tuple, warp[16:-16, 16:-16].reshape(-1, 2).round().int().tolist()))
+    assert counted.most_common(1)[0][0] == (96, 64)
+    assert torch.equal(warp, matcher(whole[64:256, 96:352], whole)[0])
 
 
 @NOISY
@@ -266,3 +280,33 @@ def test_weights_of_another_network_are_refused_by_the_real_class(tmp_path):
     with pytest.raises(DataError, match="not the weights that are expected") as error:
         load_matcher(tmp_path)
     assert "\n" not in str(error.value)
+
+
+@NOISY
+@pytest.mark.slow
+@pytest.mark.usefixtures("_no_network")
+def test_the_real_whole_network_is_understood(tmp_path, monkeypatch):
+    """With random weights, one block of DINOv2's 24, and small sizes; as it is, a pair takes minutes."""
+    tiny_roma.package()
+    transformer = importlib.import_module("romatch.models.transformer")
+    dino, block = transformer.dinov2.DinoVisionTransformer, transformer.dinov2.Block
+    block = partial(block, attn_class=transformer.MemEffAttention)
+    monkeypatch.setattr(
+        transformer, "vit_large",
+        partial(dino, embed_dim=1024, depth=1, num_heads=16, mlp_ratio=4, block_fn=block),
+    )  # fmt: skip
+    monkeypatch.setattr(torch.nn.Module, "load_state_dict", lambda *given, **more: None)
+    for name in ("roma_outdoor.pth", roma.BACKBONE):
+        saved(tmp_path / name)
+    matcher = load_matcher(tmp_path)
+    network = matcher._network
+    network.h_resized = network.w_resized = 112
+    network.upsample_res = (128, 128)
+    warp, certainty = matcher(torch.rand(75, 100, 3), torch.rand(60, 120, 3))
+    assert warp.shape == (75, 100, 2)
+    assert certainty.shape == (75, 100)
+    assert warp.isfinite().all()
+    assert 0 <= certainty.min() <= certainty.max() <= 1
+    said, _ = network.match(*(roma.picture(torch.rand(64, 96, 3), None) for _ in range(2)))
+    assert said.shape == (1, 128, 128, 4)
+    assert_close(said[0, ..., :2].double(), 2 * middles(128, 128) / 128 - 1, atol=1e-6, rtol=0)
