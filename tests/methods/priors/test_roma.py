@@ -286,7 +286,7 @@ def test_weights_of_another_network_are_refused_by_the_real_class(tmp_path):
 @pytest.mark.slow
 @pytest.mark.usefixtures("_no_network")
 def test_the_real_whole_network_is_understood(tmp_path, monkeypatch):
-    """With random weights, one block of DINOv2's 24, and small sizes; as it is, a pair takes minutes."""
+    """With random weights, one block of DINOv2's 24, and small sizes; as it is, a pair takes a minute or more."""
     tiny_roma.package()
     transformer = importlib.import_module("romatch.models.transformer")
     dino, block = transformer.dinov2.DinoVisionTransformer, transformer.dinov2.Block
