@@ -65,7 +65,7 @@ class Dpgs(Settings):
     are those of a 30,000 step run; a shorter run shrinks them in proportion."""
 
     dense_cell: float = 4.0
-    """About how many pixels added points lie apart: before training, photos are matched by optical
-    flow, and points added where there are none. 0: none, an ablation of the paper."""
+    """About how many pixels added points lie apart: before training, photos are matched (by whom
+    says dense.matcher), and points added where there are none. 0: none, an ablation of the paper."""
     side: SideSettings = field(default_factory=SideSettings)
     """Side views of places that the photos do not show."""

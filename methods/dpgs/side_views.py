@@ -32,6 +32,8 @@ Draw = Callable[[View], RenderOutput]
 """draw(view): the model as it is now, without gradient."""
 SIDE = "side view"
 """What the names of side views begin with."""
+REMEDY = "remove it, and its side views are made again, of the model as it is by then"
+"""What to do about a damaged file of a round."""
 
 
 class SideViews:
@@ -98,7 +100,7 @@ class SideViews:
         if self._held is None or self._held[0] != number:
             file = None if self.folder is None else self.folder / f"{number}.safetensors"
             if file is not None and file.is_file():
-                made, _ = read_tensors(file)
+                made, _ = read_tensors(file, REMEDY)
             else:
                 made = self._made(number)
                 if file is not None:

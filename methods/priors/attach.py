@@ -19,6 +19,8 @@ from splatproof.reference.types.scene import DepthPrior, Scene
 VERSION = 1
 """Changes when other priors would come out of equal views."""
 SUMMARY = "facts.json"
+REMEDY = "remove it, and the next run makes it again"
+"""What to do about a damaged file of priors."""
 Report = Callable[[int, int], None]
 
 
@@ -65,7 +67,7 @@ def with_priors(
     views = list(scene.views)
     for index, file in files.items():
         views[index] = replace(views[index], load_prior=partial(read_prior, file))
-    facts = {"depth_prior": prior_name(prior)} | weights | dict(read_json(folder / SUMMARY))
+    facts = {"depth_prior": prior_name(prior)} | weights | _facts(folder / SUMMARY)
     if kind.domain is not None and path is not None:
         facts["depth_prior_domain"] = kind.domain(scene, path)
     return replace(scene, views=tuple(views), facts=scene.facts | facts)
@@ -76,13 +78,24 @@ def read_prior(file: Path) -> DepthPrior:
 
     Raises: DataError naming a file that is missing or damaged.
     """
-    tensors, _ = read_tensors(file)
+    tensors, _ = read_tensors(file, REMEDY)
     if set(tensors) != {"disparity", "valid"}:
         raise DataError(
             f"{file}: holds {', '.join(sorted(tensors)) or 'nothing'}, expected disparity and valid; "
-            "remove it, and the next run makes it again"
+            f"{REMEDY}"
         )
     return DepthPrior(**tensors)
+
+
+def _facts(file: Path) -> dict[str, str]:
+    """What `_summary` said of the priors beside the file."""
+    try:
+        held = read_json(file)
+    except DataError as error:
+        raise DataError(f"{error}; {REMEDY}") from None
+    if not isinstance(held, dict):
+        raise DataError(f"{file}: holds no facts of priors; {REMEDY}")
+    return held
 
 
 def _write(file: Path, prior: DepthPrior) -> None:

@@ -114,8 +114,12 @@ def weights_facts(prior: str) -> dict[str, str]:
     if path.is_dir():
         return {WEIGHTS: tree_sha256(path)}
     if not path.is_file():
+        name = parts(prior)[0]
+        remedy = "give the path of a file that is here"
+        if not KINDS[name].weights:
+            remedy = "they come with this package: install splatproof again"
         raise MissingError(
-            f"{path}: no such weights, which depth prior {prior.partition(':')[0]!r} is made with; "
-            "give the path of a file that is here, or take 'sweep', which needs none"
+            f"{path}: no such weights, which depth prior {name!r} is made with; {remedy}, or take "
+            "'sweep', which needs none"
         )
     return {WEIGHTS: sha256(path)}

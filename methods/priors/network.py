@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from splatproof.methods.priors.unet import STRIDE, UNet, load_weights, save_weights
+from splatproof.methods.priors.unet import PACKAGED, STRIDE, UNet, load_weights, save_weights
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
 from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.scene import DepthPrior, Scene, View
@@ -21,7 +21,7 @@ INPUTS = 5
 """Channels of the input: R, G, B, sparse disparity over its median, and where there is any."""
 LONGER = 128
 """Pixels of the longer side that the network sees; its answer is enlarged again."""
-SHIPPED = Path(__file__).parent / "weights" / "depth.safetensors"
+SHIPPED = PACKAGED / "depth.safetensors"
 """Weights that come with this package; depth.json beside them says how they were made."""
 
 

@@ -19,6 +19,8 @@ STRIDE = 2 ** (LEVELS - 1)
 """Both sides of what a network sees are multiples of this."""
 RATE = 1e-3
 """Adam's rate at the start of a training; it falls to 0 along half a cosine."""
+PACKAGED = Path(__file__).parent / "weights"
+"""Folder of the weights that come with this package."""
 GROUP = 8
 """Groups of channels that are normalised together."""
 
@@ -117,7 +119,7 @@ def load_facts(path: Path) -> dict[str, Any]:
 
     Raises: DataError where the file is missing or damaged.
     """
-    _, facts = read_tensors(path)
+    _, facts = read_tensors(path, _remedy(path, "bench train-prior"))
     return facts if isinstance(facts, dict) else {}
 
 
@@ -144,14 +146,20 @@ def load_weights(path: Path, network: N, form: str, command: str) -> N:
         network: Takes the weights.
         form: What the file must be.
         command: What writes such files, for the error.
-    Raises: DataError where the file is missing, damaged or not such a network's.
+    Raises: DataError where the file is missing, damaged or not such a network's; it says what to do.
     """
-    tensors, facts = read_tensors(path)
+    remedy = _remedy(path, command)
+    tensors, facts = read_tensors(path, remedy)
     shapes = {name: tensor.shape for name, tensor in network.state_dict().items()}
     same = {name: tensor.shape for name, tensor in tensors.items()} == shapes
     if not same or not isinstance(facts, dict) or facts.get("format") != form:
-        raise DataError(
-            f"{path}: not the weights that are expected ({form!r}); `{command}` writes them"
-        )
+        raise DataError(f"{path}: not the weights that are expected ({form!r}); {remedy}")
     network.load_state_dict(tensors)
     return network.eval()
+
+
+def _remedy(path: Path, command: str) -> str:
+    """What to do about a file of weights that is missing or damaged."""
+    if path.parent == PACKAGED:
+        return "it comes with this package: install splatproof again"
+    return f"`{command}` writes such files"

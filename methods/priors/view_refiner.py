@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional, init
 
-from splatproof.methods.priors.unet import STRIDE, UNet, load_weights, save_weights
+from splatproof.methods.priors.unet import PACKAGED, STRIDE, UNet, load_weights, save_weights
 from splatproof.reference.supervision.side_views import SeenView, sees, warp_and_fill
 
 FORMAT = "splatproof view refiner 1"
@@ -17,7 +17,7 @@ WIDTHS = (16, 32, 64, 96)
 INPUTS = 8
 """Channels of the input: the render and what warping made of it (R, G, B each), the render's alpha, and where the
 photo sees the surface."""
-SHIPPED = Path(__file__).parent / "weights" / "refiner.safetensors"
+SHIPPED = PACKAGED / "refiner.safetensors"
 """Weights that come with this package; refiner.json beside them says how they were made."""
 
 

@@ -34,8 +34,9 @@ class Settings:
     """Number of points that a scene without any starts from, drawn in sight of its cameras (gsplat:
     100,000); 0: such a scene is refused. Scenes with points keep theirs."""
     dense_cell: float = 0.0
-    """About how many pixels added points lie apart: before training, photos are matched by optical
-    flow, and points added where there are none (DPGS's initialisation). 0: none are added."""
+    """About how many pixels added points lie apart: before training, photos are matched (by whom
+    says dense.matcher), and points added where there are none (DPGS's initialisation). 0: none are
+    added."""
     most_points: int | None = None
     """Most points that training starts from: where there are more, those of one voxel become one. None:
     no bound."""

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -15,7 +16,9 @@ from torch import Tensor
 
 from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.progress import bar
+from splatproof.methods.contracts.run import keep_to_oneself
 from splatproof.methods.priors.matches import match_by_prior, require_priors
+from splatproof.methods.priors.roma import load_matcher
 from splatproof.methods.training.least_vectors import least_vectors
 from splatproof.reference.supervision.dense_initialisation import (
     DensePoints,
@@ -26,7 +29,11 @@ from splatproof.reference.supervision.dense_initialisation import (
     seen_by_both,
     select_pairs,
 )
-from splatproof.reference.supervision.dense_matching import match_by_flow, plane_between
+from splatproof.reference.supervision.dense_matching import (
+    DenseMatcher,
+    match_by_flow,
+    plane_between,
+)
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
@@ -39,7 +46,11 @@ APART = 0.7
 
 
 def with_dense_points(
-    scene: Scene, cell: float, image_bytes: int, settings: DenseSettings
+    scene: Scene,
+    cell: float,
+    image_bytes: int,
+    settings: DenseSettings,
+    say: Callable[[str], None] = keep_to_oneself,
 ) -> Scene:
     """The scene with points added between its own, about one every `cell` pixels of its photos.
 
@@ -54,29 +65,51 @@ def with_dense_points(
             points, > 0.
         image_bytes: Most bytes of images kept while pairs are matched.
         settings: Which images form pairs, who matches them, and which matches become points.
+        say: Told in one line where no point is added, and why.
 
-    Raises: UsageError where depth priors are to match and a training view has none.
+    Raises: UsageError where depth priors are to match and a training view has none; MissingError or DataError where
+        roma is to, and lacks its package or weights.
 
     Source: DPGS, Sec. 3.1, and its spec, step 5; voxel size and least number of matches: ours.
     """
     if settings.matcher == "prior":
         require_priors(scene)
+    matcher = load_matcher(Path(settings.weights)) if settings.matcher == "roma" else None
+    without = f"dense_cell {cell:g}: no points of matched photos are added, for"
+    instead = "dense_cell 0 goes without"
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    if len(scene.train) == 1:
+        say(f"{without} the only training view has no partner; {instead}")
+        return scene
     if not seen.nnz:
+        say(f"{without} no sparse point says which training views see it; {instead}")
         return scene
     views, positions = scene.train_views, scene.points.positions
     centres = torch.stack([view.camera.centre for view in views])
     pairs = select_pairs(centres, positions, seen, settings)
+    if not pairs:
+        low, high = settings.angles
+        say(
+            f"{without} no two of {len(views)} training views see the same sparse points under {low:g} to {high:g} "
+            f"degrees (dense.angles); {instead}"
+        )
+        return scene
     edge = cell * footprint(views, positions, seen)
     # the corner of what training views see moves with the scene; the frame's origin does not
     corner = positions[torch.from_numpy(np.unique(seen.indices)).long()].amin(dim=0)
     images, voxels = ImageCache(image_bytes), Voxels(edge, corner)
     with bar(f"matching {len(pairs)} pairs of photos") as report:
-        found = partial(_found, views, positions, seen, images, settings)
+        found = partial(_found, views, positions, seen, images, settings, matcher)
         for done, (pair, points) in enumerate(in_order(found, pairs)):
             voxels.add(points, (scene.train[pair[0]], scene.train[pair[1]]))
             report(done + 1, len(pairs))
-    return extended(scene, voxels.points(), APART * edge)
+    made = extended(scene, voxels.points(), APART * edge)
+    if len(made.points) == len(scene.points):
+        say(
+            f"{without} {len(pairs)} pairs of photos gave none that is sure (dense.certainty, dense.score) and apart from "
+            f"the sparse ones; {instead}"
+        )
+    return made
 
 
 def _found(
@@ -85,11 +118,12 @@ def _found(
     seen: csr_array,
     images: ImageCache,
     settings: DenseSettings,
+    matcher: DenseMatcher | None,
     pair: tuple[int, int],
 ) -> DensePoints:
     first, second = pair
     shared = positions[seen_by_both(seen, first, second)]
-    return match(views[first], views[second], shared, images, settings)
+    return match(views[first], views[second], shared, images, settings, matcher)
 
 
 def in_order(
@@ -136,6 +170,7 @@ def match(
     shared: Float[Tensor, "n 3"],
     images: ImageCache,
     settings: DenseSettings,
+    matcher: DenseMatcher | None = None,
 ) -> DensePoints:
     """Points of two views; masked pixels of the first give none.
 
@@ -145,10 +180,14 @@ def match(
         shared: Sparse points that both see, for the plane that brings the photos together or the priors' scale.
         images: Where photos of the views are kept once they are read.
         settings: Who matches, and which matches become points.
+        matcher: The network that matches where roma does.
     """
     image = images.load(first)
     if settings.matcher == "prior":
         warp, certainty = match_by_prior(first, second, shared)
+    elif settings.matcher == "roma":
+        assert matcher is not None
+        warp, certainty = matcher(image, images.load(second))
     else:
         plane = plane_between(
             project_points(first.camera, shared)[0], project_points(second.camera, shared)[0]

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatproof.base.errors import DataError
+from splatproof.base.files import tree_sha256
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.reference.rasterizer.spherical_harmonics import C0
@@ -75,7 +77,8 @@ def with_points(
 
     Args:
         scene: The scene, with its own points if it has any.
-        run: Seed of the draw and bound on images in memory.
+        run: Seed of the draw and bound on images in memory; it is told where photos give no points, and its record
+            whose weights matched them.
         random_points: Points to draw where the scene has none; 0: none.
         dense_cell: Pixels a point that is matched between photos before training; 0: none are.
         dense: Which photos are matched, and which matches become points; None: by the defaults.
@@ -83,7 +86,9 @@ def with_points(
     scene = with_random_points(scene, random_points, run.seed)
     if dense_cell:
         dense = dense or DenseSettings()
-        scene = with_dense_points(scene, dense_cell, run.image_bytes, dense)
+        scene = with_dense_points(scene, dense_cell, run.image_bytes, dense, run.say)
+        if dense.matcher == "roma":
+            run.on_fact("matcher", f"weights {tree_sha256(Path(dense.weights))}")
     return scene
 
 

@@ -18,7 +18,7 @@ from splatproof.reference.types.scene import SparsePoints
 
 Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
 """The unit vectors that make |A h| least, of either sign."""
-Matcher = Literal["flow", "prior"]
+Matcher = Literal["flow", "prior", "roma"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,11 +41,17 @@ class DenseSettings:
     """Least angle between the two rays of a match, degrees in [0, 180]."""
     matcher: Matcher = "flow"
     """Who says where a photo's pixels lie in the other. flow: optical flow both ways; prior: the depth priors
-    of both, a bound on all matchers where they are the true depth."""
+    of both, a bound on all matchers where they are the true depth; roma: the network of the paper, with weights of one's
+    own."""
+    weights: str = ""
+    """Folder of roma's weights, as their authors name them: tiny_roma_v1_outdoor.pth, or roma_outdoor.pth and
+    dinov2_vitl14_pretrain.pth; nothing is fetched."""
 
     def __post_init__(self) -> None:
         """Refuse thresholds that mean nothing."""
         low, high = self.angles
+        needs = self.matcher == "roma"
+        told = "the folder of its weights" if needs else f"none: matcher is {self.matcher!r}"
         for name, fine, expected in (
             ("certainty", 0 <= self.certainty <= 1, "0 to 1"),
             ("sigma", 0 < self.sigma < math.inf, "> 0"),
@@ -53,9 +59,10 @@ class DenseSettings:
             ("partners", self.partners >= 1, ">= 1"),
             ("angles", 0 <= low <= high <= 180, "0 <= least <= largest <= 180"),
             ("ray_angle", 0 <= self.ray_angle <= 180, "0 to 180"),
+            ("weights", needs == bool(self.weights), told),
         ):
             if not fine:
-                raise UsageError(f"{name} = {getattr(self, name)}: expected {expected}")
+                raise UsageError(f"{name} = {getattr(self, name)!r}: expected {expected}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

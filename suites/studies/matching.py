@@ -7,6 +7,7 @@ its depth lies from the true one, in each training view of its track, over the t
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -45,11 +46,12 @@ PRIORS = ("own", "sweep", "oracle")
 Row = dict[str, Any]
 
 
-def rows(*, quick: bool) -> Iterator[Row]:
+def rows(*, quick: bool, roma: Path | None = None) -> Iterator[Row]:
     """The defaults, then other matchers, then each other value of each threshold.
 
     Args:
         quick: Few views, and the two ends of each sweep.
+        roma: Folder of RoMa's weights, which then matches too.
     """
     scene = open_scene(SCENE, load_protocol("default"))
     if quick:
@@ -58,6 +60,10 @@ def rows(*, quick: bool) -> Iterator[Row]:
     for prior in PRIORS:
         row = {"scene": SCENE, "threshold": "matcher", "value": f"prior {prior}"}
         yield row | quality(with_priors(scene, prior, seed=0), DenseSettings(matcher="prior"))
+    if roma is not None:
+        settings = DenseSettings(matcher="roma", weights=str(roma))
+        row = {"scene": SCENE, "threshold": "matcher", "value": "roma"}
+        yield row | quality(scene, settings)
     for name, values in SWEEP.items():
         for value in (values[0], values[-1]) if quick else values:
             if value != getattr(DenseSettings(), name):

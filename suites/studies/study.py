@@ -36,7 +36,7 @@ class Study:
     rows: Callable[..., Iterator[dict[str, Any]]]
     """Called with quick=True or False; a row that holds ok = False failed."""
     options: frozenset[str] = frozenset()
-    """Which of "wait", "backend", "only" and "runs" `rows` takes too."""
+    """Which of "wait", "backend", "only", "runs" and "roma" `rows` takes too."""
     resumes: bool = False
     """Whether `rows` takes the rows of an earlier call that was ended (kept=)."""
     pictures: Callable[[Sequence[dict[str, Any]], Path], list[Path]] | None = None
@@ -106,7 +106,7 @@ STUDIES = {
     "matching": Study(
         description="points of matched photos against true depth, a threshold moved at a time",
         columns=("scene", "threshold", "value", "points", "median_error", "wrong", "seconds"),
-        rows=matching.rows,
+        rows=matching.rows, options=frozenset({"roma"}),
     ),
     "seen": Study(
         description="what training photos show of held-out views: by sparse points and in truth",

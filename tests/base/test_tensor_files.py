@@ -33,6 +33,8 @@ def test_a_file_that_is_not_whole_is_named(tmp_path, cut, match):
     with pytest.raises(DataError, match=rf"a\.safetensors: {match}") as caught:
         tensor_files.read_tensors(path)
     assert "\n" not in str(caught.value)
+    with pytest.raises(DataError, match=rf"a\.safetensors: {match}.*; remove it$"):
+        tensor_files.read_tensors(path, "remove it")
 
 
 def test_tensors_that_find_no_room_name_their_file(tmp_path, monkeypatch):

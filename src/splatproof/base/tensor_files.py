@@ -37,16 +37,24 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], facts: object = Non
         raise OSError(code, os.strerror(code), str(path)) from error
 
 
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], Any]:
+def read_tensors(path: Path, remedy: str = "") -> tuple[dict[str, Tensor], Any]:
     """Read what `write_tensors` wrote: the tensors and the facts.
 
+    Args:
+        path: The file.
+        remedy: What to do where it is missing or damaged, for the error; "": nothing is said.
     Raises: DataError if the file is missing, cut short or not of this kind.
     """
-    check_room(path, size_of(path))
+    told = f"; {remedy}" if remedy else ""
+    try:
+        size = size_of(path)
+    except DataError as error:
+        raise DataError(f"{error}{told}") from None
+    check_room(path, size)
     try:
         with safe_open(path, framework="pt") as file:
             facts = json.loads((file.metadata() or {}).get("facts", "null"))
             return {name: file.get_tensor(name) for name in file.keys()}, facts  # noqa: SIM118
     except (SafetensorError, OSError, ValueError, RecursionError) as error:
         found = str(error).splitlines()[0]
-        raise DataError(f"{path}: not a whole safetensors file ({found})") from None
+        raise DataError(f"{path}: not a whole safetensors file ({found}){told}") from None

@@ -35,6 +35,7 @@ def run_study(
     page: Path | None = None,
     rows: Path | None = None,
     runs: Path | None = None,
+    roma: Path | None = None,
 ) -> int:
     """Print a table of the study's rows and keep them in OUT/STUDY.jsonl, a JSON object a line.
 
@@ -57,6 +58,7 @@ def run_study(
         rows: Measure nothing: write the page again from the rows in this JSON file, which an earlier
             --page has written. Needs --page.
         runs: Folder of kept runs whose renders are looked at.
+        roma: Folder of RoMa's weights, as setting dense.weights takes it: a row more, of its matches.
 
     Returns: 1 if a row says that it failed, else 0.
     Raises: UsageError for options that do not go together; DataError if the file that rows are read
@@ -78,7 +80,7 @@ def run_study(
         name,
         study,
         quick,
-        {"wait": wait, "backend": backend, "only": only, "runs": runs},
+        {"wait": wait, "backend": backend, "only": only, "runs": runs, "roma": roma},
         file,
         machine,
     )
@@ -101,7 +103,7 @@ def run_study(
 def _command(name: str, study: Study) -> Callable[..., int]:
     """The command of one study, without the options that it takes no notice of."""
     obeyed = {"out", "quick", *study.options, *(("page", "rows") if study.page else ())}
-    without = {"wait", "backend", "only", "page", "rows", "runs"} - obeyed
+    without = {"wait", "backend", "only", "page", "rows", "runs", "roma"} - obeyed
     title = f"{study.description[0].upper()}{study.description[1:]}."
     return bound(run_study, {"name": name}, without=without, title=title)
 

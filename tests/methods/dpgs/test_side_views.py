@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
+from splatproof.base.errors import DataError
 from splatproof.methods.dpgs.settings import SideSettings
 from splatproof.methods.dpgs.side_views import SideOrder, SideViews
 from splatproof.methods.dpgs.spirals import parts, side_cameras
@@ -214,3 +215,9 @@ def test_a_round_is_made_once_and_found_again(tmp_path):
     assert all(torch.equal(v.load(), t) for v, t in zip(again.views(1), targets, strict=True))
     assert isinstance(again.draw, Wall)
     assert again.draw.drawn == []
+
+
+def test_a_damaged_round_says_what_to_do(tmp_path):
+    (tmp_path / "0.safetensors").write_bytes(b"x")
+    with pytest.raises(DataError, match=r"0\.safetensors: not a whole.*; remove it, and its side"):
+        side_views("none", tmp_path).round(0)

@@ -159,11 +159,19 @@ def test_damaged_files_are_named():
     file, load = file_of(given), given.views[1].load_prior
     assert load is not None
     file.write_bytes(b"x")
-    with pytest.raises(DataError, match=f"{file}: not a whole safetensors file"):
+    with pytest.raises(DataError, match=f"{file}: not a whole safetensors file.*; remove it"):
         load()
     attach.write_tensors(file, {"depth": torch.ones(2)})
     with pytest.raises(DataError, match="holds depth, expected disparity and valid; remove it"):
         load()
+
+
+@pytest.mark.parametrize("content", ["{", "[]"])
+def test_damaged_facts_of_priors_are_named(content):
+    facts = file_of(with_priors(plane_scene(), "oracle", 0)).with_name(attach.SUMMARY)
+    facts.write_text(content)
+    with pytest.raises(DataError, match=f"{facts}: .*; remove it"):
+        with_priors(plane_scene(), "oracle", 0)
 
 
 def test_a_scene_that_lacks_what_the_kind_needs_is_refused_before_anything_is_kept(cache):

@@ -1,5 +1,6 @@
 """Which priors there are, and what is said to who asks for another."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,16 @@ def test_weights_are_known_by_their_content(tmp_path):
 def test_missing_weights_are_said_in_one_line(tmp_path):
     with pytest.raises(MissingError, match="no such weights.*'net'.*'sweep', which needs none"):
         weights_facts(f"net:{tmp_path / 'gone'}")
+
+
+def test_who_lacks_weights_of_this_package_is_not_asked_for_a_path(tmp_path, monkeypatch):
+    lost = replace(KINDS["own"], shipped=tmp_path / "depth.safetensors")
+    monkeypatch.setitem(KINDS, "own", lost)
+    with pytest.raises(
+        MissingError, match=r"depth\.safetensors: no such.*'own'.*install splatproof again.*'sweep'"
+    ) as error:
+        weights_facts("own")
+    assert "give the path" not in str(error.value)
 
 
 def test_names_of_paths_are_fit_for_folders():

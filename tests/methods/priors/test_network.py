@@ -104,6 +104,21 @@ def test_files_of_something_else_are_refused(tmp_path):
         load_network(path)
 
 
+def test_missing_and_damaged_weights_say_what_to_do(tmp_path, monkeypatch):
+    path = tmp_path / "net.safetensors"
+    for content in (None, b"x"):
+        if content is not None:
+            path.write_bytes(content)
+        with pytest.raises(DataError, match=r"net\.safetensors: no.*; `bench train-prior depth`"):
+            load_network(path)
+        with pytest.raises(DataError, match=r"net\.safetensors: no.*; `bench train-prior`"):
+            load_facts(path)
+    monkeypatch.setattr(unet, "PACKAGED", tmp_path)
+    for load in (load_network, load_facts):
+        with pytest.raises(DataError, match=r"net\.safetensors: .*; .*install splatproof again"):
+            load(path)
+
+
 def test_training_wants_truth_and_views():
     blind = plane_scene().for_training()
     with pytest.raises(DataError, match="has no true depth to train on"):

@@ -13,8 +13,13 @@ from scipy.spatial import KDTree
 
 from helpers.tiny_scene import sparse_points, tiny_scene
 from splatproof.base.errors import UsageError
+from splatproof.base.files import tree_sha256
+from splatproof.base.typed_toml import build
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.priors.attach import with_priors
+from splatproof.methods.priors.matches import match_by_prior
+from splatproof.methods.registry import get_method
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import dense_points
 from splatproof.methods.training.dense_points import Voxels, extended, with_dense_points
@@ -299,9 +304,97 @@ def test_new_points_keep_their_distance():
 
 
 def test_a_scene_without_tracks_is_returned_as_it_is():
-    scene = tiny_scene()
+    scene, heard = tiny_scene(), []
     assert with_dense_points(scene, CELL, 2**28, DenseSettings()) is scene
-    assert with_points(scene, Run(), dense_cell=CELL) is scene
+    assert with_points(scene, Run(say=heard.append), dense_cell=CELL) is scene
+    (line,) = heard
+    assert "for no sparse point says which training views see it; dense_cell 0 goes" in line
+
+
+def in_tracks(*tracks: tuple[int, ...]) -> Scene:
+    """The tiny scene, the points of which are seen by the views of a track each."""
+    scene = tiny_scene(points=len(tracks))
+    starts = torch.tensor([0, *(len(track) for track in tracks)]).cumsum(0)
+    views = torch.tensor([view for track in tracks for view in track])
+    return replace(scene, points=replace(scene.points, track_starts=starts, track_views=views))
+
+
+ALONE = replace(in_tracks(*[(0, 1), (1, 2)] * 5), train=(1,))
+APART = in_tracks(*[(1,), (2,), (3,), (5,), (0, 4)] * 2)
+
+
+@pytest.mark.parametrize(
+    ("scene", "why"),
+    [(ALONE, "the only training view has no partner"),
+     (APART, "no two of 5 training views see the same sparse points under 2 to 45 degrees (dense.angles)")],
+)  # fmt: skip
+def test_where_photos_cannot_be_matched_one_line_says_so_and_training_goes_on(scene, why):
+    line = (
+        f"dense_cell 4: no points of matched photos are added, for {why}; dense_cell 0 goes without"
+    )
+    for name in ("dpgs", "fsgs", "dropgaussian", "cor-gs", "3dgs"):
+        heard: list[str] = []
+        method = get_method(name)
+        more = {"side": {"every": 0}} if name == "dpgs" else {}
+        given = {"iterations": 1, "sh_degree": 0, "dense_cell": CELL} | more
+        chosen = build(method.settings, given, "suite.toml")
+        method.fit(scene, chosen, Run(threads=1, say=heard.append))
+        assert heard == [line]
+
+
+def test_where_no_match_becomes_a_point_one_line_says_so(yard: Scene):
+    heard: list[str] = []
+    few = replace(yard, train=yard.train[:2])
+    made = with_dense_points(few, CELL, 2**28, DenseSettings(certainty=1.0), heard.append)
+    assert len(made.points) == len(yard.points)
+    (line,) = heard
+    assert "for 1 pairs of photos gave none that is sure" in line
+    assert line.endswith("dense_cell 0 goes without")
+
+
+def test_points_that_are_added_need_no_words(yard: Scene):
+    heard: list[str] = []
+    few = replace(yard, train=yard.train[:2])
+    assert len(with_dense_points(few, CELL, 2**28, DenseSettings(), heard.append).points) > 0
+    assert heard == []
+
+
+def test_roma_matches_every_pair_by_one_network_whose_weights_are_told(
+    yard: Scene, monkeypatch, tmp_path
+):
+    """A network that says what true depths say gives the points that these give."""
+    scene = with_priors(replace(yard, train=yard.train[:3]), "oracle", 0)
+    seen, loaded, asked = observations(scene.points, len(scene.views)), [], []
+    photos = {index: scene.views[index].load() for index in scene.train}
+
+    def load(folder):
+        loaded.append(folder)
+
+        def says(image_a, image_b):
+            a, b = (
+                next(index for index, photo in photos.items() if torch.equal(photo, image))
+                for image in (image_a, image_b)
+            )
+            asked.append((a, b))
+            shared = scene.points.positions[seen_by_both(seen, a, b)]
+            return match_by_prior(scene.views[a], scene.views[b], shared)
+
+        return says
+
+    monkeypatch.setattr(dense_points, "load_matcher", load)
+    (tmp_path / "w").write_text("weights")
+    facts: dict[str, str] = {}
+    run, chosen = (
+        Run(on_fact=facts.__setitem__),
+        DenseSettings(matcher="roma", weights=str(tmp_path)),
+    )
+    found = with_points(scene, run, dense_cell=CELL, dense=chosen)
+    true = with_points(scene, Run(), dense_cell=CELL, dense=DenseSettings(matcher="prior"))
+    assert loaded == [tmp_path]
+    assert len(set(asked)) == len(asked) > 1
+    assert len(found.points) > len(scene.points)
+    assert torch.equal(found.points.positions, true.points.positions)
+    assert facts == {"matcher": f"weights {tree_sha256(tmp_path)}"}
 
 
 @pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])

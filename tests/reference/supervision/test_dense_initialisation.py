@@ -324,11 +324,17 @@ def test_rays_at_less_than_the_smallest_angle_give_no_points():
 @pytest.mark.parametrize(
     ("name", "value"),
     [("certainty", 1.5), ("sigma", 0.0), ("score", float("nan")), ("partners", 0),
-     ("angles", (45.0, 2.0)), ("ray_angle", -1.0)],
+     ("angles", (45.0, 2.0)), ("ray_angle", -1.0), ("weights", "w")],
 )  # fmt: skip
 def test_thresholds_that_mean_nothing_are_refused(name, value):
     with pytest.raises(UsageError, match=name):
         dense.DenseSettings(**{name: value})
+
+
+def test_weights_are_for_the_matcher_that_has_none_of_its_own():
+    with pytest.raises(UsageError, match="weights = '': expected the folder"):
+        dense.DenseSettings(matcher="roma")
+    assert dense.DenseSettings(matcher="roma", weights="w").weights == "w"
 
 
 def textured(seed: int = 0) -> np.ndarray:

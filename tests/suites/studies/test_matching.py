@@ -1,6 +1,7 @@
 """The study of matched points: errors by hand, and the rows of its sweep."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -47,8 +48,9 @@ def test_what_no_view_sees_has_no_error():
     assert len(matching.errors(replace(scene, train=()))) == 0
 
 
+@pytest.mark.parametrize("roma", [None, Path("w")])
 @pytest.mark.parametrize(("quick", "count"), [(True, 1 + 3 + 8), (False, 1 + 3 + 12)])
-def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count):
+def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count, roma):
     asked, priors = [], []
 
     def dense(scene, cell, image_bytes, settings):
@@ -61,13 +63,15 @@ def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count):
     monkeypatch.setattr(
         matching, "with_priors", lambda scene, prior, seed: priors.append(prior) or scene
     )
-    rows = list(matching.rows(quick=quick))
-    assert len(rows) == len(asked) == count
+    rows = list(matching.rows(quick=quick, roma=roma))
+    assert len(rows) == len(asked) == count + (roma is not None)
     usual = matching.DenseSettings()
     for row, (views, settings) in zip(rows, asked, strict=True):
         assert views == (2 if quick else 4)
         moved = {n: v for n, v in vars(settings).items() if v != getattr(usual, n)}
-        if row["threshold"] == "matcher":
+        if row.get("value") == "roma":
+            assert moved == {"matcher": "roma", "weights": "w"}
+        elif row["threshold"] == "matcher":
             assert moved == {"matcher": "prior"}
         else:
             assert moved == (
