@@ -20,6 +20,12 @@ LOSSES = ("photometric", "loss")
 """What it calls the difference between render and photo, and the sum with all other terms, which counts
 where a method has no plain difference."""
 MB = 2**20
+OF_ALL_PROCESSES = ("cpu_seconds", "peak_memory_mb")
+"""Costs that old records say of the first process alone, see `Measured.blocks_uncounted`."""
+COUNTED = 0.5
+"""Least share of the wall seconds of coarse model and blocks that the processor seconds of a case are. It is 1 where every
+thread has a core, and was 0.7 in the most disturbed run that docs/city.json holds. Records without the blocks lie below it
+where these were most of the work; docs/city.json and docs/unseen.json say so themselves, by the commit that a row came with."""
 DIGITS = 6
 """Significant digits that are kept of each number."""
 Curve = Sequence[tuple[int, Mapping[str, float]]]
@@ -57,6 +63,9 @@ class Measured:
     level."""
     values: dict[str, float] = field(default_factory=dict)
     """Metrics and costs of the whole case by name; what is undefined is left out."""
+    blocks_uncounted: bool = False
+    """Whether it was recorded before the processes that train blocks were counted: what it says of processor
+    seconds and peak memory is that of the first process alone, and is left out of `values`."""
     images: dict[str, dict[str, float]] = field(default_factory=dict)
     """Metrics of each scored image by name; what is undefined is left out."""
 
@@ -88,6 +97,9 @@ def measured(result: Result) -> Measured:
     if not in_blocks:  # more machines do not train one model sooner
         values["four_machine_seconds"] = result.training_seconds
         values["four_machine_cpu_seconds"] = result.cpu_seconds
+    uncounted = _blocks_uncounted(result)
+    if uncounted:
+        values = {name: value for name, value in values.items() if name not in OF_ALL_PROCESSES}
     machine = (f"{k} {result.environment[k]}" for k in ("cores", "simd", "backend")
                if k in result.environment)  # fmt: skip
     return Measured(
@@ -104,6 +116,7 @@ def measured(result: Result) -> Measured:
         late_gain=0.0 if result.error else _rounded(late_gain(result.curve)),
         counters=dict(sorted(result.counters.items())),
         values=_finite(values),
+        blocks_uncounted=uncounted,
         images={image.name: _finite(image.metrics) for image in result.images},
     )
 
@@ -190,6 +203,12 @@ def _grown(result: Result) -> int:
 def _blocks(result: Result) -> int:
     """How many blocks a scene was trained in; 0: in none."""
     return int(str(result.settings.get("blocks", 0)))
+
+
+def _blocks_uncounted(result: Result) -> bool:
+    """Whether a case's processor seconds are too few to have its blocks among them."""
+    apart = result.stages.get("coarse", 0.0) + result.stages.get("blocks", 0.0)
+    return bool(_blocks(result)) and result.cpu_seconds < COUNTED * apart
 
 
 def _finite(values: Mapping[str, float]) -> dict[str, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from splatproof.reports.claims.claim import Claim
 from splatproof.reports.comparable import MIN_SEEDS
-from splatproof.reports.measured import Measured
+from splatproof.reports.measured import OF_ALL_PROCESSES, Measured
 from splatproof.reports.statistics import Difference, Scores, paired_difference
 
 Verdict = Literal[
@@ -40,6 +40,7 @@ TOTALS = ("train_seconds", "four_machine_seconds", "four_machine_cpu_seconds", "
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
 one thread, it has no more than 1."""
+UNCOUNTED = "recorded before the processes of blocks were counted"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +61,7 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     """The verdict on a claim.
 
     In this order: *not testable here* where something is missing, rows are not comparable, or a time is
-    claimed and the machine had other work; *too
+    claimed and the machine had other work or may have had it; *too
     short to judge* below three seeds, where nothing was ever densified, or where a row still changed by
     more than it differs from the other, see `still_changing`; else by the 95 % interval of the
     difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
@@ -83,8 +84,7 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(claim, "not testable here", fault)
     every = [run for pair in pairs for side in pair for run in side]
     seeds = min(len(side) for pair in pairs for side in pair)
-    if claim.metric in TIMES and (busy := sorted({run.row for run in every if waited(run)})):
-        fault = f"{', '.join(busy)}: timed while the machine had other work"
+    if fault := _untimed(claim.metric, every):
         return _without(claim, "not testable here", fault, seeds)
     if short := _short(claim, every, seeds):
         return _without(claim, "too short to judge", short, seeds)
@@ -101,6 +101,15 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
 
 
+def _untimed(metric: str, every: Sequence[Measured]) -> str:
+    """Why costs of runs are not compared, with the rows that each reason is about; empty where they are."""
+    rows: dict[str, set[str]] = {}
+    for run in every:
+        if why := untimed(metric, run):
+            rows.setdefault(why, set()).add(run.row)
+    return "; ".join(f"{', '.join(sorted(own))}: {why}" for why, own in sorted(rows.items()))
+
+
 def _short(claim: Claim, every: Sequence[Measured], seeds: int) -> str:
     """Why runs are too few, or none that could have shown the effect; empty where they are neither."""
     few = [] if seeds >= MIN_SEEDS else [f"{_count(seeds)}; {MIN_SEEDS} are needed"]
@@ -114,10 +123,26 @@ def waited(run: Measured) -> bool:
     """Whether a run's training took longer than its work, so that its times are of the machine's load.
 
     Args:
-        run: A finished run.
+        run: A finished run whose processes were all counted, see `Measured.blocks_uncounted`.
     """
     wall, cpu = (run.values.get(name, 0.0) for name in ("train_seconds", "cpu_seconds"))
     return wall > WAITED * cpu
+
+
+def untimed(metric: str, run: Measured) -> str:
+    """Why what a run says of a cost is not its own; empty where it is, or where the metric is no such cost.
+
+    Args:
+        metric: Name of a value of cases.
+        run: A finished run.
+    """
+    if metric in OF_ALL_PROCESSES and run.blocks_uncounted:
+        return UNCOUNTED
+    if metric not in TIMES:
+        return ""
+    if run.blocks_uncounted:
+        return f"{UNCOUNTED}: whether the machine had other work is not known"
+    return "timed while the machine had other work" if waited(run) else ""
 
 
 Pair = tuple[list[Measured], ...]

@@ -15,11 +15,16 @@ import torch
 from city_page import render_city, row_of
 from kept_rows import Picture, committed, joined, pictures_of
 
+from splatproof.cli.claim_sources import committed as committed_evidence
+from splatproof.cli.claim_sources import judged
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.regions import nearest_region
 from splatproof.methods.loading import load_reconstruction
+from splatproof.reports.claims.claim import HOUSE, load_claims
+from splatproof.reports.findings.finding import Finding
 from splatproof.suites.held_out import picture_name
+from splatproof.suites.published.rows import numbers
 from splatproof.suites.records import read_record
 from splatproof.suites.scene_scores.seams import COLOURS
 from splatproof.suites.suite_files import Case, load_suite
@@ -48,11 +53,17 @@ MERGES = {
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 
+def expected() -> list[Finding]:
+    """This project's own claims of the suite, judged by the committed rows as the claims page does."""
+    own = [claim for claim in load_claims("city", numbers()) if claim.paper == HOUSE]
+    return judged(own, (), committed_evidence(FOLDER, ["city"]))
+
+
 def page() -> str:
     """The page from the committed rows and list of pictures."""
     rows = json.loads(ROWS.read_text(encoding="utf-8"))
     pictures = [Picture(**entry) for entry in json.loads(LIST.read_text(encoding="utf-8"))]
-    return render_city(rows, pictures, FINDINGS.read_text(encoding="utf-8"))
+    return render_city(rows, pictures, expected(), FINDINGS.read_text(encoding="utf-8"))
 
 
 def cases(runs: Path) -> dict[tuple[str, str], tuple[Case, Path]]:

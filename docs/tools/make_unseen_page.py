@@ -24,7 +24,8 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
   `@di-true` is `@di` with the true depth for matches: a bound on all matchers.
 - `citygaussian`, `vastgaussian`, `blockgaussian` and `dpgs-partition` (blocks of equal load): four blocks after a coarse model;
-  `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block.
+  `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block. They were recorded before the processes of
+  blocks were counted, and have no processor seconds or peak memory.
 """,
     printed=(
         Printed(

@@ -2,6 +2,7 @@
 
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from splatproof.base.files import read_bytes
@@ -30,8 +31,9 @@ from splatproof.methods.city.merge import write_merged
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.progress import Progress
-from splatproof.methods.city.refine_parts import Whole, part_jobs, refine_parts
+from splatproof.methods.city.refine_parts import Whole, mean_of_parts, part_jobs, refine_parts
 from splatproof.methods.city.settings import CitySettings
+from splatproof.methods.city.small_file import compress, file_steps, order_in_file
 from splatproof.methods.city.stages import Stages
 from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
 from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
@@ -39,16 +41,12 @@ from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
-from splatproof.methods.storage.packed.coded_writer import chosen_steps, file_order, write_coded
-from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.reader import read_packed
-from splatproof.methods.storage.packed.rows import MemoryRows
-from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
 from splatproof.methods.threedgs.cost import mean_gaussians
 from splatproof.methods.threedgs.fit import started
 from splatproof.methods.training.session import run_key
 from splatproof.methods.training.threads import threads
-from splatproof.reference.compression.quantisers import Steps
+from splatproof.reference.stitching.preclean import CleanSettings
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
 
@@ -65,6 +63,8 @@ class Merged:
     """Block that trained each Gaussian."""
     distances: Float[Tensor, " n"]
     """Normalised distance of each Gaussian to that block: at most 1 in its core."""
+    unfaded: Float[Tensor, " n"] | None = None
+    """Opacity logit that each Gaussian had before it faded; None: nothing faded."""
 
     def take(self, rows: Tensor) -> "Merged":
         """Some of the Gaussians, with their blocks and distances.
@@ -76,7 +76,21 @@ class Merged:
             model=select(self.model, rows),
             blocks=self.blocks[rows],
             distances=self.distances[rows],
+            unfaded=None if self.unfaded is None else self.unfaded[rows],
         )
+
+    def clean(self, settings: CleanSettings) -> Bool[Tensor, " n"]:
+        """Which Gaussians stay when invisible and oversized ones go: by what they were before they faded.
+
+        By what is left of them one of several that share a place would go and the others stay: shares would no longer
+        sum to 1.
+
+        Args:
+            settings: Thresholds.
+        """
+        whole = self.unfaded
+        solid = self.model if whole is None else replace(self.model, opacity_logits=whole)
+        return refinement.clean(solid, settings)
 
 
 def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityModel:
@@ -127,6 +141,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             if one.primitives and not one.kept:
                 run.say(f"block {one.block}: lost all {one.primitives} Gaussians in the merge")
         merged, packed, bytes_of, steps = _read_merged(folder / "merged"), None, {}, None
+        alone: dict[str, float] = {}
         if settings.gcr:
             path = folder / "refined.safetensors"
             refined = stages.run(
@@ -137,14 +152,14 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             parts = [BlockFacts(**part) for part in refined.get("parts", ())]
             elsewhere += refined.get("elsewhere", 0.0)
             peaks += [part.peak_mb for part in parts]
-            facts = _with_parts(facts, parts)
+            facts, alone = _with_parts(facts, parts), refined.get("alone", {})
         run.on_elsewhere(elsewhere, max(peaks))
         if settings.quantise:
             path = folder / "model.spgs"
-            chosen = _steps(merged.model, settings, steps)
-            merged = merged.take(_file_order(merged.model, settings, chosen))
+            chosen = file_steps(merged.model, settings, steps)
+            merged = merged.take(order_in_file(merged.model, settings, chosen))
             small = stages.run(
-                "compress", partial(_compress, merged, settings, path, scene, chosen)
+                "compress", partial(compress, merged.model, settings, path, scene, chosen)
             )
             packed, bytes_of = read_bytes(path), small["parts"]
             merged = replace(merged, model=read_packed(path, threads=run.threads)[0])
@@ -152,7 +167,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     return CityModel(
         model=merged.model, blocks=merged.blocks, distances=merged.distances, mode=settings.mode, shift=scene.shift, units=scene.units,
         backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, stage_cpu_seconds=stages.cpu_seconds, packed=packed,
-        packed_parts=bytes_of,
+        packed_parts=bytes_of, refine_alone=alone,
         block_facts=facts,
     )  # fmt: skip
 
@@ -245,7 +260,11 @@ def _stitch(
     ]
     owners = torch.repeat_interleave(torch.arange(len(blocks)), torch.tensor(counts))
     away = torch.cat(distances)[torch.cat(kept)]
-    write_tensors(folder / "merged" / "blocks.safetensors", {"blocks": owners, "distances": away})
+    whose = {"blocks": owners, "distances": away}
+    if fade is not None:
+        logits = [part["opacity_logits"] for block in blocks for part in block.slices(("opacity_logits",))]  # fmt: skip
+        whose["unfaded"] = torch.cat(logits)[torch.cat(kept)]
+    write_tensors(folder / "merged" / "blocks.safetensors", whose)
     return {"kept": counts}
 
 
@@ -289,14 +308,15 @@ def _refine(
     blocks: Sequence[BlockFacts],
 ) -> dict[str, Any]:
     """Clean the merged model and fit its appearance over all training views, at once or in parts."""
-    rows = refinement.clean(merged.model, settings.refine.clean)
+    began = _clocks()
+    rows = merged.clean(settings.refine.clean)
     cleaned, owners = select(merged.model, rows), merged.blocks[rows]
     if settings.refine.level:
         cleaned = _at_level(cleaned, owners, scene, settings, run)
     moving = None
     if settings.refine.walls:
         moving = near_walls(cleaned.means.double(), found.regions, settings.refine.walls)
-    steps, work = _steps(cleaned, settings, None), path.parent / "refine"
+    steps, work = file_steps(cleaned, settings, None), path.parent / "refine"
     pack = steps or (settings.pack if settings.quantise else None)
     told: dict[str, Any] = {"steps": None if steps is None else asdict(steps)}
     if settings.refine.parts:
@@ -308,8 +328,13 @@ def _refine(
         )  # fmt: skip
         jobs = part_jobs(cleaned, whole, run, work)
         before = [job.done() is not None for job in jobs]
-        model, parts = refine_parts(cleaned, owners, jobs, run, progress.parts)
+        shared_out = _clocks()
+        parts = refine_parts(jobs, run, progress.parts)
+        back = _clocks()
+        model = mean_of_parts(cleaned, owners, jobs)
         told |= {"parts": [asdict(one) for one in parts]} | _spent(parts, before, run)
+        alone = _clocks() - back + shared_out - began
+        told["alone"] = dict(zip(("seconds", "cpu_seconds"), alone.tolist(), strict=True))
     else:
         model, seconds, cpu_seconds = refinement.refine(
             cleaned, scene, settings.refine, settings.training,
@@ -319,6 +344,11 @@ def _refine(
     write_tensors(path, {name: getattr(model, name) for name in FIELDS} | {"rows": rows})
     shutil.rmtree(work, ignore_errors=True)
     return told | {"cleaned": int((~rows).sum())}
+
+
+def _clocks() -> Float64[Tensor, "2"]:
+    """Wall and processor seconds of this process, from a start of their own."""
+    return torch.tensor([time.perf_counter(), time.process_time()], dtype=torch.float64)
 
 
 def _at_level(
@@ -353,42 +383,3 @@ def _with_parts(
 def _read_refined(merged: Merged, path: Path) -> Merged:
     tensors, _ = read_tensors(path)
     return replace(merged.take(tensors["rows"]), model=read_gaussians(path))
-
-
-def _steps(
-    model: Gaussians, settings: CitySettings, refined: dict[str, Any] | None
-) -> Steps | None:
-    """Steps of our small file, those that the refinement was trained through; None: there is no such file."""
-    if not settings.quantise or settings.coder == "paper":
-        return None
-    if refined is not None:
-        known: dict[str, Any] = refined | {"weights": tuple(refined["weights"])}
-        return Steps(**known)
-    return chosen_steps(MemoryRows(model), settings.code)
-
-
-def _file_order(
-    model: Gaussians, settings: CitySettings, steps: Steps | None
-) -> Int64[Tensor, " n"]:
-    """The Gaussians in the order of the file that they will be read from."""
-    if steps is not None:
-        return file_order(MemoryRows(model), steps)[1]
-    return morton_order(model.means) if settings.pack.sort else torch.arange(len(model))
-
-
-def _compress(
-    merged: Merged, settings: CitySettings, path: Path, scene: Scene, steps: Steps | None
-) -> dict[str, Any]:
-    """Write the small file, in the order that the Gaussians have already."""
-    facts = PackedFacts(mode=settings.mode, shift=scene.shift, units=scene.units)
-    threads = torch.get_num_threads()
-    if steps is None:
-        report = write_packed(
-            path, merged.model, settings=replace(settings.pack, sort=False), facts=facts,
-            threads=threads,
-        )  # fmt: skip
-    else:
-        report = write_coded(
-            path, merged.model, settings=settings.code, steps=steps, facts=facts, threads=threads
-        )
-    return {"parts": dict(report.bytes_by_part)}

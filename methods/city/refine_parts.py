@@ -173,14 +173,28 @@ def part_jobs(model: Gaussians, whole: Whole, run: Run, folder: Path) -> tuple[P
     return tuple(jobs)
 
 
-def refine_parts(
-    model: Gaussians,
-    owners: Int64[Tensor, " n"],
-    jobs: Sequence[PartJob],
-    run: Run,
-    report: Report,
-) -> tuple[Gaussians, tuple[BlockFacts, ...]]:
-    """Refine every part where blocks are trained, and put them together.
+def refine_parts(jobs: Sequence[PartJob], run: Run, report: Report) -> tuple[BlockFacts, ...]:
+    """Refine every part where blocks are trained.
+
+    Args:
+        jobs: The parts.
+        run: Engine, workers and threads.
+        report: Called as report(step, total, values), of all parts' steps together.
+
+    Returns: What each part cost.
+    """
+    return tuple(
+        run_blocks(
+            jobs, engine=run.engine, workers=run.workers, threads=run.threads,
+            report=_summed(jobs, report),
+        )
+    )  # fmt: skip
+
+
+def mean_of_parts(
+    model: Gaussians, owners: Int64[Tensor, " n"], jobs: Sequence[PartJob]
+) -> Gaussians:
+    """The model that refined parts make together.
 
     Opacity and colour of a Gaussian become the mean of what the parts made of it, weighted by how many of each part's
     views show it; geometry is what the part of the block that owns it made of it. What nobody shows stays as it is.
@@ -188,17 +202,12 @@ def refine_parts(
     Args:
         model: The merged model, already cleaned.
         owners: Block of each of its Gaussians.
-        jobs: The parts.
-        run: Engine, workers and threads.
-        report: Called as report(step, total, values), of all parts' steps together.
+        jobs: The parts, all done.
 
-    Returns: The refined model, in the order of the merged one; and what each part cost.
+    Returns: The refined model, in the order of the merged one.
 
     Source: ours; the mean over parts is that of federated averaging, McMahan et al. 2017.
     """
-    facts = run_blocks(
-        jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=_summed(jobs, report)
-    )  # fmt: skip
     weights = torch.zeros(len(model))
     for job in jobs:
         weights[job.rows] += job.weights
@@ -213,7 +222,7 @@ def refine_parts(
             else:  # as a change, so that what nobody changes is the same to the bit
                 change = mine - getattr(model, name)[job.rows]
                 values[job.rows] += share.reshape(-1, *[1] * (change.ndim - 1)) * change
-    return Gaussians(**found), tuple(facts)
+    return Gaussians(**found)
 
 
 def _summed(jobs: Sequence[PartJob], report: Report) -> BlocksReport:

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 import torch
 import zstandard
+from jaxtyping import Float
+from torch import Tensor
 
 from splatproof.base.errors import DataError, MissingError
 from splatproof.base.files import CHUNK, size_of, whole_file
@@ -28,10 +30,20 @@ MOST_EACH = 100
 harmonics of degree 3 or 72 of degree 4."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
+ALL_BITS = (8, 8)
+"""Bits of a harmonic that are kept, in degree 1 and above: all that the format has room for."""
+USUAL_BITS = (5, 4)
+"""The same as the format's own encoder keeps them, which makes the file about half as large."""
 
 
-def write_spz(path: str | Path, gaussians: Gaussians, *, version: Version = 3) -> None:
-    """Write positions in fixed point, 8-bit colour, opacity and scale, 5 or 4-bit harmonics.
+def write_spz(
+    path: str | Path,
+    gaussians: Gaussians,
+    *,
+    version: Version = 3,
+    harmonics: tuple[int, int] = ALL_BITS,
+) -> None:
+    """Write positions in fixed point, 8-bit colour, opacity and scale, harmonics in 8 bits or what `harmonics` says.
 
     Positions get as many fractional bits as their extent leaves of 24: the package's fixed 12 are
     0.24 mm in metres, and anything in other units.
@@ -40,10 +52,11 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: Version = 3) -
         path: The file, written whole or not at all.
         gaussians: The model, in float32, in a frame whose origin is near it.
         version: Version of the format: 3 opens in every viewer, 4 is compressed with zstd.
+        harmonics: Bits of each that are kept, 1 to 8, in degree 1 and above; the others are 0, and compress.
 
     Raises: MissingError without the package; DataError for positions beyond 2^23.
 
-    Source: the format's public description (Niantic Labs, spz); extent-aware bits: ours.
+    Source: the format's public description and its encoder's bits of harmonics (Niantic Labs, spz); extent-aware bits: ours.
     """
     path = Path(path)
     gsply = _package()
@@ -54,7 +67,7 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: Version = 3) -
     data = gsply.GSData(
         means=gaussians.means.numpy(), scales=gaussians.log_scales.numpy(),
         quats=gaussians.unit_quaternions.numpy(), opacities=gaussians.opacity_logits.numpy(),
-        sh0=gaussians.sh[:, 0].numpy(), shN=gaussians.sh[:, 1:].contiguous().numpy(),
+        sh0=gaussians.sh[:, 0].numpy(), shN=in_buckets(gaussians.sh[:, 1:], harmonics).numpy(),
     )  # fmt: skip
     with whole_file(path) as partial:
         gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
@@ -67,6 +80,26 @@ def _forget_time(path: Path) -> None:
     with path.open("r+b") as file:
         file.seek(GZIP_TIME.start)
         file.write(bytes(len(GZIP_TIME)))
+
+
+def in_buckets(rest: Float[Tensor, "n r 3"], bits: tuple[int, int]) -> Float[Tensor, "n r 3"]:
+    """Harmonics of degree 1 and above whose stored bytes are multiples of 2^(8 - bits).
+
+    A byte is round(128 x) + 128, then the nearest multiple, halves up, and 255 where that would be 256.
+
+    Args:
+        rest: SH coefficients without DC.
+        bits: Bits that are kept of those of degree 1, and of all others.
+
+    Source: quantizeSH of Niantic Labs' spz.
+    """
+    if bits == ALL_BITS:
+        return rest.contiguous()
+    found = (128 * rest).round() + 128
+    for part, kept in ((slice(0, 3), bits[0]), (slice(3, None), bits[1])):
+        step = 2 ** (8 - kept)
+        found[:, part] = ((found[:, part] + step // 2) / step).floor() * step
+    return (found.clamp(0, 255) - 128) / 128
 
 
 def read_spz(path: str | Path) -> Gaussians:

@@ -16,7 +16,7 @@ import numpy as np
 from splatproof.base.errors import UsageError
 from splatproof.base.typed_toml import build, read_toml
 from splatproof.reports.comparing.cases import CaseRecord
-from splatproof.reports.verdicts import TIMES, waited
+from splatproof.reports.verdicts import untimed
 
 DECLARED = Path(__file__).with_name("bands.toml")
 
@@ -81,7 +81,8 @@ def repeated(cases: Sequence[CaseRecord], relative: Mapping[str, bool]) -> list[
     """The noise of each metric, from cases that differ in the seed alone.
 
     Args:
-        cases: Cases of any suites; failed ones are left out, and of times those that waited for other work.
+        cases: Cases of any suites; failed ones are left out, and of costs those that
+            `splatproof.reports.verdicts.untimed` says are not their own.
         relative: Whether a metric is compared by ratios; the metrics that are looked at, in order.
     Returns: Metrics with at least one group of two seeds; a group with a value that is not positive is
         no group of a relative metric.
@@ -95,7 +96,7 @@ def repeated(cases: Sequence[CaseRecord], relative: Mapping[str, bool]) -> list[
     for metric, by_ratio in relative.items():
         squares, freedom, count = 0.0, 0, 0
         for own in groups.values():
-            counted = [c.measured for c in own if metric not in TIMES or not waited(c.measured)]
+            counted = [c.measured for c in own if not untimed(metric, c.measured)]
             values = np.array([run.values.get(metric, math.nan) for run in counted])
             if len(values) < 2 or not np.isfinite(values).all() or (by_ratio and values.min() <= 0):
                 continue

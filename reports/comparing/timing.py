@@ -5,7 +5,7 @@ import datetime
 from splatproof.reference.types.result import BEGAN, BOOT, ENDED
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.matching import Group
-from splatproof.reports.verdicts import TIMES, waited
+from splatproof.reports.verdicts import TIMES, untimed
 
 MACHINE_METRICS = (*TIMES, "peak_memory_mb")
 """What a case costs that depends on where and when it was measured."""
@@ -35,8 +35,9 @@ def why_not_timed(metric: str, group: Group) -> str:
                 "another start of the machine, or another one" if name == BOOT else f"other {name}"
             )
             return f"not measured on the same machine ({kind})"
-    if metric in TIMES and (slow := [case for case in every if waited(case.measured)]):
-        return f"timed while the machine had other work ({slow[0].name})"
+    for case in every:
+        if why := untimed(metric, case.measured):
+            return f"{why} ({case.name})"
     middles = [[_middle(case) for case in side] for side in (base, new)]
     first, last = min(map(min, middles)), max(map(max, middles))
     apart = abs(sum(middles[0]) / len(base) - sum(middles[1]) / len(new))

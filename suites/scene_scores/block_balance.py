@@ -45,7 +45,10 @@ def retention(blocks: Sequence[BlockFacts]) -> dict[str, float]:
 
 
 def four_machine_seconds(
-    stages: Mapping[str, float], cpu: Mapping[str, float], blocks: Sequence[BlockFacts]
+    stages: Mapping[str, float],
+    cpu: Mapping[str, float],
+    blocks: Sequence[BlockFacts],
+    alone: Mapping[str, float],
 ) -> dict[str, float]:
     """What the whole would take if MACHINES machines had trained the blocks, and refined the parts where the
     refinement has parts, those first that take longest, and one of them did all else.
@@ -53,31 +56,44 @@ def four_machine_seconds(
     four_machine_seconds are wall seconds, in which other work on the machine, blocks trained at the same time among
     it, counts as if it were everywhere; four_machine_cpu_seconds are processor seconds, wall seconds of machines of
     one core with nothing else to do. What is sent between machines is not counted. Either is left out where it is not
-    known of a block or a stage.
+    known of a block, a stage, or what a refinement in parts does beside them; a block that was left empty takes nothing.
 
     Args:
         stages: Measured wall seconds of each stage, "blocks" among them.
         cpu: Processor seconds of each stage.
         blocks: One a block.
+        alone: What a refinement in parts takes without its parts, "seconds" and "cpu_seconds"; empty: not known.
     Source: list scheduling by longest first, Graham 1969; `metrics.balance.makespan`.
     """
-    wall = _longest_path(stages, [b.seconds for b in blocks], [b.refine_seconds for b in blocks])
-    busy = _longest_path(
-        cpu, [b.cpu_seconds for b in blocks], [b.refine_cpu_seconds for b in blocks]
+    there = [block for block in blocks if block.primitives or block.seconds]
+    wall = _longest_path(
+        stages, [b.seconds for b in there], [b.refine_seconds for b in there], alone.get("seconds")
     )
+    busy = _longest_path(
+        cpu, [b.cpu_seconds for b in there], [b.refine_cpu_seconds for b in there],
+        alone.get("cpu_seconds"),
+    )  # fmt: skip
     named = {"four_machine_seconds": wall, "four_machine_cpu_seconds": busy}
     return {name: seconds for name, seconds in named.items() if seconds is not None}
 
 
 def _longest_path(
-    stages: Mapping[str, float], trained: Sequence[float], refined: Sequence[float]
+    stages: Mapping[str, float],
+    trained: Sequence[float],
+    refined: Sequence[float],
+    beside: float | None,
 ) -> float | None:
     """Seconds of all stages, of which blocks and refined parts are shared out; None where they are not known."""
-    if "blocks" not in stages or not all(trained):
+    if "blocks" not in stages or not trained or not all(trained):
         return None
-    shared = {"blocks": trained} | ({"refine": refined} if any(refined) else {})
-    alone = sum(seconds for name, seconds in stages.items() if name not in shared)
-    return alone + sum(makespan(sorted(each, reverse=True), MACHINES) for each in shared.values())
+    shared = [trained]
+    alone = sum(seconds for name, seconds in stages.items() if name != "blocks")
+    if any(refined):
+        if beside is None:
+            return None
+        shared.append(refined)
+        alone += beside - stages["refine"]
+    return alone + sum(makespan(sorted(each, reverse=True), MACHINES) for each in shared)
 
 
 def balance_metrics(blocks: Sequence[BlockFacts]) -> dict[str, float]:

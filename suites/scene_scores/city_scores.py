@@ -45,7 +45,9 @@ def city_scores(
         whole["packed_bytes"] = float(len(model.packed))
     blocks = model.block_facts
     whole |= balance_metrics(blocks) | fewest_densifications(blocks) | retention(blocks)
-    whole |= four_machine_seconds(model.stage_seconds, model.stage_cpu_seconds, blocks)
+    whole |= four_machine_seconds(
+        model.stage_seconds, model.stage_cpu_seconds, blocks, model.refine_alone
+    )
     if len(model.regions) > 1 and len(scene.points):
         owners = nearest_region(model.regions, scene.points.positions)
         whole["edge_cut"] = float(edge_cut(ground(scene), owners, len(model.regions)))

@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, save_model
 from splatproof.methods.loading import load_reconstruction
@@ -13,7 +12,13 @@ from splatproof.methods.storage.packed.coded_writer import QUALITIES, CodeSettin
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import FileSettings, write_packed
 from splatproof.methods.storage.ply import read_ply, write_ply
-from splatproof.methods.storage.spz import read_spz, write_spz
+from splatproof.methods.storage.spz import (
+    ALL_BITS,
+    USUAL_BITS,
+    Version,
+    read_spz,
+    write_spz,
+)
 from splatproof.reference.compression import container
 from splatproof.reference.compression import packing as reference
 from splatproof.reference.compression.quantisers import Steps
@@ -28,6 +33,7 @@ FAST = (0.1,)
 BITS = (7, 5)
 """Bits of a coefficient of harmonics in images."""
 PALETTES = (1024,)
+SPZ: tuple[Version, ...] = (3, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +66,9 @@ def formats() -> list[Format]:
         *(coded_format(f"small {step}", replace(standard, harmonics=step)) for step in HARMONICS),
         coded_format("fast", replace(standard, profile="fast")),
         *(coded_format(f"fast {step}", replace(standard, profile="fast", harmonics=step)) for step in FAST),
-        Format(name="spz 3", curve="spz 3", write=partial(_write_spz, 3), read=read_spz),
-        Format(name="spz 4", curve="spz 4", write=partial(_write_spz, 4), read=read_spz),
+        *(Format(name=f"spz {version}{word}", curve=f"spz {version}", write=partial(_write_spz, version, bits),
+                 read=read_spz)
+          for version in SPZ for word, bits in (("", USUAL_BITS), (", 8 bits", ALL_BITS))),
         *(images(name=f"png {bits}", curve="png grid", write=partial(_write_images, bits, 0)) for bits in BITS),
         *(images(name=f"palette {size}", curve="palette", write=partial(_write_images, 8, size))
           for size in PALETTES),
@@ -130,8 +137,10 @@ def _write_reference(path: Path, model: Gaussians) -> Mapping[str, int]:
     return {}
 
 
-def _write_spz(version: Any, path: Path, model: Gaussians) -> Mapping[str, int]:
-    write_spz(path, model, version=version)
+def _write_spz(
+    version: Version, bits: tuple[int, int], path: Path, model: Gaussians
+) -> Mapping[str, int]:
+    write_spz(path, model, version=version, harmonics=bits)
     return {}
 
 

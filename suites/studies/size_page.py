@@ -36,7 +36,8 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
          "blending weight over the training views; in `merged` that share is gone as pairs became one "
          "(`--thin`); `tuned` is merged by that share and trained through the steps of that quality "
          f"for {TuneSettings().iterations} steps (`--tune`), on the training views, so that its change "
-         "there counts training as well; `gate` is version 2 of the file; `png` and `palette` "
+         "there counts training as well; `gate` is version 2 of the file; `spz` keeps the 5 and 4 bits of "
+         "harmonics that the format's own encoder does, with `8 bits` all, as `bench export --spz`; `png` and `palette` "
          "are images in the shape of gsplat's and SOG's, written here to compare."),
         "## Machine",
         table(("", ""), [(shown, machine[key]) for key, shown in MACHINE.items() if machine.get(key)]),

@@ -40,6 +40,20 @@ def test_a_result_as_plain_data():
 
 
 @pytest.mark.parametrize(
+    ("settings", "cpu", "uncounted"),
+    [({"blocks": 4}, 6.0, True), ({"blocks": 4}, 49.9, True), ({"blocks": 4}, 50.1, False), ({}, 6.0, False)],
+)  # fmt: skip
+def test_costs_of_records_without_the_processes_of_blocks_are_left_out(settings, cpu, uncounted):
+    stages = {"coarse": 40.0, "blocks": 60.0, "train": 110.0}
+    found = measured(result_of(settings=settings, cpu_seconds=cpu, stages=stages))
+    assert found.blocks_uncounted == uncounted
+    assert {"cpu_seconds", "peak_memory_mb"} & set(found.values) == (
+        set() if uncounted else {"cpu_seconds", "peak_memory_mb"}
+    )
+    assert found.values["train_seconds"] == 110.0
+
+
+@pytest.mark.parametrize(
     ("row", "plain", "half"),
     [
         ("a", "a", "a@half"), ("a@x", "a", "a@half"),

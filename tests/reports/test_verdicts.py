@@ -78,6 +78,36 @@ def test_times_of_a_machine_that_had_other_work_judge_nothing(metric, wall, expe
         assert judged.reason == "a, b: timed while the machine had other work"
 
 
+UNCOUNTED = "b: recorded before the processes of blocks were counted"
+
+
+@pytest.mark.parametrize(
+    ("metric", "expected", "reason"),
+    [
+        ("train_seconds", "not testable here", f"{UNCOUNTED}: whether the machine had other work is not known"),
+        ("seconds_max_over_mean", "not testable here",
+         f"{UNCOUNTED}: whether the machine had other work is not known"),
+        ("cpu_seconds", "not testable here", UNCOUNTED),
+        ("peak_memory_mb", "not testable here", UNCOUNTED),
+        ("cpu_max_over_mean", "holds", ""), ("disk_mb", "holds", ""),
+    ],
+)  # fmt: skip
+def test_costs_without_the_processes_of_blocks_are_not_compared_and_the_reason_is_told(
+    metric, expected, reason
+):
+    found = []
+    for row, factor in (("a", 1.0), ("b", 2.0)):
+        for seed in range(3):
+            own = {name: factor * 100 + seed for name in (
+                "train_seconds", "seconds_max_over_mean", "cpu_max_over_mean", "disk_mb")}  # fmt: skip
+            if row == "a":
+                own |= {"cpu_seconds": 100.0, "peak_memory_mb": 500.0}
+            found.append(run(row, seed, [20.0] * 6, values=own, blocks_uncounted=row == "b"))
+    claim = dataclasses.replace(CLAIM, metric=metric, better="lower", relative=True, printed=-0.5)
+    judged = verdict(claim, found)
+    assert (judged.verdict, judged.reason if reason else "") == (expected, reason)
+
+
 def test_a_claim_that_less_is_better_turns_the_sides():
     less = dataclasses.replace(CLAIM, better="lower", printed=-1.0)
     assert verdict(less, runs(-1.0)).verdict == "holds"

@@ -10,6 +10,7 @@ from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
 from splatproof.methods.city.cost import START_SECONDS
+from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.contracts.method import Cost
 from splatproof.methods.registry import METHODS, get_method
@@ -103,3 +104,18 @@ def test_blocks_share_the_gaussians_and_repeat_the_pixels():
     start = START_SECONDS / usable_cores()
     assert four - two - 2 * start == pytest.approx(2 * (two - one - 2 * start))
     assert seconds(blocks=4, coarse_iterations=500) > four
+
+
+def test_a_refinement_in_parts_costs_what_its_parts_do_and_no_process_holds_the_whole_in_training():
+    crowded = replace(SCENE, points=sparse_points(torch.rand(100_000, 3)))
+
+    def cost(parts: bool, **settings: Any) -> Cost:
+        refine = RefineSettings(iterations=2000, parts=parts)
+        row = CitySettings(iterations=1000, gcr=True, blocks=4, refine=refine, **settings)
+        return get_method("stitchgs").cost(row, crowded)
+
+    whole, apart = cost(False), cost(True)
+    assert apart.memory_mb < 0.8 * whole.memory_mb
+    # as many steps together, each over a fourth of the Gaussians, and a start of each part's process
+    assert 0 < apart.cpu_seconds - 4 * START_SECONDS < whole.cpu_seconds
+    assert cost(True, coarse_iterations=500).memory_mb == pytest.approx(whole.memory_mb)

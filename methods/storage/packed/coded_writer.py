@@ -10,7 +10,7 @@ import json
 import os
 import struct
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -207,12 +207,36 @@ def chosen_steps(rows: Rows, settings: CodeSettings) -> Steps:
     if felt:
         weights[0] = -int(np.median(np.concatenate(felt)))
     median = float(np.exp(np.median(np.concatenate(scales)))) if scales else 1.0
-    least = max(reach / quantisers.MOST_CELL * (1 + 1e-9), 1e-12)
     return Steps(
-        position=max(settings.position * median, least), log_scale=settings.log_scale,
+        position=max(settings.position * median, _least_cell(reach)), log_scale=settings.log_scale,
         opacity=settings.opacity, rotation_bits=settings.rotation_bits, dc=settings.dc,
         harmonics=settings.harmonics, weights=tuple(weights),
     )  # fmt: skip
+
+
+def with_room(steps: Steps, rows: Rows) -> Steps:
+    """The same steps with cells that bring the farthest position onto the grid, if theirs do not.
+
+    Args:
+        steps: Chosen for a model before its Gaussians moved.
+        rows: The model as it is to be stored.
+
+    Raises: DataError for positions that are not finite.
+
+    Source: ours.
+    """
+    reach = 0.0
+    for first in range(0, len(rows), LOOKED):
+        means = rows.take(slice(first, first + LOOKED), ("means",))["means"]
+        if not bool(means.isfinite().all()):
+            raise DataError("positions are not all finite: clean the model first")
+        reach = max(reach, float(means.double().abs().max()))
+    return replace(steps, position=max(steps.position, _least_cell(reach)))
+
+
+def _least_cell(reach: float) -> float:
+    """Side of the smallest cells that reach so far from the origin, in units of the frame."""
+    return max(reach / quantisers.MOST_CELL * (1 + 1e-9), 1e-12)
 
 
 def file_order(rows: Rows, steps: Steps) -> tuple[Int64[np.ndarray, "3"], Int64[Tensor, " n"]]:

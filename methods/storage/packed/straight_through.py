@@ -9,6 +9,7 @@ from torch import Tensor
 from splatproof.methods.kernels import stored_harmonics as native
 from splatproof.reference.compression.quantisers import (
     FRACTION,
+    MOST_CELL,
     MOST_LOGIT,
     OPPONENT,
     WIDEST,
@@ -22,7 +23,8 @@ LEAST = 1e-12
 def stored(rows: Mapping[str, Tensor], steps: Steps) -> dict[str, Tensor]:
     """The tensors on the file's steps; each passes gradients on as if nothing were rounded.
 
-    Classes are those of the rounded scales and opacities, as a reader finds them. Rotations are those of
+    Classes are those of the rounded scales and opacities, as a reader finds them. What leaves the grid of positions is
+    seen on its edge, where the file can hold it. Rotations are those of
     the nearest codes whose w is not negative, so a model should have come from the file once: its
     largest component is w then, and the file's own choice of half turn is this one.
 
@@ -35,10 +37,11 @@ def stored(rows: Mapping[str, Tensor], steps: Steps) -> dict[str, Tensor]:
     """
     log_scales = rounded(rows["log_scales"], steps.log_scale)
     logits = rounded(rows["opacity_logits"].clamp(-MOST_LOGIT, MOST_LOGIT), steps.opacity)
+    edge = MOST_CELL * steps.position
     rest = stored_harmonics(rows["sh_rest"], log_scales, logits, steps)
     found = dict(rows)
     found |= {
-        "means": rounded(rows["means"], steps.position),
+        "means": rounded(rows["means"].clamp(-edge, edge), steps.position),
         "log_scales": log_scales,
         "opacity_logits": logits,
         "quaternions": _turned(rows["quaternions"], steps.rotation_bits),

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,18 +13,22 @@ from hypothesis import strategies as st
 from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.model import CONTAINER, CityModel, in_hundredths
 from splatproof.methods.city.planted import PlantSettings
 from splatproof.methods.city.refine import RefineSettings
-from splatproof.methods.contracts.reconstruction import Origin, save_model
+from splatproof.methods.city.train_block import read_gaussians
+from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.registry import METHODS
+from splatproof.methods.storage.packed.coded_writer import CodeSettings
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.metrics.seam import INNER, OUTER, overlap_band
+from splatproof.reference.stitching.preclean import CleanSettings
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 
@@ -165,6 +170,38 @@ def test_our_small_file_is_what_the_refinement_saw_and_keeps_whose_is_whose(tmp_
     view = SCENE.views[0]
     apart = small.render(view).colour - plain.render(view).colour
     assert float(apart.square().mean()) < 1e-3
+
+
+def test_what_is_cleaned_is_invisible_before_it_fades(tmp_path):
+    """What one block has faded to less than the bound is the rest of a share, and stays with the others'."""
+    fade: dict[str, Any] = {"merge": "fade", "quantise": False}
+    fit("stitchgs", run(tmp_path / "a", cache=tmp_path), gcr=False, **fade)
+    whose, _ = read_tensors(next((tmp_path / "a").rglob("blocks.safetensors")))
+    left = read_gaussians(next((tmp_path / "a").rglob("merged")) / ARRAYS).opacity_logits
+    before = whose["unfaded"]
+    assert bool((left <= before).all())
+    bound = float(left.median())
+    here = before > bound
+    assert int(here.sum()) > int((left > bound).sum())
+    clean = CleanSettings(least_logit=bound, volume_quantile=1.0)
+    refined = fit(
+        "stitchgs", run(tmp_path / "b", cache=tmp_path),
+        refine=RefineSettings(iterations=2, clean=clean), **fade,
+    )  # fmt: skip
+    assert torch.equal(refined.blocks, whose["blocks"][here])
+
+
+@pytest.mark.parametrize("parts", [False, True])
+def test_what_moves_beyond_the_grid_of_our_small_file_while_it_is_refined_is_stored(
+    parts, tmp_path
+):
+    """Cells are as small as the farthest Gaussian allows, and then a rate throws it outward."""
+    rates = replace(Settings().rates, means=0.1, means_final=0.1)
+    of = {"coder": "small", "code": CodeSettings(position=1e-6), "rates": rates,
+          "refine": RefineSettings(iterations=10, walls=10.0, parts=parts)}  # fmt: skip
+    model = fit("stitchgs", run(tmp_path), **of)
+    assert same(model, fit("stitchgs", run(tmp_path), **of))  # read again from what is there
+    assert model.packed is not None
 
 
 @pytest.mark.parametrize("row", ["blockgaussian", "stitchgs", "odbp+stitch"])
@@ -337,10 +374,15 @@ def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_eac
     assert steps[-1][0] == steps[-1][1]
     assert [step for step, _ in steps] == sorted(step for step, _ in steps)
     assert set(there.stage_cpu_seconds) == set(there.stage_seconds)
+    for model in (here, there):  # what is done beside the parts, wherever these are refined
+        assert 0 < model.refine_alone["seconds"] < model.stage_seconds["refine"]
+        parts = sum(block.refine_cpu_seconds for block in model.block_facts)
+        assert 0 < model.refine_alone["cpu_seconds"] < parts
     whole = fit(
         "odbp+stitch", run(), **PARTS | {"refine": RefineSettings(iterations=60, walls=0.2)}
     )
     assert not same(here, whole)
+    assert whole.refine_alone == {}
 
 
 @pytest.mark.parametrize("share", [0.9, 0.97])

@@ -17,7 +17,14 @@ from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.coarse import shown_by
 from splatproof.methods.city.refine import GEOMETRY, RefineSettings, refine
-from splatproof.methods.city.refine_parts import MOVING, PartJob, Whole, part_jobs, refine_parts
+from splatproof.methods.city.refine_parts import (
+    MOVING,
+    PartJob,
+    Whole,
+    mean_of_parts,
+    part_jobs,
+    refine_parts,
+)
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.kernels.rasterizer import rasterize
 from splatproof.methods.models.explicit import FIELDS
@@ -52,6 +59,12 @@ def jobs(folder: Path, run: Run = RUN, moving: torch.Tensor | None = None) -> tu
     return part_jobs(spoilt(), whole(moving), run, folder)
 
 
+def refined(model: Gaussians, owners: torch.Tensor, made: tuple[PartJob, ...], run: Run, report):
+    """What the parts make of a model, and what each took."""
+    facts = refine_parts(made, run, report)
+    return mean_of_parts(model, owners, made), facts
+
+
 def error(model: Gaussians, view: View) -> float:
     """Mean absolute error of a model's picture of a view."""
     image = rasterize(
@@ -63,7 +76,7 @@ def error(model: Gaussians, view: View) -> float:
 def test_parts_together_come_nearer_to_the_photos_and_move_nothing_unless_told(tmp_path):
     made = jobs(tmp_path)
     assert [job.facts.block for job in made] == [0, 1]  # no view: nothing to be fitted to
-    model, facts = refine_parts(spoilt(), OWNERS, made, RUN, nothing)
+    model, facts = refined(spoilt(), OWNERS, made, RUN, nothing)
     assert all(one.seconds > 0 and one.cpu_seconds > 0 and one.peak_mb > 0 for one in facts)
     for name in GEOMETRY:
         assert torch.equal(getattr(model, name), getattr(spoilt(), name))
@@ -76,7 +89,7 @@ def test_of_what_several_parts_show_the_mean_is_kept_and_geometry_is_the_owners(
     """Each part by itself is what a refinement of its views and what they show makes of them."""
     moving = torch.ones(40, dtype=torch.bool)
     made = jobs(tmp_path, moving=moving)
-    model, _ = refine_parts(spoilt(), OWNERS, made, RUN, nothing)
+    model, _ = refined(spoilt(), OWNERS, made, RUN, nothing)
     counts = torch.stack([
         shown_by([SCENE.views[v].camera for v in chosen], spoilt().means.double())
         for chosen in ((1, 2, 3), (2, 3, 4, 5))
@@ -120,7 +133,7 @@ def test_only_what_the_block_owns_moves(tmp_path):
         moves = read_tensors(job.start)[0][MOVING]
         assert torch.equal(moves, (moving & (OWNERS == job.facts.block))[job.rows])
     assert len({job.seed for job in made}) == 2
-    model, _ = refine_parts(spoilt(), OWNERS, made, RUN, nothing)
+    model, _ = refined(spoilt(), OWNERS, made, RUN, nothing)
     moved = (model.log_scales != spoilt().log_scales).any(dim=1)
     assert int(moved[moving & (OWNERS != 2)].sum()) >= 10  # one of 14 is hidden behind others
     assert not bool(moved[~moving | (OWNERS == 2)].any())
@@ -134,8 +147,8 @@ def test_what_no_view_of_a_part_shows_is_not_sent_to_it(tmp_path):
     made = part_jobs(model, whole(), RUN, tmp_path)
     # of the six that nobody sees each part has its own two
     assert [job.facts.gaussians for job in made] == [count - 4 for count in near]
-    refined, _ = refine_parts(model, OWNERS, made, RUN, nothing)
-    assert torch.equal(refined.sh[:6], model.sh[:6])
+    ended, _ = refined(model, OWNERS, made, RUN, nothing)
+    assert torch.equal(ended.sh[:6], model.sh[:6])
 
 
 def test_processes_refine_the_same_parts_and_a_killed_one_goes_on(tmp_path):
@@ -143,7 +156,7 @@ def test_processes_refine_the_same_parts_and_a_killed_one_goes_on(tmp_path):
     views = [torch.arange(len(scene.views)) % 2 == b for b in range(2)]
     of = whole(scene=scene, views=views, owners=OWNERS % 2, blocks=FACTS[:2])
     start = part_jobs(spoilt(), of, RUN, tmp_path / "straight")
-    straight, _ = refine_parts(spoilt(), OWNERS % 2, start, RUN, nothing)
+    straight, _ = refined(spoilt(), OWNERS % 2, start, RUN, nothing)
     run = replace(RUN, engine="processes")
     made = part_jobs(spoilt(), of, run, tmp_path / "killed")
 
@@ -155,11 +168,11 @@ def test_processes_refine_the_same_parts_and_a_killed_one_goes_on(tmp_path):
                 os.kill(worker.pid, signal.SIGKILL)
 
     with pytest.raises(SplatproofError, match=r"block 1.*SIGKILL.*continues"):
-        refine_parts(spoilt(), OWNERS % 2, made, run, kill)
+        refined(spoilt(), OWNERS % 2, made, run, kill)
     assert [job.done() is not None for job in made] == [True, False]
     again = part_jobs(spoilt(), of, run, tmp_path / "killed")
     steps: list[int] = []
-    model, _ = refine_parts(
+    model, _ = refined(
         spoilt(), OWNERS % 2, again, run, lambda step, total, values: steps.append(step)
     )
     assert steps[0] > 10  # not from its start
@@ -169,7 +182,7 @@ def test_processes_refine_the_same_parts_and_a_killed_one_goes_on(tmp_path):
 
 def test_a_part_of_another_model_is_not_taken_for_done(tmp_path):
     made = jobs(tmp_path)
-    refine_parts(spoilt(), OWNERS, made, RUN, nothing)
+    refined(spoilt(), OWNERS, made, RUN, nothing)
     assert made[0].done() is not None
     assert made[0].work(nothing) == made[0].done()
     other = replace(spoilt(), sh=spoilt().sh + 0.1)

@@ -14,6 +14,7 @@ from splatproof.methods.storage.packed.coded_writer import CodeSettings, chosen_
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.training.schedules import Rates
+from splatproof.reference.compression.quantisers import MOST_CELL
 from splatproof.reference.types.gaussians import Gaussians
 
 SCENE = tiny_scene(views=5)
@@ -43,6 +44,17 @@ def test_the_loss_falls_and_the_file_loses_nothing_more(tmp_path):
         mine, its = (part.reshape(len(part), -1) for part in (values, getattr(back, name)))
         near = torch.cdist(mine.double(), its.double()).amin(dim=1)  # the file has its own order
         assert near.max() < 1e-4, name
+
+
+def test_what_training_moves_beyond_the_grid_is_stored_on_its_edge(tmp_path):
+    """Cells are as small as the farthest Gaussian allows, and then a rate throws it outward."""
+    start, settings = spoilt(), CodeSettings(position=1e-6)
+    grid = chosen_steps(MemoryRows(start), settings)
+    rates = Rates(means=0.05, means_final=0.05)
+    found = tuned(start, SCENE, grid, TuneSettings(iterations=20, rates=rates), RUN, "classic")
+    assert not torch.equal(found.means, start.means)
+    write_coded(tmp_path / "m", found, settings=settings, steps=grid)
+    assert float(found.means.abs().max()) <= grid.position * MOST_CELL * (1 + 1e-6)
 
 
 def test_a_price_of_bits_makes_the_file_smaller(tmp_path):

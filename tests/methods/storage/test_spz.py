@@ -36,6 +36,24 @@ def test_what_comes_back_is_within_the_formats_steps(
     assert (turned > 1 - 1e-4).all()
 
 
+def test_harmonics_in_the_usual_bits_are_off_by_half_a_bucket_and_half_as_large(tmp_path):
+    whole = random_gaussians(2000, degree=3)
+    sizes = []
+    for bits in (spz.ALL_BITS, spz.USUAL_BITS):
+        spz.write_spz(tmp_path / "m.spz", whole, version=4, harmonics=bits)
+        back = spz.read_spz(tmp_path / "m.spz")
+        sizes.append((tmp_path / "m.spz").stat().st_size)
+    off = (back.sh - whole.sh).abs()
+    inside = whole.sh.abs() < 0.9
+    assert sizes[1] < 0.75 * sizes[0]
+    for part, step in ((slice(1, 4), 8), (slice(4, None), 16)):
+        stored = back.sh[:, part] * 128 + 128
+        assert ((stored % step == 0) | (stored == 255)).all()
+        worst = off[:, part][inside[:, part]].max()
+        # half a bucket, and half a step of the byte before
+        assert 0.9 * step / 256 < worst <= (step + 1) / 256 + 1e-6
+
+
 @pytest.mark.parametrize("version", [3, 4])
 def test_the_same_model_gives_the_same_bytes_at_any_time(tmp_path, monkeypatch, version):
     written = []

@@ -53,29 +53,38 @@ def test_retention_is_the_share_of_trained_gaussians_that_are_left():
 
 
 def test_four_machines_take_the_longest_block_and_all_that_one_machine_does():
-    block = BlockFacts(block=0, views=1, points=2, load=3, seconds=10.0)
+    block = BlockFacts(block=0, views=1, points=2, load=3, seconds=10.0, primitives=5)
     stages = {"coarse": 5.0, "blocks": 99.0, "refine": 2.0}
-    assert four_machine_seconds(stages, {}, [block, replace(block, seconds=4.0)]) == {
+    assert four_machine_seconds(stages, {}, [block, replace(block, seconds=4.0)], {}) == {
         "four_machine_seconds": 17.0
     }
     # of six blocks two machines have two each: 10, 10, 10, 4 + 3 and no more than that
     six = [replace(block, seconds=s) for s in (3.0, 10.0, 4.0, 10.0, 10.0, 1.0)]
-    assert four_machine_seconds(stages, {}, six) == {"four_machine_seconds": 17.0}
-    assert four_machine_seconds(stages, {}, [block, replace(block, seconds=0.0)]) == {}
-    assert four_machine_seconds({"coarse": 5.0}, {}, [block]) == {}
+    assert four_machine_seconds(stages, {}, six, {}) == {"four_machine_seconds": 17.0}
+    assert four_machine_seconds(stages, {}, [block, replace(block, seconds=0.0)], {}) == {}
+    assert four_machine_seconds({"coarse": 5.0}, {}, [block], {}) == {}
+    assert four_machine_seconds(stages, stages, [], {}) == {}
+    # a block that was left empty takes nothing, and is no reason to know nothing
+    empty = replace(block, seconds=0.0, primitives=0)
+    assert four_machine_seconds(stages, {}, [*six, empty], {}) == {"four_machine_seconds": 17.0}
     assert {"four_machine_seconds", "four_machine_cpu_seconds"} <= set(SCENE_METRICS)
 
 
 def test_four_machines_share_the_parts_of_a_refinement_and_processor_seconds_are_added_alike():
-    block = BlockFacts(block=0, views=1, points=2, load=3, seconds=10.0, cpu_seconds=9.0,
+    block = BlockFacts(block=0, views=1, points=2, load=3, seconds=10.0, cpu_seconds=9.0, primitives=5,
                        refine_seconds=3.0, refine_cpu_seconds=2.0)  # fmt: skip
     blocks = [block, replace(block, seconds=4.0, cpu_seconds=4.0, refine_seconds=1.0)]
     stages = {"coarse": 5.0, "blocks": 14.0, "refine": 4.0}
     cpu = {"coarse": 4.0, "blocks": 0.5, "refine": 0.5}
-    assert four_machine_seconds(stages, cpu, blocks) == {
-        "four_machine_seconds": 5.0 + 10.0 + 3.0, "four_machine_cpu_seconds": 4.0 + 9.0 + 2.0,
+    alone = {
+        "seconds": 0.5,
+        "cpu_seconds": 0.25,
+    }  # cleaning, levels, what is handed out and put together
+    assert four_machine_seconds(stages, cpu, blocks, alone) == {
+        "four_machine_seconds": 5.0 + 10.0 + 3.0 + 0.5, "four_machine_cpu_seconds": 4.0 + 9.0 + 2.0 + 0.25,
     }  # fmt: skip
+    assert four_machine_seconds(stages, cpu, blocks, {}) == {}  # a file from before it was kept
     whole = [replace(b, refine_seconds=0.0, refine_cpu_seconds=0.0) for b in blocks]
-    assert four_machine_seconds(stages, cpu | {"refine": 3.5}, whole) == {
+    assert four_machine_seconds(stages, cpu | {"refine": 3.5}, whole, {}) == {
         "four_machine_seconds": 5.0 + 10.0 + 4.0, "four_machine_cpu_seconds": 4.0 + 9.0 + 3.5,
     }  # fmt: skip
