@@ -196,7 +196,7 @@ def _views(
                     width=scaled[0],
                     height=scaled[1],
                 ),
-                load=truth.image,
+                load=truth,
                 load_mask=truth.mask if truth.has_mask else None,
                 load_depth=None
                 if pinhole.undistortion

@@ -7,7 +7,7 @@ for the other order, which others use; bilinear sampling of a small photo blurs 
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -19,7 +19,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.datasets.photos import read_photo
-from splatproof.datasets.resize import FILTER_RADIUS, resample
+from splatproof.datasets.resize import FILTER_RADIUS, resample, scale_intrinsics
 from splatproof.datasets.undistort import (
     Undistortion,
     photo_positions,
@@ -68,6 +68,32 @@ class Truth:
             pixels = undistort_image(pixels, self._positions(self.undistortion))
         pixels = resample(pixels, self.size, self.filter)
         return pixels * self.mask()[..., None] if self.has_mask else pixels
+
+    def __call__(self) -> Float[Tensor, "h w 3"]:
+        """As `image`: a view reads its photo by this."""
+        return self.image()
+
+    def at(self, size: tuple[int, int]) -> Float[Tensor, "h w 3"]:
+        """The image at a smaller size, read in a fraction of the time: the photo never has its full pixels.
+
+        Not the pixels of `image` shrunk, but those of the same rays: the photo is made smaller before it is undistorted.
+
+        Args:
+            size: (width, height), at most those of the truth image.
+        """
+        ratio = max(size[0] / self.size[0], size[1] / self.size[1])
+        shrunk = tuple(max(1, min(side, round(side * ratio))) for side in self.shrunk)
+        pixels = read_photo(self.path, self.background, (shrunk[0], shrunk[1]))
+        plan = self.undistortion
+        if plan is not None:
+            pixels = resample(pixels, (shrunk[0], shrunk[1]), "area")
+            old = (plan.width, plan.height)
+            small = replace(
+                plan, K=scale_intrinsics(plan.K, old, size), width=size[0], height=size[1]
+            )
+            positions = self.positions.get((plan, size), lambda: photo_positions(small))
+            pixels = undistort_image(pixels, positions)
+        return resample(pixels, size, "area")
 
     @property
     def has_mask(self) -> bool:

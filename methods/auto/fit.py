@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 
+import torch
+
 from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
@@ -31,7 +33,7 @@ from splatproof.methods.auto.facts import SceneFacts, facts_of, without_points
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
-from splatproof.methods.auto.photos import Photos, planned_photos, reading_threads, working
+from splatproof.methods.auto.photos import Photos, planned_photos, working
 from splatproof.methods.auto.planner import (
     PIXELS_A_GAUSSIAN,
     RANDOM_POINTS,
@@ -242,9 +244,8 @@ def planned(
     began = clock() - photos.seconds
     free = available_mb()
     with threads(run.threads):
-        share = ALL_READ if photos.factor > 1 else READING
-        readers = reading_threads(photos.factor, scene.train_views, run.image_bytes)
-        read_ahead(scene, share * settings.seconds, readers)
+        share = ALL_READ if photos.readers else READING
+        read_ahead(scene, share * settings.seconds, photos.readers or torch.get_num_threads())
         pointed = with_random_points(scene, RANDOM_POINTS, run.seed)
         facts = facts_of(pointed, run.image_bytes)
         if not len(scene.points):

@@ -4,9 +4,11 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
+from splatproof.datasets.truth_image import Truth
 from splatproof.methods.auto.planner import Choice, usual_for
 from splatproof.methods.auto.probe import kept, spread
 from splatproof.methods.auto.settings import AutoSettings
@@ -43,6 +45,8 @@ class Photos:
     """Indices of the training views that are read."""
     choices: tuple[Choice, ...] = ()
     """Each decision and why; none where nothing is left out."""
+    readers: int | None = None
+    """How many are read at once; None: as many as there are threads."""
     seconds: float = 0.0
     """Wall seconds that the decision took."""
 
@@ -57,8 +61,21 @@ def working(scene: Scene, photos: Photos) -> Scene:
     views = list(scene.views)
     if photos.factor > 1:
         for index in photos.train:
-            views[index] = shrunk(views[index], photos.factor)
+            views[index] = smaller(views[index], photos.factor)
     return replace(scene, views=tuple(views), train=photos.train)
+
+
+def smaller(view: View, factor: float) -> View:
+    """As `shrunk`; a photo file is read at about that size, in a fraction of the time that all its pixels take.
+
+    Args:
+        view: One to train on.
+        factor: Factor, >= 1, on both sides of the image.
+    """
+    small, load = shrunk(view, factor), view.load
+    if not isinstance(load, Truth):
+        return small
+    return replace(small, load=partial(load.at, (small.camera.width, small.camera.height)))
 
 
 def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
@@ -69,7 +86,7 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     `coarsest` is given.
 
     Args:
-        scene: As a method gets it, with points.
+        scene: As a method gets it.
         asked: The budget.
         run: Threads, and bytes for photos in memory.
 
@@ -77,38 +94,49 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     """
     began = time.perf_counter()
     views = scene.train_views
-    everything = Photos(train=scene.train)
     pixels = middle_pixels(views)
     fixed = asked.steps is not None or asked.coarsest is not None
     if pixels <= LARGE or fixed or any(map(_has_more, views)):
-        return everything
-    views[len(views) // 2].load()
-    each = time.perf_counter() - began
+        return Photos(train=scene.train)
     with threads(run.threads):
         speed = _speed(scene, asked, run, math.sqrt(pixels / SMALL))
-        readers = reading_threads(1.0, views, run.image_bytes)
-    spent = time.perf_counter() - began
-    count = min(len(views), max(FEWEST, int(READING * asked.seconds * readers / each)))
-    left = asked.seconds - spent - count * each / readers
-    short = min(min(view.size) for view in views)
-    factor = size_factor(
-        pixels, points=len(scene.points), speed=speed, seconds=left,
-        most=max(1.0, short / SHORT_SIDE),
-    )  # fmt: skip
+        each = read_seconds(views, math.sqrt(pixels / SMALL))
+        left = asked.seconds - (time.perf_counter() - began) - len(views) * each
+        short = min(min(view.size) for view in views)
+        factor = size_factor(
+            pixels, points=len(scene.points), speed=speed, seconds=left,
+            most=max(1.0, short / SHORT_SIDE),
+        )  # fmt: skip
+        each = read_seconds(views, factor)
+        readers = reading_threads(factor, views, run.image_bytes)
+    readable = max(FEWEST, int(READING * asked.seconds * readers / each))
+    count = min(len(views), readable)
     while (
         count * pixels / factor**2 * BYTES > run.image_bytes and short / (2 * factor) >= SHORT_SIDE
     ):
         factor *= 2
-    fitting = int(run.image_bytes / (pixels / factor**2 * BYTES))
-    because = f"reading one takes {each:.1f} s"
+    fitting = max(FEWEST, int(run.image_bytes / (pixels / factor**2 * BYTES)))
+    because = f"reading one takes {each:.2f} s"
     if fitting < count:
-        count, because = max(FEWEST, fitting), f"{run.image_bytes >> 20:,} MB hold no more"
-    count = min(len(views), count)
-    train = tuple(sorted(spread(scene.train, count)))
+        count, because = fitting, f"{run.image_bytes >> 20:,} MB hold no more"
+    spent = time.perf_counter() - began
     return Photos(
-        factor=factor, train=train, seconds=time.perf_counter() - began,
-        choices=_choices(factor, views[0].size, pixels, speed, left, count, len(views), because),
+        factor=factor, train=tuple(sorted(spread(scene.train, count))), readers=readers, seconds=spent,
+        choices=_choices(factor, views[0].size, pixels, speed, asked.seconds - spent, count, len(views), because),
     )  # fmt: skip
+
+
+def read_seconds(views: Sequence[View], factor: float) -> float:
+    """Wall seconds in which one thread reads the view in the middle, so many times smaller.
+
+    Args:
+        views: At least one.
+        factor: Factor by which it is shrunk, >= 1.
+    """
+    began = time.perf_counter()
+    view = views[len(views) // 2]
+    (view if factor == 1 else smaller(view, factor)).load()
+    return time.perf_counter() - began
 
 
 def middle_pixels(views: Sequence[View]) -> int:
@@ -125,12 +153,15 @@ def reading_threads(factor: float, views: Sequence[View], image_bytes: int) -> i
     """How many photos may be read at once: no more than what reading them takes fits into the bytes for photos.
 
     Args:
-        factor: Factor by which each is shrunk once it is read.
-        views: What is read, as it is after that.
+        factor: Factor by which each is shrunk.
+        views: What is read.
         image_bytes: Bytes for photos.
     """
-    largest = max(view.camera.width * view.camera.height for view in views) * factor**2
-    return max(1, min(torch.get_num_threads(), int(image_bytes / (READING_BYTES * largest))))
+    view = max(views, key=lambda view: view.camera.width * view.camera.height)
+    pixels = view.camera.width * view.camera.height
+    if factor > 1 and isinstance(view.load, Truth):  # decoded at up to twice the size
+        pixels *= min(1.0, 4 / factor**2)
+    return max(1, min(torch.get_num_threads(), int(image_bytes / (READING_BYTES * pixels))))
 
 
 def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most: float) -> float:
@@ -175,7 +206,7 @@ def _speed(scene: Scene, asked: AutoSettings, run: Run, factor: float) -> Speed:
     few = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
     views = list(scene.views)
     for index in few:
-        views[index] = kept(shrunk(views[index], factor))
+        views[index] = kept(smaller(views[index], factor))
     width, height = views[few[0]].camera.width, views[few[0]].camera.height
     small = replace(scene, views=tuple(views), train=few)
     return measure(small, usual_for(asked, width, height), run)

@@ -21,6 +21,9 @@ from helpers.colmap_scenes import (
 )
 from splatproof.base.errors import DataError
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.photos import read_photo
+from splatproof.datasets.resize import resample
+from splatproof.datasets.truth_image import Truth, shrink_mask
 from splatproof.datasets.undistort import (
     is_pinhole,
     photo_positions,
@@ -200,6 +203,35 @@ def test_no_invalid_pixel_bleeds_into_a_valid_one(tmp_path, filter, order):
     assert 0 < (~mask).sum() < mask.numel() / 3
     assert (image[mask] - 1).abs().max() < 1e-6
     assert (image[~mask] == 0).all()
+
+
+@every_model
+@pytest.mark.parametrize("undistort", ["crop", "keep"])
+@pytest.mark.parametrize("form", ["PNG", "JPEG"])
+def test_a_photo_that_is_read_small_shows_what_the_smaller_camera_sees(
+    tmp_path, model, undistort, form
+):
+    """Spots of a photo whose full pixels nobody makes lie where they lie in the shrunk one, to 0.02 pixels."""
+    made = scaled_up(model)
+    folder = write_scene(tmp_path / "s", made)
+    pixels = np.round(255 * spots(made, 0).clip(0, 1)).astype(np.uint8)
+    Image.fromarray(pixels).save(folder / "photos" / view_name(0), format=form, quality=98)
+    view = open_scene(folder, protocol(undistort=undistort)).views[0]
+    assert isinstance(view.load, Truth)
+    half = read_photo(view.load.path, least=(made.size[0] // 2, made.size[1] // 2)).shape
+    assert half == (*(-(-side // (2 if form == "JPEG" else 1)) for side in made.size[::-1]), 3)
+    size = (view.camera.width // 3, view.camera.height // 3)
+    whole = resample(view.load(), size, "area")[..., 0].double()
+    small = view.load.at(size)[..., 0].double()
+    assert small.shape == whole.shape
+    inside = torch.ones_like(whole, dtype=torch.bool) if view.load_mask is None else shrink_mask(
+        view.load_mask(), size, "area"
+    )  # fmt: skip
+    whole, small = whole * inside, small * inside
+    slopes = torch.stack([g[inside] for g in torch.gradient(whole)], dim=1)
+    shift = torch.linalg.lstsq(slopes, (small - whole)[inside][:, None]).solution
+    assert float(shift.abs().max()) < 0.02
+    assert float((small - whole).abs().mean()) < 0.01
 
 
 @every_distortion

@@ -12,6 +12,7 @@ from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.planner import (
     PACE,
     Candidate,
+    bounded,
     candidates,
     coarsest,
     compete,
@@ -78,6 +79,38 @@ def test_training_fits_into_memory_or_is_as_small_as_it_gets(free, views):
     (told,) = (choice for choice in found.choices if choice.component == "blocks")
     assert ("fewer Gaussians" in told.value) == (most < alone)
     assert ("odbp+stitch" in told.because) == (most < alone)
+
+
+@pytest.mark.parametrize(
+    ("megabytes", "degree", "points"),
+    [(0.0, 3, 30_000), (2.5, 3, 10_000), (2.0, 2, 10_000), (1.0, 1, 10_000), (0.6, 0, 10_000), (0.3, 0, 5_495)],
+)  # fmt: skip
+def test_a_small_file_has_rather_more_gaussians_than_more_harmonics(megabytes, degree, points):
+    asked = AutoSettings(megabytes=megabytes)
+    found = bounded(asked, usual(asked, FACTS), FACTS, math.inf)
+    assert found.sh_degree == degree
+    assert found.most_points is not None
+    assert (found.most_points >= FACTS.points) == (points >= FACTS.points)
+    given = replace(asked, sh_degree=2)
+    assert bounded(given, usual(given, FACTS), FACTS, math.inf).sh_degree == 2
+    (told,) = (
+        one for one in plan(asked, FACTS, found, (), SPEED, 50.0).choices if one.component == "harmonics"
+    )  # fmt: skip
+    assert told.value == f"degree {degree}"
+    assert ("of a higher one" in told.because) == (degree < 3)
+
+
+def test_a_start_has_no_more_points_than_there_may_be_gaussians():
+    asked = AutoSettings(megabytes=0.3)
+    found = bounded(asked, usual(asked, FACTS), FACTS, math.inf)
+    most = plan(asked, FACTS, found, (), SPEED, 50.0).settings.density.most
+    assert found.most_points == most == int((0.3 * 2**20 - 4096 - 64 * 40) / (4 * 14))
+    memory = bounded(AutoSettings(), usual(AutoSettings(), FACTS), FACTS, 560.0)
+    assert memory.most_points is not None
+    assert memory.most_points < usual(AutoSettings(), FACTS).most_points
+    assert (
+        bounded(AutoSettings(), usual(AutoSettings(), FACTS), FACTS, math.inf).most_points == 30_000
+    )
 
 
 def test_a_quality_asked_for_stands_in_the_plan():
