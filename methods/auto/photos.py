@@ -113,20 +113,27 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
         each = read_seconds(views, factor)
         readers = reading_threads(factor, views, run.image_bytes)
     readable = max(FEWEST, int(READING * asked.seconds * readers / each))
-    count = min(len(views), readable)
-    while (
-        count * pixels / factor**2 * BYTES > run.image_bytes and short / (2 * factor) >= SHORT_SIDE
-    ):
-        factor *= 2
-    fitting = max(FEWEST, int(run.image_bytes / (pixels / factor**2 * BYTES)))
-    because = f"reading one takes {each:.2f} s"
-    if fitting < count:
-        count, because = fitting, f"{run.image_bytes >> 20:,} MB hold no more"
+    count, because = min(len(views), readable), f"reading one takes {each:.2f} s"
+    if factor > 1:  # else reading one again takes no longer than a step
+        factor, fitting = _in_memory(count, pixels, factor, short, run.image_bytes)
+        if fitting < count:
+            count, because = fitting, f"{run.image_bytes >> 20:,} MB hold no more"
     spent = time.perf_counter() - began
     return Photos(
         factor=factor, train=tuple(sorted(spread(scene.train, count))), readers=readers, seconds=spent,
         choices=_choices(factor, views[0].size, pixels, speed, asked.seconds - spent, count, len(views), because),
     )  # fmt: skip
+
+
+def _in_memory(count: int, pixels: int, factor: float, short: int, room: int) -> tuple[float, int]:
+    """The factor at which memory holds so many photos, where their short side allows it, and how many it holds."""
+
+    def fitting() -> int:
+        return int(room / (pixels / factor**2 * BYTES))
+
+    while fitting() < count and short / (2 * factor) >= SHORT_SIDE:
+        factor *= 2
+    return factor, max(FEWEST, fitting())
 
 
 def read_seconds(views: Sequence[View], factor: float) -> float:

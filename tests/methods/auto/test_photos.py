@@ -139,15 +139,19 @@ def test_no_more_photos_are_read_than_there_is_time_for(monkeypatch):
 
 @pytest.mark.usefixtures("large")
 def test_photos_that_memory_does_not_hold_are_halved_and_then_left_out(monkeypatch):
-    monkeypatch.setattr(photos, "ENOUGH", 0)
     monkeypatch.setattr(photos, "FEWEST", 2)
-    scene, whole = tiny_scene(), 5 * PIXELS * 12
-    assert planned_photos(scene, ASKED, replace(RUN, image_bytes=whole)).factor == 1
-    assert planned_photos(scene, ASKED, replace(RUN, image_bytes=whole - 1)).factor == 2
-    monkeypatch.setattr(photos, "SHORT_SIDE", 18)
-    found = planned_photos(scene, ASKED, replace(RUN, image_bytes=3 * PIXELS * 12))
-    assert (found.factor, len(found.train)) == (1, 3)
+    scene, whole = tiny_scene(), 5 * PIXELS / 4 * 12
+    assert planned_photos(scene, ASKED, replace(RUN, image_bytes=int(whole))).factor == 2
+    assert planned_photos(scene, ASKED, replace(RUN, image_bytes=int(whole) - 1)).factor == 4
+    monkeypatch.setattr(photos, "SHORT_SIDE", 9)
+    found = planned_photos(scene, ASKED, replace(RUN, image_bytes=3 * PIXELS // 4 * 12))
+    assert (found.factor, len(found.train)) == (2, 3)
     assert "MB hold no more" in found.choices[-1].because
+    monkeypatch.setattr(
+        photos, "ENOUGH", 0
+    )  # at full size they are read again, no slower than a step
+    found = planned_photos(scene, ASKED, replace(RUN, image_bytes=1))
+    assert (found.factor, found.train, found.choices) == (1.0, scene.train, ())
 
 
 def test_photos_are_read_side_by_side_only_as_far_as_memory_goes(monkeypatch):
