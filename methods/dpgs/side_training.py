@@ -6,13 +6,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from splatproof.base.files import sha256, tree_sha256
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import TRAINED, Model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.dpgs.side_views import SideOrder, SideViews
+from splatproof.methods.dpgs.side_views import SideOrder, SideViews, as_it_is
+from splatproof.methods.models.exposure import ExposedModel
 from splatproof.methods.priors.unet import domain
 from splatproof.methods.priors.view_refiner import SHIPPED
 from splatproof.methods.training.plan import Plan
@@ -51,12 +54,16 @@ def with_side_views(
         )  # fmt: skip
         return replace(output, colour=model.finish_image(view, output))
 
+    def neutral(view: View, photo: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+        known = isinstance(model, ExposedModel)
+        return model.exposures.undone(view, photo) if known else as_it_is(view, photo)
+
     def told(number: int, share: float) -> None:
         run.on_fact(f"side pixels trained on, round {number}", f"{share:.3f}")
 
     name = hashlib.sha256(plan.key.encode()).hexdigest()[:16]
     folder = None if run.folder is None else run.folder / "checkpoint" / "side" / name
-    made = SideViews(cameras, plan.views, draw, side, folder, told)
+    made = SideViews(cameras, plan.views, draw, side, folder, told, neutral)
     order = SideOrder(
         len(plan.views), len(cameras), steps=plan.steps, every=side.every,
         refresh=max(1, round(side.refresh * shrink(plan.steps))),

@@ -68,6 +68,21 @@ class Exposures:
         """
         return adjusted(colour, chosen_code(view, self.photos, self.codes(), self.neutral()))
 
+    def undone(self, view: View, photo: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+        """Colours in neutral exposure of a photo: what `shown` makes the photo of.
+
+        Args:
+            view: The training view whose photo it is.
+            photo: Its colours.
+        """
+        code = chosen_code(view, self.photos, self.codes(), self.neutral()).to(photo)
+        if len(code) == NUMBERS["gain"]:
+            return photo / code.exp()
+        rows = code.reshape(3, 4)
+        return torch.linalg.solve(
+            torch.eye(3).to(photo) + rows[:, :3].T, photo - rows[:, 3], left=False
+        )
+
 
 def adjusted(colour: Float[Tensor, "h w 3"], code: Float[Tensor, " c"]) -> Float[Tensor, "h w 3"]:
     """Colours times exp(code), or mapped by identity plus code, see `Exposures`.
