@@ -11,9 +11,6 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.tensor_files import read_tensors, write_tensors
-from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.priors.sd_turbo import SdTurboRefiner
-from splatproof.methods.priors.view_refiner import OwnRefiner, load_refiner
 from splatproof.reference.supervision.side_views import (
     EVIDENCE,
     HOLE,
@@ -23,7 +20,6 @@ from splatproof.reference.supervision.side_views import (
     is_side_view_step,
     nearest_photo,
     sees,
-    warp_and_fill,
 )  # fmt: skip
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -60,25 +56,28 @@ class SideViews:
         cameras: Sequence[Camera],
         photos: Sequence[View],
         draw: Draw,
-        side: SideSettings,
+        refine: ViewRefiner | None,
         folder: Path | None,
         told: Callable[[int, float], None],
         neutral: Neutral = as_it_is,
+        *,
+        holes: bool,
     ) -> None:
-        """Read the refiner's weights; nothing is rendered yet.
+        """Nothing is rendered yet.
 
         Args:
             cameras: Where side views are taken from, at least one.
             photos: Training views.
             draw: Renders a view.
-            side: What makes a target of a render, and whether pixels without a surface are trained on too.
+            refine: What makes a target of a render; None: the target is the render itself.
             folder: Where rounds are kept; it belongs to this run alone. None: in memory.
             told: Called with the number of a round and the share of its pixels that are trained on.
             neutral: Takes a photo's exposure from it: a render of a side view has none.
+            holes: Whether pixels without a surface are trained on too.
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
         self.folder, self.told, self.neutral = folder, told, neutral
-        self.side, self.refine = side, refiner_of(side)
+        self.refine, self.holes = refine, holes
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -116,6 +115,7 @@ class SideViews:
                 made = self._made(number)
                 if file is not None:
                     write_tensors(file, made)
+            self.told(number, float(made["unproven"].float().mean()))
             self._held = (number, made)
         return self._held[1]
 
@@ -139,10 +139,8 @@ class SideViews:
         for seen, proven, best in guide.of(self.cameras):
             target = self.refine(seen, guide.texture(best)) if self.refine else seen.image
             targets.append((target.clamp(0, 1) * 255).round().byte())
-            unproven.append(~proven & (self.side.holes | (seen.alpha >= HOLE)))
-        made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
-        self.told(number, float(made["unproven"].float().mean()))
-        return made
+            unproven.append(~proven & (self.holes | (seen.alpha >= HOLE)))
+        return {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
 
 
 class Guide:
@@ -215,21 +213,6 @@ class Guide:
 
 def _without_image(view: SeenView) -> SeenView:
     return replace(view, image=torch.zeros(1).expand(*view.alpha.shape, 3))
-
-
-def refiner_of(side: SideSettings) -> ViewRefiner | None:
-    """What makes a target of a side view's render; None: the target is the render itself.
-
-    Args:
-        side: Who refines; own has the weights that come with the package.
-
-    Raises: MissingError or DataError where sd-turbo lacks its library or weights.
-    """
-    if side.refiner == "sd-turbo":
-        return SdTurboRefiner(Path(side.weights), reference=side.reference)
-    if side.refiner == "own":
-        return OwnRefiner(load_refiner())
-    return warp_and_fill if side.refiner == "warp" else None
 
 
 class SideOrder:

@@ -11,6 +11,7 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.fit import fit
+from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.dpgs.settings import Dpgs, SideSettings
 from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.models.explicit import FIELDS
@@ -105,7 +106,9 @@ def test_targets_are_in_the_exposure_of_renders_whatever_photos_have():
         model, plan = threedgs.prepare(shown, settings, RUN)
         whole = exposed(model, "gain", plan.views)
         whole.parameters.shared[TENSOR] = learnt[:, None].expand(5, 3).clone()
-        sided = with_side_views([camera(2)], shown, whole, plan, settings.side, RUN)
+        sided = with_side_views(
+            [camera(2)], shown, whole, plan, settings.side, refiner_of(settings.side), RUN
+        )
         return sided.views[5].load()
 
     want = targets(plain, torch.zeros(5))

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.methods.dpgs.refiners import read_refiner
 from splatproof.methods.dpgs.settings import SideSettings
 from splatproof.methods.dpgs.side_views import Guide, SideOrder, SideViews
 from splatproof.methods.dpgs.spirals import parts, side_cameras
+from splatproof.reference.supervision.side_views import warp_and_fill
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -140,8 +142,8 @@ def side_views(
 ) -> SideViews:
     middle: Camera = camera(2)
     views = tiny_scene().train_views if photos is None else photos
-    side = SideSettings(refiner=refiner, holes=holes)
-    return SideViews([middle, middle], views, Wall(), side, folder, told)
+    refine = read_refiner(SideSettings(refiner=refiner))
+    return SideViews([middle, middle], views, Wall(), refine, folder, told, holes=holes)
 
 
 def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():
@@ -214,10 +216,12 @@ def test_a_round_is_made_once_and_found_again(tmp_path):
     assert count == 5 + 2 + 2 + 2
     views[3].load()
     assert len(made.draw.drawn) == 2 * count
-    again = side_views("none", tmp_path)  # reads what is there
+    shares = {}
+    again = side_views("none", tmp_path, shares.__setitem__)  # reads what is there
     assert all(torch.equal(v.load(), t) for v, t in zip(again.views(1), targets, strict=True))
     assert isinstance(again.draw, Wall)
     assert again.draw.drawn == []
+    assert shares.keys() == {0}
 
 
 @pytest.mark.parametrize("content", [b"cut short", None])
@@ -254,8 +258,8 @@ def test_the_unit_of_the_scene_does_not_matter():
 
         photos = [replace(v, camera=larger(v.camera)) for v in tiny_scene().train_views]
         made = SideViews(
-            [larger(camera(2))], photos, Wall(4.0 * unit), SideSettings(holes=True), None,
-            lambda number, share: None,
+            [larger(camera(2))], photos, Wall(4.0 * unit), warp_and_fill, None,
+            lambda number, share: None, holes=True,
         ).round(0)  # fmt: skip
         return made["targets"], made["unproven"]
 
@@ -285,8 +289,8 @@ def test_a_photos_exposure_is_taken_from_it():
     photos = tiny_scene().train_views
     dark = [replace(view, load=lambda view=view: 0.5 * view.load()) for view in photos]
     made = SideViews(
-        [camera(2)], dark, Wall(), SideSettings(holes=True), None, lambda number, share: None,
-        lambda view, photo: 2 * photo,
+        [camera(2)], dark, Wall(), warp_and_fill, None, lambda number, share: None,
+        lambda view, photo: 2 * photo, holes=True,
     ).round(0)  # fmt: skip
     want = side_views("warp").round(0)
     assert torch.equal(made["targets"][0], want["targets"][0])
