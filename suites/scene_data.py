@@ -9,6 +9,7 @@ from splatproof.base.errors import DataError
 from splatproof.base.files import read_json, write_text
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.fingerprint import Known, files_sha256
+from splatproof.methods.dpgs.refiners import REFINER
 from splatproof.methods.priors.kinds import WEIGHTS
 from splatproof.reference.types.protocol import Protocol
 
@@ -20,6 +21,7 @@ WORDS = {
     "photos_sha256": "its photos",
     FILES: "its photos, masks or depth",
     WEIGHTS: "its depth prior's weights",
+    REFINER: "its refiner's weights",
 }
 """Facts that depend on files alone, neither on code nor on protocol, most telling first."""
 PLUGIN = "plugin "

@@ -18,7 +18,8 @@ The scene is `city` at its small size: photographed from a high flight that look
 it and holds out low oblique views and facades that no photo shows; `default` holds out every 8th view from above.
 
 - `3dgs`: the release's method.
-- `dpgs`: points of matched photos at its start, and side views from a spiral in its second half, refined by warping the
+- `dpgs`: points of matched photos at its start, and side views from a spiral (one around the whole city; the paper has one
+  around each block, as `dpgs-partition@whole` here) in its second half, refined by warping the
   photo that sees most of them; `@own` by our small network, trained on cities and farms of other seeds (**in domain**:
   the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.

@@ -19,7 +19,6 @@ from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import largest
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution
 from splatproof.reference.types.scene import Scene
@@ -90,8 +89,7 @@ def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
     if base != "stratosplat":
         return threedgs.started(scene, settings, run)
     points = stratosplat.started(scene, completed(settings, scene), replace(run, folder=None))
-    found = replace(scene, points=points)
-    return with_at_most(found, settings.most_points) if settings.most_points else found
+    return replace(scene, points=points)
 
 
 def prepare(scene: Scene, settings: Settings, run: Run, base: Base) -> tuple[Model, Plan]:

@@ -1,7 +1,8 @@
 """What one block of a city was, and what it cost."""
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from splatproof.base.files import read_text, write_text
@@ -48,6 +49,8 @@ class BlockFacts:
     """Number of these Gaussians that the merge kept."""
     note: str = ""
     """What was out of the ordinary; empty if nothing was."""
+    told: dict[str, str] = field(default_factory=dict)
+    """What its training said for the record of the run, such as which weights refined its side views."""
 
     @property
     def work(self) -> BlockWork:
@@ -79,3 +82,49 @@ def read_facts(path: Path, key: str) -> BlockFacts | None:
         return None
     stored = json.loads(read_text(path))
     return BlockFacts(**stored["facts"]) if stored["key"] == key else None
+
+
+def with_parts(blocks: Sequence[BlockFacts], parts: Sequence[BlockFacts]) -> tuple[BlockFacts, ...]:
+    """Facts of the blocks with what the refinement of each one's part has cost.
+
+    Args:
+        blocks: One a block.
+        parts: One for each that was refined apart.
+    """
+    wall = {part.block: part.seconds for part in parts}
+    busy = {part.block: part.cpu_seconds for part in parts}
+    return tuple(
+        replace(
+            one, refine_seconds=wall.get(one.block, 0.0), refine_cpu_seconds=busy.get(one.block, 0.0)
+        )
+        for one in blocks
+    )  # fmt: skip
+
+
+def told_by(blocks: Iterable[BlockFacts]) -> dict[str, str]:
+    """What the trainings of all blocks said, for one record.
+
+    Args:
+        blocks: One a block; an empty one has said nothing.
+    Returns: What all said alike, once; of numbers the least and the largest; else each with its blocks.
+    """
+    said: dict[str, dict[str, list[int]]] = {}
+    for one in blocks:
+        for name, value in one.told.items():
+            said.setdefault(name, {}).setdefault(value, []).append(one.block)
+    return {name: _together(values) for name, values in said.items()}
+
+
+def _together(values: dict[str, list[int]]) -> str:
+    """Values, by who said them, as one text."""
+    if len(values) == 1:
+        return next(iter(values))
+    try:
+        ordered = sorted(values, key=float)
+    except ValueError:
+        return "; ".join(f"{value} ({_named(blocks)})" for value, blocks in values.items())
+    return f"{ordered[0]} to {ordered[-1]}"
+
+
+def _named(blocks: list[int]) -> str:
+    return f"block{'s' * (len(blocks) > 1)} {', '.join(map(str, blocks))}"

@@ -50,6 +50,7 @@ def block_jobs(
     margin: float = 0.0,
     even: Even = "steps",
     side: SideSettings = NO_SIDES,
+    weights: str = "",
     terms: BlockTerms = NO_TERMS,
     planted: PlantSettings = NO_PLANT,
 ) -> tuple[BlockJob, ...]:
@@ -71,6 +72,7 @@ def block_jobs(
         margin: What a block's region is widened by where it takes its own from a coarse model.
         even: What all blocks have equally many of.
         side: Side views of each block, on spirals around its own points.
+        weights: Hash of their refiner's weights.
         terms: What each block minimises beside its photos.
         planted: What is made wrong about each block's photos.
     """
@@ -85,7 +87,7 @@ def block_jobs(
     return tuple(
         _job(place, found, block, replace(settings, iterations=steps[block]), run, cache,
              views=views[block], note=notes[block], auxiliary=auxiliary, follow=follow,
-             surrounding=surrounding, sampling=sampling, coarse=coarse, side=side, terms=terms,
+             surrounding=surrounding, sampling=sampling, coarse=coarse, side=side, weights=weights, terms=terms,
              planted=planted, start=start, roles=None if roles is None else roles[block])
         for block in range(len(views))
     )  # fmt: skip
@@ -149,6 +151,7 @@ def _job(
     sampling: SamplingSettings | None,
     coarse: Path | None,
     side: SideSettings,
+    weights: str,
     terms: BlockTerms,
     planted: PlantSettings,
     start: Start,
@@ -170,7 +173,7 @@ def _job(
         wrong = planted_views(scene, planted, block, len(found.regions), place.frame)
         scene = replace(scene, views=wrong)
     job = BlockJob(
-        scene=block_scene(scene, views, of_points), settings=settings, planted=planted, sides=sides, side=side,
+        scene=block_scene(scene, views, of_points), settings=settings, planted=planted, sides=sides, side=side, weights=weights,
         block_terms=terms, roles=kept,
         facts=BlockFacts(block=block, views=int(views.sum()), points=int(own.sum()),
                          load=int(place.loads[own].sum()), steps=settings.iterations, note=note,

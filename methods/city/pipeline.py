@@ -18,7 +18,7 @@ from splatproof.base.files import read_bytes
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.balance import Training, cut
-from splatproof.methods.city.block_facts import BlockFacts
+from splatproof.methods.city.block_facts import BlockFacts, told_by, with_parts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.block_terms import with_scaled_priors
 from splatproof.methods.city.coarse import coarse_stage
@@ -40,6 +40,7 @@ from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.threedgs.cost import mean_gaussians
@@ -103,14 +104,18 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         method: Name of the method.
 
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
-        to another run; MissingError if the blocks cannot fit into memory.
+        to another run; MissingError if the blocks cannot fit into memory; MissingError or DataError, before
+        anything else, where a refiner of side views lacks its library or weights.
     """
+    weights = refiner_of(settings.side).weights  # before minutes of matching photos
     scene = started(scene, settings.training, run)
     with threads(run.threads), _work_folder(run) as folder:
         special = [method]
         if settings.block_terms.depth:
             scene = with_scaled_priors(scene)
             special.append(scene.facts.get("depth_prior_sha256", ""))
+        if weights:
+            special.append(weights)
         stages = Stages(folder, run_key(scene, settings, run, *special), run.on_stage)
         progress = Progress(run, settings, len(scene.train))
         coarse, elsewhere = None, 0.0
@@ -125,11 +130,13 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             auxiliary=settings.auxiliary, follow=settings.follow, coarse=coarse,
             surrounding=settings.surrounding, margin=settings.partition.margin, even=settings.even,
             sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
-            terms=settings.block_terms, planted=settings.planted,
+            weights=weights, terms=settings.block_terms, planted=settings.planted,
         )  # fmt: skip
         told = stages.run("blocks", partial(_blocks, jobs, run, progress))
         facts = tuple(BlockFacts(**block) for block in told["blocks"])
         elsewhere, peaks = elsewhere + told.get("elsewhere", 0.0), [one.peak_mb for one in facts]
+        for name, value in told_by(facts).items():
+            run.on_fact(name, value)
         for one in facts:
             if one.note:
                 run.say(f"block {one.block}: {one.note}")
@@ -152,7 +159,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             parts = [BlockFacts(**part) for part in refined.get("parts", ())]
             elsewhere += refined.get("elsewhere", 0.0)
             peaks += [part.peak_mb for part in parts]
-            facts, alone = _with_parts(facts, parts), refined.get("alone", {})
+            facts, alone = with_parts(facts, parts), refined.get("alone", {})
         run.on_elsewhere(elsewhere, max(peaks))
         if settings.quantise:
             path = folder / "model.spgs"
@@ -364,20 +371,6 @@ def _at_level(
             told = ", ".join(f"{factor:.3f}" for factor in one.tolist())
             run.say(f"block {block}: red, green and blue times {told}, which is the photos' level")
     return levelled(model, owners, factors)
-
-
-def _with_parts(
-    blocks: tuple[BlockFacts, ...], parts: Sequence[BlockFacts]
-) -> tuple[BlockFacts, ...]:
-    """Facts of the blocks with what the refinement of each one's part has cost."""
-    wall = {part.block: part.seconds for part in parts}
-    busy = {part.block: part.cpu_seconds for part in parts}
-    return tuple(
-        replace(
-            one, refine_seconds=wall.get(one.block, 0.0), refine_cpu_seconds=busy.get(one.block, 0.0)
-        )
-        for one in blocks
-    )  # fmt: skip
 
 
 def _read_refined(merged: Merged, path: Path) -> Merged:

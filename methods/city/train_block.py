@@ -28,6 +28,7 @@ from splatproof.methods.city.point_roles import (
 )
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.refiners import Refiner, read_refiner
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
@@ -82,6 +83,8 @@ class BlockJob:
     """Where side views of the block are taken from."""
     side: SideSettings = NO_SIDES
     """How often side views come, and who refines them."""
+    weights: str = ""
+    """Hash of that refiner's weights; empty where it has none."""
     block_terms: BlockTerms = NO_TERMS
     """What is minimised beside the photos."""
     planted: PlantSettings = NO_PLANT
@@ -104,7 +107,7 @@ class BlockJob:
                  self.follow, self.seed, self.backend, self.background]  # fmt: skip
         if self.sides:  # else keys are those of before there were any
             poses = [one.world_to_camera.tolist() for one in self.sides]
-            facts += [asdict(self.side), poses]
+            facts += [asdict(self.side), poses, *([self.weights] if self.weights else [])]
         if self.block_terms != NO_TERMS:
             facts += [asdict(self.block_terms), self.scene.facts.get("depth_prior_sha256", "")]
         if self.planted != NO_PLANT:
@@ -155,9 +158,10 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         missing = "no view trains it" if not job.scene.train else "no point to start from"
         empty = no_gaussians(job.settings.sh_degree)
         return _finish(job, empty, replace(job.facts, note=f"left empty: {missing}"))
+    told: dict[str, str] = {}
     run = Run(
         folder=job.folder, seed=job.seed, backend=job.backend, background=job.background,
-        report=report, checkpoint_seconds=job.checkpoint_seconds, image_bytes=job.image_bytes,
+        report=report, on_fact=told.__setitem__, checkpoint_seconds=job.checkpoint_seconds, image_bytes=job.image_bytes,
     )  # fmt: skip
     started = None if job.start is None else read_gaussians(job.start)
     block, plan = prepare(job, started, run)
@@ -166,7 +170,8 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     shown = exposed(block, "off" if alone else job.settings.exposure, plan.views)
     if job.block_terms.appearance and not alone:
         shown, plan = with_appearance(shown, plan, job.seed)
-    plan = with_side_views(job.sides, job.scene, shown, plan, job.side, run)
+    refiner = Refiner(refine=read_refiner(job.side) if job.sides else None, weights=job.weights)
+    plan = with_side_views(job.sides, job.scene, shown, plan, job.side, refiner, run)
     trainer = Trainer(shown, plan, run)
     trainer.resume()
     trainer.train()
@@ -181,6 +186,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         primitives=len(model),
         densifications=trainer.counts.densifications,
         note=note,
+        told=told,
     )
     return _finish(job, model, facts)
 

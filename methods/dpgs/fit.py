@@ -3,6 +3,7 @@
 from splatproof.methods.contracts.method import Method
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.dpgs.settings import Dpgs
 from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.dpgs.spirals import side_cameras
@@ -25,18 +26,19 @@ def fit(scene: Scene, settings: Dpgs, run: Run) -> ExplicitModel:
             says how many side views there are and which share of their pixels lacks evidence.
 
     Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
-        another run; SplatproofError if the loss stops being finite.
+        another run; MissingError or DataError, before anything else, where a refiner lacks its library or weights;
+        SplatproofError if the loss stops being finite.
 
     Source: DPGS, Sec. 3; on one model, so without its partition.
     """
+    side, refiner = settings.side, refiner_of(settings.side)  # before minutes of matching photos
 
     def prepared() -> tuple[Model, Plan]:
         started = threedgs.started(scene, settings, run)
         model, plan = threedgs.prepare(started, settings, run)
         whole = exposed(model, settings.exposure, plan.views)
-        side = settings.side
         cameras = side_cameras(started, side) if side.every else ()
-        return whole, with_side_views(cameras, started, whole, plan, side, run)
+        return whole, with_side_views(cameras, started, whole, plan, side, refiner, run)
 
     return explicit(train(run, prepared), scene, run.backend)
 

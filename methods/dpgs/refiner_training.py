@@ -53,8 +53,9 @@ def samples_of(scene: Scene, *, steps: int, seed: int = 0) -> list[Sample]:
         )  # fmt: skip
         model = fit(scene.for_training(), settings, Run(seed=seed, threads=1))
         guide = Guide(scene.train_views, model.render)
-        for view in scene.test_views:
-            side, proven, best = guide.of(view.camera)
+        views = scene.test_views
+        guided = guide.of([view.camera for view in views])
+        for view, (side, proven, best) in zip(views, guided, strict=True):
             found.append(
                 Sample(
                     given=refiner_input(side, guide.texture(best)), truth=view.load().permute(2, 0, 1),

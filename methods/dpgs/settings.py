@@ -36,7 +36,8 @@ class SideSettings:
     """Steps, of a 30,000 step run, after which targets are made anew by the model as it is then."""
     spirals: int = 1
     """Number of parts that the ground is cut into, each with a spiral of its own: one around all of
-    a city shows outer facades only."""
+    a city shows outer facades only. The paper has one a block of its partition, and so have methods of
+    blocks here; one model has one around everything, so give it about as many as there would be blocks."""
     spiral: SpiralSettings = field(default_factory=SpiralSettings)
     """Shape of a spiral."""
 

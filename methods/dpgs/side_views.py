@@ -9,10 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.base.errors import DataError
 from splatproof.base.tensor_files import read_tensors, write_tensors
-from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.priors.sd_turbo import SdTurboRefiner
-from splatproof.methods.priors.view_refiner import OwnRefiner, load_refiner
 from splatproof.reference.supervision.side_views import (
     EVIDENCE,
     HOLE,
@@ -22,7 +20,6 @@ from splatproof.reference.supervision.side_views import (
     is_side_view_step,
     nearest_photo,
     sees,
-    warp_and_fill,
 )  # fmt: skip
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -30,17 +27,28 @@ from splatproof.reference.types.scene import View, camera_view
 
 Draw = Callable[[View], RenderOutput]
 """draw(view): the model as it is now, without gradient."""
+Neutral = Callable[[View, Float[Tensor, "h w 3"]], Float[Tensor, "h w 3"]]
+"""neutral(view, photo): the photo as the model shows it where no photo's exposure is asked for."""
 SIDE = "side view"
 """What the names of side views begin with."""
-REMEDY = "remove it, and its side views are made again, of the model as it is by then"
-"""What to do about a damaged file of a round."""
+
+
+def as_it_is(view: View, photo: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+    """The photo itself, where a model has no exposures.
+
+    Args:
+        view: Whose photo it is.
+        photo: Its colours.
+    """
+    return photo
 
 
 class SideViews:
     """The side views of a run, made in rounds by the model as it is when a round is first asked for.
 
     A round is made whole and kept in one file, so that a run that was killed finds what it had: by
-    its checkpoint it has either not begun the round, and makes the same again, or it finds it.
+    its checkpoint it has either not begun the round, and makes the same again, or it finds it. A file that is
+    damaged or holds something else is made again, by the model as it is then.
     """
 
     def __init__(
@@ -48,23 +56,28 @@ class SideViews:
         cameras: Sequence[Camera],
         photos: Sequence[View],
         draw: Draw,
-        side: SideSettings,
+        refine: ViewRefiner | None,
         folder: Path | None,
         told: Callable[[int, float], None],
+        neutral: Neutral = as_it_is,
+        *,
+        holes: bool,
     ) -> None:
-        """Read the refiner's weights; nothing is rendered yet.
+        """Nothing is rendered yet.
 
         Args:
             cameras: Where side views are taken from, at least one.
             photos: Training views.
             draw: Renders a view.
-            side: What makes a target of a render, and whether pixels without a surface are trained on too.
+            refine: What makes a target of a render; None: the target is the render itself.
             folder: Where rounds are kept; it belongs to this run alone. None: in memory.
             told: Called with the number of a round and the share of its pixels that are trained on.
+            neutral: Takes a photo's exposure from it: a render of a side view has none.
+            holes: Whether pixels without a surface are trained on too.
         """
         self.cameras, self.photos, self.draw = tuple(cameras), tuple(photos), draw
-        self.folder, self.told = folder, told
-        self.side, self.refine = side, refiner_of(side)
+        self.folder, self.told, self.neutral = folder, told, neutral
+        self.refine, self.holes = refine, holes
         self._held: tuple[int, dict[str, Tensor]] | None = None
 
     def views(self, rounds: int) -> tuple[View, ...]:
@@ -94,96 +107,112 @@ class SideViews:
 
         Args:
             number: From 0.
-
-        Raises: DataError naming a file that is damaged.
         """
         if self._held is None or self._held[0] != number:
             file = None if self.folder is None else self.folder / f"{number}.safetensors"
-            if file is not None and file.is_file():
-                made, _ = read_tensors(file, REMEDY)
-            else:
+            made = self._found(file)
+            if made is None:
                 made = self._made(number)
                 if file is not None:
                     write_tensors(file, made)
+            self.told(number, float(made["unproven"].float().mean()))
             self._held = (number, made)
         return self._held[1]
 
+    def _found(self, file: Path | None) -> dict[str, Tensor] | None:
+        """The round that a file holds; None where there is none that fits these cameras."""
+        if file is None or not file.is_file():
+            return None
+        try:
+            found, _ = read_tensors(file)
+        except DataError:  # cut short by a full disk: it can be made again
+            return None
+        lens = self.cameras[0]
+        shape = (len(self.cameras), lens.height, lens.width)
+        wanted = {"targets": (*shape, 3), "unproven": shape}
+        return found if {name: tuple(t.shape) for name, t in found.items()} == wanted else None
+
     @torch.no_grad()
     def _made(self, number: int) -> dict[str, Tensor]:
-        guide = Guide(self.photos, self.draw)
+        guide = Guide(self.photos, self.draw, self.neutral)
         targets, unproven = [], []
-        for camera in self.cameras:
-            seen, proven, best = guide.of(camera)
+        for seen, proven, best in guide.of(self.cameras):
             target = self.refine(seen, guide.texture(best)) if self.refine else seen.image
             targets.append((target.clamp(0, 1) * 255).round().byte())
-            unproven.append(~proven & (self.side.holes | (seen.alpha >= HOLE)))
-        made = {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
-        self.told(number, float(made["unproven"].float().mean()))
-        return made
+            unproven.append(~proven & (self.holes | (seen.alpha >= HOLE)))
+        return {"targets": torch.stack(targets), "unproven": torch.stack(unproven)}
 
 
 class Guide:
-    """What a model's render of a side view is worth, and which photo guides its refinement."""
+    """What a model's renders of side views are worth, and which photo guides the refinement of each."""
 
-    @torch.no_grad()
-    def __init__(self, photos: Sequence[View], draw: Draw) -> None:
-        """Render the training views.
+    def __init__(self, photos: Sequence[View], draw: Draw, neutral: Neutral = as_it_is) -> None:
+        """Nothing is rendered yet.
 
         Args:
             photos: Training views, at least one.
             draw: Renders a view.
+            neutral: Takes a photo's exposure from it.
         """
-        self.photos, self.draw = photos, draw
-        self.training = [self._seen(photo) for photo in photos]
+        self.photos, self.draw, self.neutral = photos, draw, neutral
         self.forward = torch.stack([photo.camera.rotation[2] for photo in photos]).double()
 
     @torch.no_grad()
-    def of(self, camera: Camera) -> tuple[SeenView, Bool[Tensor, "h w"], int]:
-        """The render at a camera, the pixels that have evidence, and which photo sees most of it.
+    def of(self, cameras: Sequence[Camera]) -> Iterator[tuple[SeenView, Bool[Tensor, "h w"], int]]:
+        """For each camera its render, the pixels that have evidence, and which photo sees most of it.
+
+        Training views, which may be thousands, are rendered one after the other and not kept; of side views the
+        maps of depth and alpha are, and each is rendered once more for its colours.
 
         Args:
-            camera: Where the side view is taken from.
+            cameras: Where side views are taken from.
         """
-        output = self.draw(camera_view(camera, SIDE))
-        side = SeenView(
-            camera=camera, image=output.colour.clamp(0, 1).cpu(), alpha=output.alpha.cpu(),
-            depth=output.depth.cpu(),
-        )  # fmt: skip
-        seen = torch.stack([sees(view, side) for view in self.training])
-        proven = (side.alpha >= SOLID) & (seen.sum(dim=0) >= EVIDENCE)
-        shared = seen.flatten(1).sum(dim=1).double()
-        return side, proven, nearest_photo(shared, self.forward, camera.rotation[2].double())
+        sides = [_without_image(self._side(camera)) for camera in cameras]
+        counts = [torch.zeros(side.alpha.shape, dtype=torch.uint8) for side in sides]
+        shared = torch.zeros(len(sides), len(self.photos), dtype=torch.float64)
+        for index, photo in enumerate(self.photos):
+            there = self._seen(photo)
+            for row, side in enumerate(sides):
+                seen = sees(there, side)
+                counts[row] = (counts[row] + seen).clamp(max=EVIDENCE)
+                shared[row, index] = seen.sum()
+        for camera, count, row in zip(cameras, counts, shared, strict=True):
+            side = self._side(camera)
+            proven = (side.alpha >= SOLID) & (count >= EVIDENCE)
+            yield side, proven, nearest_photo(row, self.forward, camera.rotation[2].double())
 
+    @torch.no_grad()
     def texture(self, index: int) -> SeenView:
-        """A photo, which is read now, with what the model has at its camera.
+        """A photo in neutral exposure, which is read now, with what the model has at its camera.
 
         Args:
             index: Which of the photos.
         """
-        return replace(self.training[index], image=self.photos[index].load())
+        photo = self.photos[index]
+        return replace(self._seen(photo), image=self.neutral(photo, photo.load()))
 
-    def _seen(self, photo: View) -> SeenView:
-        """What the model has at a photo's camera, in half precision; the photo is read when needed."""
-        output = self.draw(photo.without_truth())
+    def _side(self, camera: Camera) -> SeenView:
+        output = self.draw(camera_view(camera, SIDE))
         return SeenView(
-            camera=photo.camera, image=torch.zeros(1).expand(*photo.size, 3),
-            alpha=output.alpha.half().cpu(), depth=output.depth.half().cpu(),
+            camera=camera, image=output.colour.clamp(0, 1).cpu(), alpha=output.alpha.cpu(),
+            depth=output.depth.cpu(),
         )  # fmt: skip
 
+    def _seen(self, photo: View) -> SeenView:
+        """What the model has at a photo's camera; what is masked there, such as a car, is no surface."""
+        output = self.draw(photo.without_truth())
+        alpha = output.alpha.cpu()
+        if photo.load_mask is not None:
+            alpha = alpha * photo.load_mask()
+        return _without_image(
+            SeenView(
+                camera=photo.camera, image=output.colour, alpha=alpha, depth=output.depth.cpu()
+            )
+        )
 
-def refiner_of(side: SideSettings) -> ViewRefiner | None:
-    """What makes a target of a side view's render; None: the target is the render itself.
 
-    Args:
-        side: Who refines; own has the weights that come with the package.
-
-    Raises: MissingError or DataError where sd-turbo lacks its library or weights.
-    """
-    if side.refiner == "sd-turbo":
-        return SdTurboRefiner(Path(side.weights), reference=side.reference)
-    if side.refiner == "own":
-        return OwnRefiner(load_refiner())
-    return warp_and_fill if side.refiner == "warp" else None
+def _without_image(view: SeenView) -> SeenView:
+    return replace(view, image=torch.zeros(1).expand(*view.alpha.shape, 3))
 
 
 class SideOrder:

@@ -66,7 +66,25 @@ class Exposures:
             view: What is shown.
             colour: Its colours in neutral exposure.
         """
-        return adjusted(colour, chosen_code(view, self.photos, self.codes(), self.neutral()))
+        return adjusted(colour, self._code(view))
+
+    def undone(self, view: View, photo: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
+        """Colours in neutral exposure of a photo: what `shown` makes the photo of.
+
+        Args:
+            view: The training view whose photo it is.
+            photo: Its colours.
+        """
+        code = self._code(view).to(photo)
+        if len(code) == NUMBERS["gain"]:
+            return photo / code.exp()
+        rows = code.reshape(3, 4)
+        return torch.linalg.solve(
+            torch.eye(3).to(photo) + rows[:, :3].T, photo - rows[:, 3], left=False
+        )
+
+    def _code(self, view: View) -> Float[Tensor, " c"]:
+        return chosen_code(view, self.photos, self.codes(), self.neutral())
 
 
 def adjusted(colour: Float[Tensor, "h w 3"], code: Float[Tensor, " c"]) -> Float[Tensor, "h w 3"]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_array
 from torch import Tensor
 
@@ -23,13 +23,16 @@ from splatproof.reference.layered_memory.depth_adaptation import (
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
 from splatproof.reference.layered_memory.nadir_reference import nadir_reference
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
-from splatproof.reference.supervision.side_views import unproject
-from splatproof.reference.types.camera import Camera
+from splatproof.reference.supervision.side_views import inside_image, unproject
+from splatproof.reference.types.camera import Camera, project_points
 from splatproof.reference.types.scene import Scene, View
 
 MARGIN = 1.25
 """The memory's reference camera holds frusta from the nearest sparse point's depth over this to the
 farthest one's times this: completed depths go beyond the points."""
+TRIMMED, BEYOND = 0.01, 4.0
+"""A point guides no depth that lies so many times beyond all but this share of those that a view sees with it (at least
+one of three). A wrong one would, through the memory, and stretch the memory's camera without end."""
 ALL_KEPT = 1e-12
 """eps_d of a memory that merges nothing but equal samples, as a share of its largest depth."""
 MOST_KEPT = 1_000_000
@@ -88,8 +91,9 @@ def completed(
 
     Source: StratoSplat, Sec. 3.2.
     """
-    photos = [_photo(view, points, settings.side) for view, points in _seen(scene)]
-    memory = _start(scene, photos, settings)
+    kept = guiding(scene)
+    photos = [_photo(view, points, settings.side) for view, points in _seen(scene, kept)]
+    memory = _start(scene, kept, photos, settings)
     ranks = _order(photos, memory, settings, generator)
     asked = AdaptationSettings(
         visible_weight=settings.visible_weight, guidance_steps=settings.guidance_steps
@@ -121,9 +125,15 @@ def completed(
         report(f"layered memory: {memory.unseen} samples lie outside its camera and are left out")
     if memory.forced:
         report(f"layered memory: {memory.forced} merges were forced by the cap on layers")
+    if not bool(kept.all()):
+        report(
+            f"completion: {int((~kept).sum())} points lie far beyond all others and guide no depth"
+        )
+    lone, tints = scene.points.positions[~kept], scene.points.colours[~kept]
     return DenseCloud(
-        positions=memory.positions, colours=memory.colours, unseen=memory.unseen,
-        forced=memory.forced,
+        positions=torch.cat([memory.positions, lone.to(memory.positions)]),
+        colours=torch.cat([memory.colours, tints.to(memory.colours) / 255]),
+        unseen=memory.unseen, forced=memory.forced,
     )  # fmt: skip
 
 
@@ -137,11 +147,46 @@ def _alone(photos: list[Photo]) -> str:
     )
 
 
-def _seen(scene: Scene) -> list[tuple[View, Float[Tensor, "m 3"]]]:
+def guiding(scene: Scene) -> Bool[Tensor, " n"]:
+    """Which points guide depths: those that are plausible in each training view that sees them.
+
+    Args:
+        scene: With sparse points.
+
+    Source: ours.
+    """
+    positions = scene.points.positions
+    kept = torch.ones(len(positions), dtype=torch.bool)
+    for view, rows in _rows(scene):
+        at, z = project_points(view.camera, positions[rows])
+        inside = inside_image(view.camera, at) & (z > view.camera.near)
+        kept[rows[inside][~plausible(z[inside])]] = False
+    return kept
+
+
+def plausible(depths: Float[Tensor, " n"]) -> Bool[Tensor, " n"]:
+    """Which depths do not lie far beyond the others, nearer or farther (TRIMMED, BEYOND); of two nobody knows which.
+
+    Args:
+        depths: Positive numbers.
+    """
+    if len(depths) < 3:
+        return torch.ones_like(depths, dtype=torch.bool)
+    known = depths.sort().values
+    cut = max(1, int(TRIMMED * len(known)))
+    return (BEYOND * depths >= known[cut]) & (depths <= BEYOND * known[-1 - cut])
+
+
+def _rows(scene: Scene) -> list[tuple[View, Int[Tensor, " m"]]]:
     """Each training view with the points in its track; with all points where there are no tracks."""
     seen: csr_array = observations(scene.points, len(scene.views))
-    every = scene.points.positions
-    return [(scene.views[i], every[points_of(seen, i)] if seen.nnz else every) for i in scene.train]
+    every = torch.arange(len(scene.points))
+    return [(scene.views[i], points_of(seen, i) if seen.nnz else every) for i in scene.train]
+
+
+def _seen(scene: Scene, kept: Bool[Tensor, " n"]) -> list[tuple[View, Float[Tensor, "m 3"]]]:
+    positions = scene.points.positions
+    return [(view, positions[rows[kept[rows]]]) for view, rows in _rows(scene)]
 
 
 def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
@@ -164,8 +209,11 @@ def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
     )  # fmt: skip
 
 
-def _start(scene: Scene, photos: list[Photo], settings: Completion) -> LayeredDepth:
-    """The memory that holds the sparse points, seen from above all frusta."""
+def _start(
+    scene: Scene, kept: Bool[Tensor, " n"], photos: list[Photo], settings: Completion
+) -> LayeredDepth:
+    """The memory that holds the sparse points that guide, seen from above all frusta."""
+    points, colours = scene.points.positions[kept], scene.points.colours[kept]
     ranges = [
         (float(p.sparse.depths.min()) / MARGIN, float(p.sparse.depths.max()) * MARGIN)
         for p in photos
@@ -185,13 +233,13 @@ def _start(scene: Scene, photos: list[Photo], settings: Completion) -> LayeredDe
         for p in photos
     ]
     camera = nadir_reference([p.camera for p in photos], pairs, scene.up)
-    farthest = float((scene.points.positions - camera.centre).norm(dim=1).max())
+    farthest = float((points - camera.centre).norm(dim=1).max())
     keeps = settings.memory == "accumulate"
     memory = layered_depth.empty(
         camera, (ALL_KEPT if keeps else settings.merge) * farthest,
         MOST_KEPT if keeps else 8,
     )  # fmt: skip
-    return layered_depth.insert(memory, scene.points.positions, scene.points.colours.double() / 255)
+    return layered_depth.insert(memory, points, colours.double() / 255)
 
 
 def _order(

@@ -19,6 +19,7 @@ from splatproof.methods.stratosplat.settings import StratoSplat
 from splatproof.methods.stratosplat.virtual import drawn_field, stack_of
 from splatproof.methods.threedgs.fit import prepare as prepare_explicit
 from splatproof.methods.training import initialise
+from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
@@ -95,17 +96,22 @@ def prepare_from(start: Scene, settings: StratoSplat, run: Run) -> tuple[Model, 
 
 
 def started(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
-    """The points that explicit Gaussians start from: P_dense, or the sparse ones.
-
-    A completion that ended is kept beside the checkpoint, so that a killed run does not repeat it.
+    """The points that explicit Gaussians start from: P_dense, or the sparse ones; at most `most_points`.
 
     Args:
         scene: The scene as it was given, without the noise of a stage.
-        settings: init, completion and noise matter.
+        settings: init, completion, noise and most_points matter.
         run: Seed, and the folder of the checkpoint.
 
     Raises: DataError if there is nothing to start from.
     """
+    points, most = _all_points(scene, settings, run), settings.most_points
+    return points if most is None else with_at_most(replace(scene, points=points), most).points
+
+
+def _all_points(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
+    """However many there are. A completion that ended is kept beside the checkpoint, so that a killed run does
+    not repeat it."""
     seen = disturbed(scene, settings.noise_of("completion"), run.seed)
     cell = 0.0 if settings.init == "sfm" else settings.dense_cell
     drawn = 0 if settings.completes else settings.random_points  # what is drawn guides nothing
@@ -153,8 +159,9 @@ def _kept(path: Path | None, key: str) -> SparsePoints | None:
 
 
 def _priors(scene: Scene, settings: StratoSplat) -> tuple[str, ...]:
-    """Name and hash of the depth priors that completion reads."""
-    if not settings.completes:
+    """Name and hash of the depth priors that completion reads, or that photos are matched by."""
+    matched = settings.init == "dense" and settings.dense.matcher == "prior"
+    if not (settings.completes or matched):
         return ()
     names = ("depth_prior", "depth_prior_sha256")
     return tuple(scene.facts[name] for name in names if name in scene.facts)

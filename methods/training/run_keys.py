@@ -20,6 +20,16 @@ def what_differs(before: object, now: str) -> str:
     return said or "in a way that its key does not name"
 
 
+def with_special(key: str, *special: str) -> str:
+    """A run's key that also holds what the model depends on besides.
+
+    Args:
+        key: As `run_key` made it.
+        special: Names of contents, such as hashes.
+    """
+    return json.dumps([*json.loads(key), *special])
+
+
 def _parts(key: object) -> dict[str, object]:
     """A key by the names of its parts; digests as they are."""
     try:

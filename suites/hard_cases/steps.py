@@ -23,6 +23,7 @@ from splatproof.methods.contracts.model import Model, Moment
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs import fit as dlg_gs
+from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.dpgs.spirals import side_cameras
 from splatproof.methods.hdgs import fit as hdgs
@@ -60,7 +61,9 @@ def dpgs(scene: Scene, settings: Any, run: Run) -> tuple[Model, Plan]:
     """
     model, plan = threedgs.prepare(scene, settings, run)
     cameras = side_cameras(scene, settings.side)
-    return model, with_side_views(cameras, scene, model, plan, settings.side, run)
+    return model, with_side_views(
+        cameras, scene, model, plan, settings.side, refiner_of(settings.side), run
+    )
 
 
 def block(scene: Scene, settings: Any, run: Run) -> tuple[Model, Plan]:

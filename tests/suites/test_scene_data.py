@@ -11,6 +11,7 @@ import pytest
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from splatproof.base.errors import DataError
+from splatproof.methods.dpgs.refiners import REFINER
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import Protocol
@@ -18,7 +19,7 @@ from splatproof.reference.types.result import Result
 from splatproof.reference.types.scene import Scene
 from splatproof.reports.store import find_cases
 from splatproof.suites import run_case as cases
-from splatproof.suites import scene_data
+from splatproof.suites import runner, scene_data
 from splatproof.suites.records import read_finished, read_record, write_record
 from splatproof.suites.runner import Progress, run_suite
 from splatproof.suites.suite_files import Case, Suite
@@ -93,6 +94,16 @@ def test_other_data_under_the_name_run_again_and_the_old_result_is_kept(town, tm
     (town / name).write_text("third")
     assert run(out)[0] == "finished"
     assert read_record(kept.with_name("2")) == again
+
+
+def test_other_weights_of_a_refiner_run_again(town, tmp_path, monkeypatch):
+    weights = iter(["one", "one", "two"])
+    monkeypatch.setattr(runner, "refiner_facts", lambda settings: {REFINER: next(weights)})
+    out, seen = tmp_path / "runs", list[Progress]()
+    assert run(out)[1].scene_facts[REFINER] == "one"
+    assert run(out)[0] == "kept"
+    assert run(out, seen)[0] == "finished"
+    assert "runs again: its refiner's weights changed since" in started(seen)
 
 
 def test_the_same_data_with_other_times_or_in_another_place_are_the_same(town, tmp_path):

@@ -527,3 +527,16 @@ def test_blocks_that_share_their_rims_are_one_model_with_both_sides_in_them(tmp_
         assert bool((model.distances > 1).any())
     assert float(model.distances.max()) < RIM
     assert same(model, fit("stitchgs", run(cache=tmp_path / "cache"), merge=merge, **BARE))
+
+
+@pytest.mark.parametrize("engine", ["inline", "processes"])
+def test_what_blocks_say_of_their_training_is_in_the_record(engine):
+    told: dict[str, str] = {}
+    side = SideSettings(every=4, refiner="own", spiral=SpiralSettings(layers=1, views=3))
+    up = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+    method = METHODS["dpgs-partition"]
+    settings = method.settings(**(CITY | BARE | {"side": side}))
+    method.fit(replace(SCENE, up=up), settings, run(engine=engine, on_fact=told.__setitem__))
+    assert told["side views"] == "3 on 1 spirals, own"
+    assert told["refiner"].startswith("out of domain: ")
+    assert "side pixels trained on, round 0" in told

@@ -147,6 +147,7 @@ def test_side_views_of_a_block_circle_its_own_points(tmp_path):
         eyes = torch.stack([one.centre for one in job.sides]).mean(dim=0)
         assert_close(eyes[:2], ((low + high) / 2)[:2], atol=1e-6, rtol=0)
     assert replace(sided[0], side=replace(SIDES, every=2)).key != sided[0].key
+    assert replace(sided[0], weights="others").key != sided[0].key
 
 
 def test_a_block_with_side_views_trains_on_them_and_goes_on_after_a_kill_to_the_bit(tmp_path):

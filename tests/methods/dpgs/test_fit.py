@@ -1,21 +1,27 @@
 """Method dpgs: bits of a continued run, off means 3dgs, and that side views are trained on."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
 
 from helpers.baking import baked
-from helpers.tiny_scene import tiny_scene
+from helpers.tiny_scene import camera, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.fit import fit
+from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.dpgs.settings import Dpgs, SideSettings
+from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.models.exposure import TENSOR, exposed
 from splatproof.methods.registry import get_method
+from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.reference.supervision.spiral_path import SpiralSettings
+from splatproof.reference.types.scene import View
 
 DENSITY = Density(start=0, interval=10, least_interval=10, stop=10_000, gradient=1e-5,
                   reset_interval=0)  # fmt: skip
@@ -83,6 +89,32 @@ def test_exposures_are_those_of_photos():
     fitted = fit(scene(), replace(SHORT, exposure="gain"), RUN)
     names = [view.name for view in scene().train_views]
     assert list(fitted.exposures.photos) == names  # type: ignore[attr-defined]
+
+
+def test_targets_are_in_the_exposure_of_renders_whatever_photos_have():
+    """Photos with planted gains, which the model has learnt, give the targets of photos without."""
+    gains = torch.tensor([0.2, -0.3, 0.1, 0.15, -0.15])
+    plain = [replace(v, load=partial(torch.mul, v.load(), 0.5)) for v in scene().train_views]
+    lit = [
+        replace(v, load=partial(torch.mul, v.load(), float(gain.exp())))
+        for v, gain in zip(plain, gains, strict=True)
+    ]
+
+    def targets(photos: list[View], learnt: torch.Tensor) -> torch.Tensor:
+        shown = replace(scene(), views=tuple(photos), train=(0, 1, 2, 3, 4), test=())
+        settings = replace(SHORT, initial_opacity=0.9, dense_cell=0.0)
+        model, plan = threedgs.prepare(shown, settings, RUN)
+        whole = exposed(model, "gain", plan.views)
+        whole.parameters.shared[TENSOR] = learnt[:, None].expand(5, 3).clone()
+        sided = with_side_views(
+            [camera(2)], shown, whole, plan, settings.side, refiner_of(settings.side), RUN
+        )
+        return sided.views[5].load()
+
+    want = targets(plain, torch.zeros(5))
+    found = targets(lit, gains)
+    assert float((found - want).abs().max()) < 1.5 / 255
+    assert float((targets(lit, torch.zeros(5)) - want).abs().max()) > 5 / 255
 
 
 def test_another_setting_finds_no_rounds_of_the_last(tmp_path):

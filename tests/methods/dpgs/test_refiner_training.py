@@ -50,7 +50,7 @@ def test_samples_are_held_out_views_as_models_of_the_training_views_draw_them():
         scene, ThreeDGS(iterations=3, dense_cell=4.0, random_points=10_000), Run(seed=0, threads=1)
     )
     guide = Guide(scene.train_views, early.render)
-    side, proven, best = guide.of(scene.test_views[0].camera)
+    ((side, proven, best),) = guide.of([scene.test_views[0].camera])
     assert torch.equal(samples[0].given, refiner_input(side, guide.texture(best)))
     assert torch.equal(samples[0].counted, ~proven)
     blind = replace(scene, test=())

@@ -1,5 +1,6 @@
 """Side views of method dpgs: where they are, when they come, what they are targets of, and rounds."""
 
+import weakref
 from dataclasses import replace
 
 import pytest
@@ -8,10 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
-from splatproof.base.errors import DataError
+from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.methods.dpgs.refiners import read_refiner
 from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.dpgs.side_views import SideOrder, SideViews
+from splatproof.methods.dpgs.side_views import Guide, SideOrder, SideViews
 from splatproof.methods.dpgs.spirals import parts, side_cameras
+from splatproof.reference.supervision.side_views import warp_and_fill
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -118,8 +121,9 @@ def test_an_order_goes_on_where_it_stopped():
 class Wall:
     """A wall at z = 4 before all cameras of the row, black but for the left half of its views."""
 
-    def __init__(self) -> None:
+    def __init__(self, depth: float = 4.0) -> None:
         self.drawn: list[str] = []
+        self.depth = depth
 
     def __call__(self, view: View) -> RenderOutput:
         self.drawn.append(view.name)
@@ -129,7 +133,7 @@ class Wall:
             solid[:, : width // 4] = 0.2  # a hole
         return RenderOutput(
             colour=0.5 * solid[..., None].expand(height, width, 3), alpha=solid,
-            depth=torch.full((height, width), 4.0), radii=torch.zeros(0),
+            depth=torch.full((height, width), self.depth), radii=torch.zeros(0),
         )  # fmt: skip
 
 
@@ -138,8 +142,8 @@ def side_views(
 ) -> SideViews:
     middle: Camera = camera(2)
     views = tiny_scene().train_views if photos is None else photos
-    side = SideSettings(refiner=refiner, holes=holes)
-    return SideViews([middle, middle], views, Wall(), side, folder, told)
+    refine = read_refiner(SideSettings(refiner=refiner))
+    return SideViews([middle, middle], views, Wall(), refine, folder, told, holes=holes)
 
 
 def test_a_target_is_the_photos_texture_and_what_is_proven_is_left_to_photos():
@@ -208,16 +212,85 @@ def test_a_round_is_made_once_and_found_again(tmp_path):
     targets = [view.load() for view in views[:2]]
     assert isinstance(made.draw, Wall)
     count = len(made.draw.drawn)
-    assert count == 5 + 2
+    # each photo, each side view before and after, and the photo that guides it
+    assert count == 5 + 2 + 2 + 2
     views[3].load()
     assert len(made.draw.drawn) == 2 * count
-    again = side_views("none", tmp_path)  # reads what is there
+    shares = {}
+    again = side_views("none", tmp_path, shares.__setitem__)  # reads what is there
     assert all(torch.equal(v.load(), t) for v, t in zip(again.views(1), targets, strict=True))
     assert isinstance(again.draw, Wall)
     assert again.draw.drawn == []
+    assert shares.keys() == {0}
 
 
-def test_a_damaged_round_says_what_to_do(tmp_path):
-    (tmp_path / "0.safetensors").write_bytes(b"x")
-    with pytest.raises(DataError, match=r"0\.safetensors: not a whole.*; remove it, and its side"):
-        side_views("none", tmp_path).round(0)
+@pytest.mark.parametrize("content", [b"cut short", None])
+def test_a_round_whose_file_is_damaged_or_something_else_is_made_again(tmp_path, content):
+    want = [view.load() for view in side_views("warp").views(1)]
+    file = tmp_path / "0.safetensors"
+    if content is None:
+        write_tensors(file, {"targets": torch.zeros(1)})
+    else:
+        file.write_bytes(content)
+    found = [view.load() for view in side_views("warp", tmp_path).views(1)]
+    assert all(map(torch.equal, found, want))
+    assert read_tensors(file)[0].keys() == {"targets", "unproven"}
+
+
+def test_what_photos_mask_is_neither_evidence_nor_texture():
+    """Photos that are masked all over prove nothing and paint nothing: the render stays."""
+    blind = [
+        replace(view, load_mask=lambda: torch.zeros(18, 24).bool())
+        for view in tiny_scene().train_views
+    ]
+    first, *_ = side_views("warp", photos=blind).views(1)
+    assert first.load_mask is not None
+    assert first.load_mask().all()
+    assert float((first.load()[:, 8:] - 0.5).abs().max()) <= 0.51 / 255
+
+
+def test_the_unit_of_the_scene_does_not_matter():
+    def found(unit: float) -> tuple[torch.Tensor, torch.Tensor]:
+        def larger(lens: Camera) -> Camera:
+            pose = lens.world_to_camera.clone()
+            pose[:3, 3] *= unit
+            return replace(lens, world_to_camera=pose)
+
+        photos = [replace(v, camera=larger(v.camera)) for v in tiny_scene().train_views]
+        made = SideViews(
+            [larger(camera(2))], photos, Wall(4.0 * unit), warp_and_fill, None,
+            lambda number, share: None, holes=True,
+        ).round(0)  # fmt: skip
+        return made["targets"], made["unproven"]
+
+    want = found(1.0)
+    assert not want[1].all()
+    for unit in (2.0**17, 2.0**-6):
+        assert all(map(torch.equal, found(unit), want))
+
+
+def test_views_of_thousands_of_photos_are_not_kept():
+    alive: weakref.WeakSet[torch.Tensor] = weakref.WeakSet()
+    most, wall = 0, Wall()
+
+    def draw(view: View) -> RenderOutput:
+        nonlocal most
+        output = wall(view)
+        alive.add(output.depth)
+        most = max(most, len(alive))
+        return output
+
+    photos = tiny_scene(views=21).train_views
+    assert len(list(Guide(photos, draw).of([camera(2)]))) == 1
+    assert most <= 4  # of 20 photos
+
+
+def test_a_photos_exposure_is_taken_from_it():
+    photos = tiny_scene().train_views
+    dark = [replace(view, load=lambda view=view: 0.5 * view.load()) for view in photos]
+    made = SideViews(
+        [camera(2)], dark, Wall(), warp_and_fill, None, lambda number, share: None,
+        lambda view, photo: 2 * photo, holes=True,
+    ).round(0)  # fmt: skip
+    want = side_views("warp").round(0)
+    assert torch.equal(made["targets"][0], want["targets"][0])

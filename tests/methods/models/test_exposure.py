@@ -98,6 +98,17 @@ def test_codes_are_log_gains_or_rows_of_a_map_beside_the_identity():
     torch.testing.assert_close(adjusted(colour, rows), torch.tensor([[[0.85, 0.45, 0.0]]]))
 
 
+@pytest.mark.parametrize("kind", ["gain", "affine"])
+def test_what_a_photos_exposure_did_is_undone(kind):
+    scene, draw = tiny_scene(), torch.Generator().manual_seed(0)
+    names = tuple(view.name for view in scene.train_views)
+    raw = 0.2 * torch.randn(len(names), NUMBERS[kind], generator=draw)
+    known = Exposures(kind=kind, photos=names, raw=raw)
+    for view in scene.views:
+        again = known.undone(view, known.shown(view, view.load()))
+        torch.testing.assert_close(again, view.load(), atol=1e-5, rtol=0)
+
+
 def test_planted_gains_are_found_again(models):
     torch.testing.assert_close(models["gain"].exposures.codes(), GAINS, atol=0.05, rtol=0)
     wrong = models["gain"].exposures.codes().roll(1, dims=0)

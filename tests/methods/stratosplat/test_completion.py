@@ -201,3 +201,48 @@ def test_large_photos_are_completed_small():
     full, small = (cloud(aerial_scene(), side=s, **few) for s in (24, 12))
     assert 3 * 24 * 18 <= len(full.positions) <= 3 * 24 * 18 + 30
     assert 3 * 12 * 9 <= len(small.positions) <= 3 * 12 * 9 + 30
+
+
+@pytest.mark.parametrize("times", [100.0, 0.05])
+def test_one_wrong_point_changes_neither_the_memory_nor_the_result(monkeypatch, times):
+    """A point a hundred times as far as all others made a memory of gigabytes, and spoilt every depth."""
+    starts, told = [], list[str]()
+    real = completion.layered_depth.empty
+    monkeypatch.setattr(
+        completion.layered_depth, "empty",
+        lambda where, *rest: starts.append((where.width, where.height, *rest)) or real(where, *rest),
+    )  # fmt: skip
+    scene = aerial_scene()
+    more = with_one_more(scene, times)
+    want, found = (cloud(one, guidance_steps=1, told=told) for one in (scene, more))
+    assert starts[0] == starts[1]
+    assert torch.equal(found.positions[:-1], want.positions)
+    assert torch.equal(found.positions[-1], more.points.positions[-1])
+    assert told == ["completion: 1 points lie far beyond all others and guide no depth"]
+
+
+def with_one_more(scene: Scene, times: float) -> Scene:
+    """The scene with one more point, on the axis of view 1, in its track alone."""
+    points, lens = scene.points, scene.views[1].camera
+    place = lens.centre + times * FLOOR * lens.rotation[2]
+    return replace(
+        scene,
+        points=replace(
+            points,
+            positions=torch.cat([points.positions, place[None]]),
+            colours=torch.cat([points.colours, points.colours[:1]]),
+            track_starts=torch.cat([points.track_starts, points.track_starts[-1:] + 1]),
+            track_views=torch.cat([points.track_views, torch.tensor([1])]),
+        ),
+    )
+
+
+@given(
+    few=st.lists(st.floats(1.0, 3.9), min_size=3, max_size=300),
+    wrong=st.sampled_from([1e-3, 1e3]),
+)
+def test_a_depth_far_beyond_the_others_is_wrong_and_no_other(few, wrong):
+    depths = torch.tensor([*few, wrong]).double()
+    assert completion.plausible(depths).tolist() == [*[True] * len(few), False]
+    assert completion.plausible(depths[:-1]).all()
+    assert completion.plausible(depths[-2:]).all()

@@ -25,6 +25,7 @@ from splatproof.methods.stratosplat.settings import Completion, Planes, StratoSp
 from splatproof.methods.threedgs.fit import fit as fit_3dgs
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
+from splatproof.reference.supervision.dense_initialisation import DenseSettings
 from splatproof.reference.types.scene import Scene
 
 DENSITY = Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=10_000)
@@ -155,6 +156,26 @@ def test_baked_at_a_view_it_looks_the_same_from_there(trained):
 def test_every_setting_changes_the_model(scene, trained, more):
     short = replace(SHORT, iterations=3)
     assert not same(fit(scene, short, RUN), fit(scene, replace(short, **more), RUN))
+
+
+@pytest.mark.parametrize("init", ["sfm", "dense", "layered"])
+def test_no_more_points_to_start_from_than_asked_for(scene, init):
+    free = replace(SHORT, init=init)
+    assert len(module.started(scene, free, RUN).positions) > 20
+    assert len(module.started(scene, replace(free, most_points=20), RUN).positions) <= 20
+
+
+def test_points_that_are_matched_by_other_priors_do_not_continue(tmp_path):
+    scene = aerial_scene(prior=True).for_training()
+    facts = {"depth_prior": "oracle", "depth_prior_sha256": "a"}
+    short = replace(
+        SHORT, iterations=2, init="dense", planes=Planes(field="none"),
+        dense=DenseSettings(matcher="prior"),
+    )  # fmt: skip
+    run = replace(RUN, folder=tmp_path)
+    fit(replace(scene, facts=facts), short, run)
+    with pytest.raises(UsageError, match="differs"):
+        fit(replace(scene, facts=facts | {"depth_prior_sha256": "b"}), short, run)
 
 
 def test_noise_of_all_stages_is_that_of_the_poses(scene):
