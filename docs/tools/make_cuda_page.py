@@ -250,7 +250,19 @@ def released(rows: list[dict[str, Any]]) -> str:
     Args:
         rows: As `read_training` makes them.
     """
-    heads = ("scene", "method", "by", "seed", "steps", "s in all", "CPU s", "PSNR", "SSIM", "FLIP", "Gaussians")
+    heads = (
+        "scene",
+        "method",
+        "by",
+        "seed",
+        "steps",
+        "s in all",
+        "CPU s",
+        "PSNR",
+        "SSIM",
+        "FLIP",
+        "Gaussians",
+    )
     lines = []
     for row in rows:
         method, scene = row["command"].split()[2:4]

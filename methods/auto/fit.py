@@ -30,6 +30,7 @@ from splatproof.methods.auto.completion import (
     too_slow,
 )
 from splatproof.methods.auto.facts import SceneFacts, facts_of, without_points
+from splatproof.methods.auto.full_size import enlarge
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
@@ -154,7 +155,10 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     def told_steps(steps: int) -> None:
         run.on_fact("steps for the seconds that were left", str(steps))
 
-    return finish(train(run, prepared))
+    trained = train(run, prepared)
+    if photos.factor > 1:
+        enlarge(trained, [view.camera for view in scene.train_views], photos.factor)
+    return finish(trained)
 
 
 def read_ahead(scene: Scene, seconds: float, readers: int) -> None:

@@ -181,7 +181,7 @@ def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most:
         pixels: Pixels of a photo.
         points: Points to start from; twice as many Gaussians are taken to be there in the middle of the training,
             and no more than one for every other pixel.
-        speed: Of photos with `SMALL` pixels.
+        speed: As it is on photos with `SMALL` pixels.
         seconds: Wall seconds of training.
         most: Largest factor, >= 1.
 
@@ -200,7 +200,7 @@ def step_seconds(pixels: int, factor: float, points: int, speed: Speed) -> float
         pixels: Pixels of a photo at full size.
         factor: Factor by which it is shrunk.
         points: As for `size_factor`.
-        speed: Of photos with `SMALL` pixels.
+        speed: As it is on photos with `SMALL` pixels.
     """
     seen = pixels / factor**2
     return speed.pixels * seen / SMALL + speed.gaussian * min(2 * points, seen / 2)
