@@ -21,15 +21,20 @@ from splatproof.reference.types.scene import Scene, View
 
 LARGE = 300_000
 """Pixels of a photo up to which all photos are trained on as they are: a minute holds thousands of steps of them."""
-ENOUGH = 2000
-"""Steps that are to fit: photos are halved until they do. Held-out photos at full size, one seed, processor seconds in
-brackets. Caliterra (900 x 674): 500 and 1,000 steps at full size 29.1 (30) and 30.8 dB (56), 850 and 1,700 at half 30.8 (24) and
-31.6 (49), and level from about 1,700 at full size on: 31.9 (95), 3,400 at half 32.1 (104), 4,000 at a quarter 29.6 (71).
-Brighton_beach (993 x 557): 600 at full size 18.5 (79), 2,000 at half 19.7 dB (69)."""
+ENOUGH = 1250
+"""Steps that are to fit: photos are halved until they do. Held-out photos at full size, one seed, in as many processor seconds
+at full and at half size, before Gaussians were enlarged again (which gains 0.0 to 0.2 dB): caliterra (900 x 674) 250 and 500 steps
+27.6 and 29.1 dB, 850 at half 30.8; 1,000 30.8, 1,700 at half 31.6; 1,700 31.9, 3,400 at half 32.1, 4,000 at a quarter 29.6. Seneca (808 x 603) 700
+25.2, 2,400 at half 26.4. Brighton_beach (993 x 557) 600 18.5, 2,000 at half 19.7. A minute on two cores: seneca 1,919 steps 26.9, 2,663 at half 26.4."""
 SHORT_SIDE = 300
 """Pixels that the short side of a photo keeps, however few steps fit."""
-SMALL = 100_000
-"""About as many pixels the photos have on which the speed of this machine is measured."""
+MEASURED = 400_000
+"""Pixels that the photos have at most on which the speed of this machine is measured."""
+COARSE = 0.76
+"""Pixels of all steps as a share of what they would be at full size: photos are small at first."""
+PIXELS_EACH = 5
+"""Pixels of a photo for each Gaussian in the middle of a training, where there are not more of them from the start. A minute
+ended with one for 8 pixels of seneca (808 x 603), for 12 of caliterra (900 x 674) and for 4 of brighton_beach (993 x 557)."""
 READING = 0.3
 """Share of the seconds that reading large photos may take; of more photos some are left out, evenly."""
 FEWEST = 12
@@ -102,8 +107,10 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     if pixels <= LARGE or fixed or any(map(_has_more, views)):
         return Photos(train=scene.train)
     with threads(run.threads):
-        speed = _speed(scene, asked, run, math.sqrt(pixels / SMALL))
-        each = read_seconds(views, math.sqrt(pixels / SMALL))
+        shrink = max(1.0, math.sqrt(pixels / MEASURED))
+        speed = _speed(scene, asked, run, shrink)
+        speed = replace(speed, pixels=speed.pixels * shrink**2)
+        each = read_seconds(views, shrink)
         left = asked.seconds - (time.perf_counter() - began) - len(views) * each
         short = min(min(view.size) for view in views)
         factor = size_factor(
@@ -121,7 +128,10 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     spent = time.perf_counter() - began
     return Photos(
         factor=factor, train=tuple(sorted(spread(scene.train, count))), readers=readers, seconds=spent,
-        choices=_choices(factor, views[0].size, pixels, speed, asked.seconds - spent, count, len(views), because),
+        choices=_choices(
+            factor, views[0].size, left / step_seconds(pixels, 1.0, len(scene.points), speed),
+            count, len(views), because,
+        ),
     )  # fmt: skip
 
 
@@ -179,9 +189,8 @@ def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most:
 
     Args:
         pixels: Pixels of a photo.
-        points: Points to start from; twice as many Gaussians are taken to be there in the middle of the training,
-            and no more than one for every other pixel.
-        speed: As it is on photos with `SMALL` pixels.
+        points: Points to start from.
+        speed: Of photos at full size.
         seconds: Wall seconds of training.
         most: Largest factor, >= 1.
 
@@ -194,16 +203,17 @@ def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most:
 
 
 def step_seconds(pixels: int, factor: float, points: int, speed: Speed) -> float:
-    """Wall seconds of a step on one photo.
+    """Wall seconds of a step, in the mean over a training.
 
     Args:
         pixels: Pixels of a photo at full size.
         factor: Factor by which it is shrunk.
-        points: As for `size_factor`.
-        speed: As it is on photos with `SMALL` pixels.
+        points: Points to start from: twice as many Gaussians are there in the middle, or one for `PIXELS_EACH` pixels.
+        speed: Of photos at full size.
     """
     seen = pixels / factor**2
-    return speed.pixels * seen / SMALL + speed.gaussian * min(2 * points, seen / 2)
+    gaussians = min(max(2 * points, seen / PIXELS_EACH), seen / 2)
+    return COARSE * speed.step(0.0, factor) + speed.gaussian * gaussians
 
 
 def _has_more(view: View) -> bool:
@@ -223,16 +233,14 @@ def _speed(scene: Scene, asked: AutoSettings, run: Run, factor: float) -> Speed:
 
 
 def _choices(
-    factor: float, size: tuple[int, int], pixels: int, speed: Speed, seconds: float,
-    count: int, views: int, because: str,
-) -> tuple[Choice, ...]:  # fmt: skip
+    factor: float, size: tuple[int, int], steps: float, count: int, views: int, because: str
+) -> tuple[Choice, ...]:
     height, width = size
     told = []
     if factor > 1:
-        whole = max(0.0, seconds) / step_seconds(pixels, 1.0, 0, speed)
         told.append(Choice(
             component="photos' size", value=f"1/{factor:g} of {width:,} x {height:,} pixels",
-            because=f"at full size about {whole:.0f} steps would fit, and {ENOUGH} are wanted",
+            because=f"at full size about {max(0.0, steps):.0f} steps would fit, and {ENOUGH:,} are wanted",
         ))  # fmt: skip
     if count < views:
         told.append(

@@ -42,7 +42,7 @@ def large(monkeypatch):
     """Photos of 24 x 18 pixels are large; a step of one takes ten seconds, of a quarter of it two and a half."""
     monkeypatch.setattr(photos, "LARGE", PIXELS - 1)
     monkeypatch.setattr(photos, "SHORT_SIDE", 1)
-    slow = Speed(pixels=10.0 * photos.SMALL / PIXELS, gaussian=0.0)
+    slow = Speed(pixels=10.0 / photos.COARSE, gaussian=0.0)
     monkeypatch.setattr(photos, "_speed", lambda *_: slow)
     monkeypatch.setattr(photos, "ENOUGH", 7)
 
@@ -71,10 +71,12 @@ def test_photos_are_halved_until_enough_steps_fit_and_no_further(pixels, points,
 
 
 def test_a_step_goes_by_pixels_and_by_gaussians():
-    assert step_seconds(photos.SMALL, 1.0, 0, SPEED) == SPEED.pixels
-    assert step_seconds(4 * photos.SMALL, 2.0, 0, SPEED) == SPEED.pixels
-    more = step_seconds(photos.SMALL, 1.0, 100, SPEED) - SPEED.pixels
-    assert more == pytest.approx(200 * SPEED.gaussian)
+    still = replace(SPEED, gaussian=0.0)
+    assert step_seconds(10_000, 1.0, 0, still) == photos.COARSE * SPEED.pixels
+    assert step_seconds(10_000, 2.0, 0, still) == photos.COARSE * SPEED.pixels / 4
+    dense = replace(SPEED, pixels=0.0)
+    for points, gaussians in ((0, 2000), (900, 2000), (1500, 3000), (9000, 5000)):
+        assert step_seconds(10_000, 1.0, points, dense) == pytest.approx(gaussians * SPEED.gaussian)
 
 
 @pytest.mark.usefixtures("large")
@@ -175,7 +177,7 @@ def test_the_middle_photo_is_one_that_somebody_took():
 @pytest.mark.usefixtures("large")
 def test_a_killed_run_goes_on_with_the_photos_of_its_plan(tmp_path, monkeypatch):
     monkeypatch.setattr(photos, "FEWEST", 2)
-    fifth = Speed(pixels=0.2 * photos.SMALL / PIXELS, gaussian=0.0)
+    fifth = Speed(pixels=0.2 / photos.COARSE, gaussian=0.0)
     monkeypatch.setattr(photos, "_speed", lambda *_: fifth)
     asked = replace(ASKED, seconds=1.0)  # at most six photos of ten, half as large
     scene = slowly(tiny_scene(views=11), 0.05)
