@@ -25,7 +25,7 @@ from splatproof.methods.auto.photos import (
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.models.explicit import FIELDS
+from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 
 PIXELS = 24 * 18
 SPEED = Speed(pixels=0.01, gaussian=3e-7)
@@ -99,6 +99,20 @@ def test_large_photos_are_shrunk_and_the_plan_says_why():
 
 
 @pytest.mark.usefixtures("large")
+def test_what_reading_takes_is_not_left_for_steps(monkeypatch):
+    scene = slowly(tiny_scene(), 0.8)  # four of twenty seconds: six steps at half size
+    monkeypatch.setattr(photos, "FEWEST", 5)
+    assert planned_photos(scene, ASKED, RUN).factor == 4
+
+
+@pytest.mark.usefixtures("large")
+def test_photos_are_large_from_the_next_pixel_on(monkeypatch):
+    monkeypatch.setattr(photos, "LARGE", PIXELS)
+    scene = tiny_scene()
+    assert planned_photos(scene, ASKED, RUN) == Photos(train=scene.train)
+
+
+@pytest.mark.usefixtures("large")
 @pytest.mark.parametrize("asked", [{"steps": 5}, {"coarsest": 2.0}])
 def test_photos_keep_their_size_where_it_or_the_steps_are_given(asked):
     scene = tiny_scene()
@@ -132,6 +146,7 @@ def test_no_more_photos_are_read_than_there_is_time_for(monkeypatch):
     assert 2 <= len(found.train) <= photos.READING * 1.0 / 0.05
     gaps = {b - a for a, b in zip(found.train, found.train[1:], strict=False)}
     assert max(gaps) - min(gaps) <= 1  # evenly
+    assert found.train[-1] - found.train[0] >= 6  # along the whole flight
     told = found.choices[-1]
     assert told.value == f"{len(found.train)} of 10, evenly"
     assert told.because.startswith("reading one takes 0.0")
@@ -196,4 +211,5 @@ def test_a_killed_run_goes_on_with_the_photos_of_its_plan(tmp_path, monkeypatch)
         "splatproof.methods.auto.fit.planned_photos", lambda *_: pytest.fail("again")
     )
     model = fit(scene, asked, run)
-    assert all(torch.isfinite(getattr(model.bake(), name)).all() for name in FIELDS)
+    assert isinstance(model, ExplicitModel)
+    assert all(torch.isfinite(getattr(model.model, name)).all() for name in FIELDS)
