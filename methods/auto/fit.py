@@ -105,7 +105,8 @@ def fit(scene: Scene, settings: AutoSettings, run: Run) -> Reconstruction:
     told = read_json(kept) if kept is not None and kept.is_file() else {}
     told = told if told.get("key") == key else {}
     if told:
-        photos = Photos(factor=float(told["factor"]), train=tuple(told["train"]))
+        # a plan from before photos were planned has them all, as they are
+        photos = Photos(factor=told.get("factor", 1.0), train=tuple(told.get("train", scene.train)))
     else:
         photos = planned_photos(scene, settings, run)
     scene = remembering(working(scene, photos), run.image_bytes)

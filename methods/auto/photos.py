@@ -102,7 +102,7 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     """
     began = time.perf_counter()
     views = scene.train_views
-    pixels = middle_pixels(views)
+    pixels = middle_pixels(views) if views else 0  # whoever trains on none says so
     fixed = asked.steps is not None or asked.coarsest is not None
     if pixels <= LARGE or fixed or any(map(_has_more, views)):
         return Photos(train=scene.train)
@@ -190,7 +190,7 @@ def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most:
     Args:
         pixels: Pixels of a photo.
         points: Points to start from.
-        speed: Of photos at full size.
+        speed: As it is on photos at full size.
         seconds: Wall seconds of training.
         most: Largest factor, >= 1.
 
@@ -209,7 +209,7 @@ def step_seconds(pixels: int, factor: float, points: int, speed: Speed) -> float
         pixels: Pixels of a photo at full size.
         factor: Factor by which it is shrunk.
         points: Points to start from: twice as many Gaussians are there in the middle, or one for `PIXELS_EACH` pixels.
-        speed: Of photos at full size.
+        speed: As it is on photos at full size.
     """
     seen = pixels / factor**2
     gaussians = min(max(2 * points, seen / PIXELS_EACH), seen / 2)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import tiny_scene
+from splatproof.base.errors import DataError
 from splatproof.methods.auto import photos
 from splatproof.methods.auto.fit import PLAN, fit
 from splatproof.methods.auto.photos import (
@@ -187,6 +188,11 @@ def test_the_middle_photo_is_one_that_somebody_took():
         for view, (width, height) in zip(views, sizes, strict=True)
     ]
     assert middle_pixels(turned) == 1200
+
+
+def test_a_scene_without_training_views_is_refused_in_the_usual_words():
+    with pytest.raises(DataError, match="no training views"):
+        fit(replace(tiny_scene(), train=()), ASKED, RUN)
 
 
 @pytest.mark.usefixtures("large")
