@@ -110,7 +110,7 @@ def test_a_probe_decides_within_its_share(monkeypatch):
 
 
 def test_a_model_is_no_larger_than_was_asked_for_however_many_points_it_starts_from(tmp_path):
-    asked = AutoSettings(megabytes=0.02, seconds=20.0, steps=200, probe_share=0.0, exposure="gain")
+    asked = AutoSettings(megabytes=0.02, seconds=20.0, steps=40, probe_share=0.0, exposure="gain")
     save_model(fit(tiny_scene(points=400), asked, Run(threads=1)), tmp_path / "model", Origin())
     size = sum(path.stat().st_size for path in (tmp_path / "model").rglob("*") if path.is_file())
     assert 0.01 * 2**20 < size <= 0.02 * 2**20
