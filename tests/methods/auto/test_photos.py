@@ -9,6 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from helpers.aerial_scene import aerial_scene
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.auto import photos
@@ -188,6 +189,16 @@ def test_the_middle_photo_is_one_that_somebody_took():
         for view, (width, height) in zip(views, sizes, strict=True)
     ]
     assert middle_pixels(turned) == 1200
+
+
+@pytest.mark.usefixtures("large")
+def test_completed_depths_take_small_photos_too(monkeypatch):
+    monkeypatch.setattr(photos, "_speed", lambda *_: Speed(pixels=0.8, gaussian=0.0))
+    facts: dict[str, str] = {}
+    asked = replace(ASKED, seconds=3.0, completed=True)
+    model = fit(aerial_scene().for_training(), asked, replace(RUN, on_fact=facts.__setitem__))
+    assert model.kind == "stratosplat"
+    assert facts["plan: photos' size"].startswith("1/2 of 24 x 18 pixels")
 
 
 def test_a_scene_without_training_views_is_refused_in_the_usual_words():
