@@ -29,7 +29,7 @@ from splatproof.methods.city.levels import block_levels, levelled
 from splatproof.methods.city.memory_plan import plan_memory
 from splatproof.methods.city.merge import kept_rows, write_merged
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.city.partition import Partition
+from splatproof.methods.city.partition import Partition, check_blocks
 from splatproof.methods.city.progress import Progress
 from splatproof.methods.city.refine_parts import Whole, mean_of_parts, part_jobs, refine_parts
 from splatproof.methods.city.settings import CitySettings
@@ -110,6 +110,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
     check_engine(run.engine, run.workers)
     weights = refiner_of(settings.side).weights  # before minutes of matching photos
     scene = started(scene, settings.training, run)
+    check_blocks(scene, settings.blocks, settings.partition)
     with threads(run.threads), _work_folder(run) as folder:
         special = [method]
         if settings.block_terms.depth:

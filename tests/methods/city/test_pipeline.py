@@ -488,9 +488,14 @@ def test_a_damaged_container_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("row", "blocks", "told"), [("odbp+stitch", 61, "61 blocks"), ("vastgaussian", 9, "8 cameras")]
 )
-def test_more_blocks_than_there_is_work_for_are_refused(row, blocks, told):
+def test_more_blocks_than_there_is_work_for_are_refused_before_a_coarse_model_is_trained(
+    row, blocks, told
+):
+    def forbidden(step: int, total: int, values: dict[str, float]) -> None:
+        raise AssertionError("trained")
+
     with pytest.raises(DataError, match=told):
-        fit(row, run(), blocks=blocks)
+        fit(row, run(report=forbidden), blocks=blocks, coarse_iterations=10)
 
 
 def test_many_blocks_still_end_in_a_model(tmp_path):
