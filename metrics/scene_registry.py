@@ -36,6 +36,8 @@ RELEASED = (
 BLOCKS = ("load", "views", "points", "primitives", "seconds", "cpu", "memory")
 """What is compared over blocks: observations, training views, points, Gaussians, training seconds,
 processor seconds, peak memory."""
+STAGES = ("coarse", "partition", "blocks", "stitch", "refine", "compress", "score")
+"""Stages of a scene in blocks whose peak memory is told; score: of its held-out views."""
 DEPTH = "Eigen et al. 2014, rendered against true z-depth, mean over the scored views that have it"
 TRUTH = "depth of the training views, back-projected, against the true surface that they see"
 
@@ -64,6 +66,11 @@ _ALL = (
             "a model that is trained in one piece those of its whole case, scoring among them", unit="s"),
     _metric("block_densifications", "times that the block was densified that was so least", None),
     _metric("retention", "share of all blocks' trained Gaussians that the merge kept", None, most=1.0),
+    _metric("over_hard_cut", "Gaussians that the merge kept over those that a hard cut of the same blocks keeps", None),
+    *(
+        _metric(f"{stage}_peak_mb", f"peak memory of the largest process of stage {stage}, in 2^20 bytes", unit="MB")
+        for stage in STAGES
+    ),
     _metric("edge_cut", "edges of a grid of voxels, 64 along the scene, between voxels of two blocks "
             "(methods/city/partition.py)"),
     _metric("packed_bytes", "bytes of the compressed file, without facts about blocks", unit="B"),

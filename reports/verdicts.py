@@ -40,6 +40,8 @@ TOTALS = ("train_seconds", "four_machine_seconds", "four_machine_cpu_seconds", "
 WAITED = 1.2
 """Wall seconds of training a CPU second of the whole case from which a run waited for others: alone, on
 one thread, it has no more than 1."""
+VISITS = "least_visits"
+"""Counter of how often training visited the photo that it visited least."""
 UNCOUNTED = "recorded before the processes of blocks were counted"
 
 
@@ -62,7 +64,8 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
 
     In this order: *not testable here* where something is missing, rows are not comparable, or a time is
     claimed and the machine had other work or may have had it; *too
-    short to judge* below three seeds, where nothing was ever densified, or where a row still changed by
+    short to judge* below three seeds, where nothing was ever densified, where a photo is known to have been visited fewer
+    times than the claim asks for, or where a row still changed by
     more than it differs from the other, see `still_changing`; else by the 95 % interval of the
     difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
     only*: it does not reach that; *contradicted*: it lies on the other side; *no difference*: it
@@ -116,7 +119,22 @@ def _short(claim: Claim, every: Sequence[Measured], seeds: int) -> str:
     never = sorted({run.row for run in every if run.grown == 0})
     if never and not claim.before_training:
         few.append(f"{', '.join(never)}: never densified")
+    if not (claim.before_training or claim.fixed_length):
+        few += _seldom(claim, every)
     return "; ".join(few)
+
+
+def _seldom(claim: Claim, every: Sequence[Measured]) -> list[str]:
+    """Rows that are known to have visited one of their photos fewer times than the claim asks for."""
+    least: dict[str, int] = {}
+    for run in every:
+        if (visits := run.counters.get(VISITS)) is not None:
+            least[run.row] = min(visits, least.get(run.row, visits))
+    return [
+        f"{row}: a photo was visited {visits} times; {claim.visits} are needed"
+        for row, visits in sorted(least.items())
+        if visits < claim.visits
+    ]
 
 
 def waited(run: Measured) -> bool:

@@ -13,7 +13,7 @@ import torch
 from splatproof.base.errors import SplatproofError
 from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import SUFFIX, new_folder
-from splatproof.base.memory import peak_memory_mb
+from splatproof.base.memory import peak_memory_mb, peak_within
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.contracts.backends import get_backend
@@ -36,7 +36,7 @@ from splatproof.suites.marks import FOLDER as MARKS
 from splatproof.suites.marks import Marks, timed_metrics, timed_scores
 from splatproof.suites.records import RECORD_NAME, write_record
 from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
-from splatproof.suites.scene_scores.city_scores import city_scores
+from splatproof.suites.scene_scores.city_scores import city_scores, peak_name
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
 from splatproof.suites.suite_files import Case
 from splatproof.suites.training_curve import Curve
@@ -221,7 +221,8 @@ def _run(job: Job, tell: Tell) -> None:
     started = measure.cpu_seconds()
     # What is scored is what lies on disk, so a continued case and an undisturbed one agree.
     model = load_reconstruction(job.folder / "model", backend=job.backend)
-    with measure.timed(before.stages, "score"):
+    taken: dict[str, float] = {}
+    with measure.timed(before.stages, "score"), peak_within(taken, peak_name("score")):
         images, means, render_ms, drawn, elsewhere = _scores(job, scene, model, tell)
         timed = ()
         if job.case.marks and scene.test:
@@ -229,6 +230,8 @@ def _run(job: Job, tell: Tell) -> None:
                 job.folder, job.case.marks, scene, job.case.protocol, job.backend, means
             )
             means |= timed_metrics(job.case.marks, timed)
+    if isinstance(model, CityModel) and scene.test:
+        means |= taken
     identity = _identity(job)
     identity["environment"] |= {f"weights of {name}": sha for name, sha in weights.items()}
     identity["environment"] |= before.facts | {

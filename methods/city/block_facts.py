@@ -36,7 +36,7 @@ class BlockFacts:
     cpu_seconds: float = 0.0
     """Processor seconds of its training, over all threads: what other work on the machine changes least."""
     peak_mb: float = 0.0
-    """Peak resident memory of the process that trained it, in 2^20 bytes."""
+    """Peak resident memory of the process that trained it, while it did, in 2^20 bytes."""
     refine_seconds: float = 0.0
     """Wall seconds of the refinement of its part; 0: none was refined apart."""
     refine_cpu_seconds: float = 0.0
@@ -45,8 +45,12 @@ class BlockFacts:
     """Number of Gaussians when its training ended, ghosts left out."""
     densifications: int = -1
     """How often training densified the block; -1: not known."""
+    least_visits: int = -1
+    """How often training visits the one of its photos that it visits least; -1: not known."""
     kept: int = 0
     """Number of these Gaussians that the merge kept."""
+    core: int = -1
+    """Number of these Gaussians that lie in the block, d <= 1, which is what a hard cut keeps; -1: not known."""
     note: str = ""
     """What was out of the ordinary; empty if nothing was."""
     told: dict[str, str] = field(default_factory=dict)
@@ -99,6 +103,16 @@ def with_parts(blocks: Sequence[BlockFacts], parts: Sequence[BlockFacts]) -> tup
         )
         for one in blocks
     )  # fmt: skip
+
+
+def least_visited(blocks: Sequence[BlockFacts]) -> int | None:
+    """How often training visited the photo that its block visited least; None if that is not known of all.
+
+    Args:
+        blocks: One a block; those that were left empty do not count.
+    """
+    known = [one.least_visits for one in blocks if one.primitives]
+    return min(known) if known and min(known) >= 0 else None
 
 
 def told_by(blocks: Iterable[BlockFacts]) -> dict[str, str]:

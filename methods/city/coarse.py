@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Bool, Float64, Int8, Int32
 from torch import Tensor
 
+from splatproof.base.memory import peak_within
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.partition import Partition
 from splatproof.methods.city.point_roles import Auxiliary, assigned
@@ -57,15 +58,17 @@ def coarse_stage(
 
 
 def _train(scene: Scene, settings: Settings, at: Run, path: Path) -> dict[str, Any]:
+    peak = {"peak_mb": 0.0}  # not known
     if path.exists():
-        return dict(read_tensors(path)[1]) | {"shared": True}
-    model, plan = prepare(scene, settings, at)
-    trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, at)
-    trainer.resume()
-    trainer.train()
+        return peak | read_tensors(path)[1] | {"shared": True}
+    with peak_within(peak, "peak_mb"):
+        model, plan = prepare(scene, settings, at)
+        trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, at)
+        trainer.resume()
+        trainer.train()
     trained = model.gaussians()
     facts = {"seconds": trainer.seconds, "cpu_seconds": trainer.cpu_seconds,
-             "densifications": trainer.counts.densifications}  # fmt: skip
+             "densifications": trainer.counts.densifications, **peak}  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     write_tensors(path, {name: getattr(trained, name) for name in FIELDS}, facts)
     assert at.folder is not None

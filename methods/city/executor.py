@@ -5,11 +5,12 @@ import pickle
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.errors import MissingError, SplatproofError, UsageError
 from splatproof.base.locks import locked
 from splatproof.base.processes import Worker, listening
 from splatproof.methods.city.block_facts import BlockFacts
@@ -64,6 +65,25 @@ ENGINES = {
     "ray": "splatproof.methods.city.ray_executor:run_on_ray",
 }
 """Where blocks are trained: in processes here, in this process, or on a Ray cluster."""
+NO_RAY = "the engine 'ray' needs the package ray; run `pip install splatproof[distributed]`"
+"""What is said where that is missing."""
+
+
+def check_engine(engine: str, workers: int) -> None:
+    """Refuse, before anything is trained, what `run_blocks` could not run.
+
+    Args:
+        engine: Expected to be one of ENGINES.
+        workers: Expected to be at least 1.
+
+    Raises: UsageError for either; MissingError for "ray" without its package.
+    """
+    if engine not in ENGINES:
+        raise UsageError(f"engine {engine!r}: unknown, expected {', '.join(ENGINES)}")
+    if workers < 1:
+        raise UsageError(f"{workers} workers: expected at least 1")
+    if engine == "ray" and find_spec("ray") is None:
+        raise MissingError(NO_RAY)
 
 
 def run_blocks(
@@ -86,15 +106,11 @@ def run_blocks(
             what torch has).
         report: Hears where each job is, as report(index, step, total, values).
 
-    Raises: UsageError for an unknown engine or fewer workers than one; SplatproofError naming the
-        block that failed and why.
+    Raises: As `check_engine` does; SplatproofError naming the block that failed and why.
 
     Source: longest first: Graham 1969.
     """
-    if engine not in ENGINES:
-        raise UsageError(f"engine {engine!r}: unknown, expected {', '.join(ENGINES)}")
-    if workers < 1:
-        raise UsageError(f"{workers} workers: expected at least 1")
+    check_engine(engine, workers)
     before = [job.done() for job in jobs]
     left = [index for index, facts in enumerate(before) if facts is None]
     left.sort(key=lambda index: -block_seconds(jobs[index].facts.work, STEP_COST))
@@ -113,7 +129,7 @@ def run_blocks(
 def run_inline(
     jobs: Sequence[Job], workers: int, threads: int | None, report: BlocksReport
 ) -> list[BlockFacts]:
-    """Train one block after the other in this process; their peak memory is then not their own.
+    """Train one block after the other in this process, whose memory theirs is then part of.
 
     Args:
         jobs: One a block.

@@ -1,13 +1,16 @@
-"""The merged model, written block by block and slice by slice: never in memory as a whole."""
+"""What the merge keeps of each block, and the merged model, written slice by slice: never in memory as a whole."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import torch
 from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.methods.city.block_model import BlockModel
+from splatproof.methods.city.settings import CitySettings
+from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, stitch, widened
 from splatproof.methods.contracts.reconstruction import (
     ARRAYS,
     DESCRIPTION,
@@ -18,6 +21,34 @@ from splatproof.methods.models.explicit import EXPLICIT, FIELDS, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.stitching.stochastic import faded
+
+
+def kept_rows(
+    blocks: Sequence[BlockModel], settings: CitySettings, seed: int, threads: int | None
+) -> tuple[tuple[Bool[Tensor, " _"], ...], tuple[Float64[Tensor, " _"], ...] | None]:
+    """Which Gaussians of each block the merge keeps, and shares of their optical depth if they fade.
+
+    One block loses nothing.
+
+    Args:
+        blocks: All blocks, in the order in which a hard merge resolves ties.
+        settings: Merge, overlap, outside and stitch count.
+        seed: Seed of the draws of a merge by "sis" or "shares".
+        threads: For its neighbour search; None: all cores. The result does not depend on it.
+
+    Returns: Masks, and what of its optical depth each Gaussian of each block keeps; None: all of it.
+    """
+    if len(blocks) == 1:
+        return (torch.ones(len(blocks[0]), dtype=torch.bool),), None
+    if settings.merge == "hard":
+        return cut_hard(blocks, settings.outside, settings.overlap), None
+    blocks, generator = widened(blocks, settings.overlap), torch.Generator().manual_seed(seed)
+    if settings.merge == "sis":
+        return stitch(blocks, settings.stitch, generator, threads=threads), None
+    held = block_shares(blocks)
+    if settings.merge == "fade":
+        return tuple(share > 0 for share in held), held
+    return draw_shares(blocks, held, generator), None
 
 
 def write_merged(

@@ -54,6 +54,9 @@ class CityModel(ExplicitModel):
     stage_cpu_seconds: Mapping[str, float] = field(default_factory=dict)
     """Processor seconds of each stage, without those of blocks and parts that other processes trained; empty in
     files from before they were kept."""
+    stage_peak_mb: Mapping[str, float] = field(default_factory=dict)
+    """Peak memory of the largest process of each stage in 2^20 bytes, where it is known; empty in files from before it
+    was kept."""
     refine_alone: Mapping[str, float] = field(default_factory=dict)
     """What a refinement in parts took without its parts, on one machine: wall "seconds" and "cpu_seconds". Empty where
     there are no parts, and in files from before it was kept."""
@@ -90,6 +93,7 @@ class CityModel(ExplicitModel):
             ],
             "stage_seconds": {n: _in_places(v) for n, v in self.stage_seconds.items()},
             "stage_cpu_seconds": {n: _in_places(v) for n, v in self.stage_cpu_seconds.items()},
+            "stage_peak_mb": {n: _in_places(v) for n, v in self.stage_peak_mb.items()},
             "refine_alone": {n: _in_places(v) for n, v in self.refine_alone.items()},
         }
         if self.packed is not None:
@@ -147,6 +151,7 @@ def load_city(folder: Path, stored: Stored, backend: str) -> CityModel:
             stage_cpu_seconds={
                 str(k): float(v) for k, v in facts.get("stage_cpu_seconds", {}).items()
             },
+            stage_peak_mb={str(k): float(v) for k, v in facts.get("stage_peak_mb", {}).items()},
             refine_alone={str(k): float(v) for k, v in facts.get("refine_alone", {}).items()},
             **described(facts),
         )  # fmt: skip

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float64, Int64
 from torch import Tensor
 
+from splatproof.base.errors import DataError
 from splatproof.methods.city.citygaussian_views import coarse_change, point_model
 from splatproof.methods.city.ground import Ground, ground
 from splatproof.methods.city.partition_regions import (
@@ -143,6 +144,24 @@ def partition(
     return found
 
 
+def check_blocks(scene: Scene, blocks: int, settings: PartitionSettings) -> None:
+    """Refuse, before a coarse model is trained, more blocks than there is a scene for.
+
+    Args:
+        scene: With training views and sparse points.
+        blocks: Number K of blocks, >= 1.
+        settings: Which partition.
+
+    Raises: DataError for more blocks than training cameras (vastgaussian) or points (odbp), or a scene without
+        views or points.
+    """
+    place = ground(scene, settings.voxel_size)
+    if settings.method == "vastgaussian":
+        _camera_grid(place, blocks)
+    elif settings.method == "odbp" and blocks > len(scene.points):
+        raise DataError(f"{blocks} blocks for {len(scene.points)} points: ask for fewer")
+
+
 def near_square(blocks: int) -> tuple[int, int]:
     """Columns x rows = blocks with columns >= rows, as near to a square as there is.
 
@@ -219,8 +238,7 @@ def vastgaussian_blocks(place: Ground, blocks: int) -> Partition:
     Source: VastGaussian, Sec. 4.1.
     """
     cameras = tuple(view.camera for view in place.scene.train_views)
-    centres = torch.stack([camera.centre for camera in cameras]) @ place.frame.T
-    grid = partition_cameras.camera_grid(centres[:, :2], *near_square(blocks))
+    grid = _camera_grid(place, blocks)
     labels = partition_cameras.owner_cell(grid, place.positions[:, :2])
     views, points = [], []
     for block in range(blocks):
@@ -279,6 +297,12 @@ def citygaussian_blocks(
         points=(torch.ones(len(unit), dtype=torch.bool),) * blocks,
         regions=contracted_regions(foreground, cells, place.frame),
     )  # fmt: skip
+
+
+def _camera_grid(place: Ground, blocks: int) -> CameraGrid:
+    """VastGaussian's grid over the training cameras."""
+    centres = torch.stack([view.camera.centre for view in place.scene.train_views])
+    return partition_cameras.camera_grid((centres @ place.frame.T)[:, :2], *near_square(blocks))
 
 
 def _reaching(grid: CameraGrid, ground: Float64[Tensor, "n 2"]) -> CameraGrid:

@@ -18,25 +18,25 @@ from splatproof.base.files import read_bytes
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city import refine as refinement
 from splatproof.methods.city.balance import Training, cut
-from splatproof.methods.city.block_facts import BlockFacts, told_by, with_parts
+from splatproof.methods.city.block_facts import BlockFacts, least_visited, told_by, with_parts
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.block_terms import with_scaled_priors
 from splatproof.methods.city.coarse import coarse_stage
-from splatproof.methods.city.executor import run_blocks
+from splatproof.methods.city.executor import check_engine, run_blocks
 from splatproof.methods.city.ground import ground
 from splatproof.methods.city.jobs import block_jobs, trained_on
 from splatproof.methods.city.levels import block_levels, levelled
 from splatproof.methods.city.memory_plan import plan_memory
-from splatproof.methods.city.merge import write_merged
+from splatproof.methods.city.merge import kept_rows, write_merged
 from splatproof.methods.city.model import CityModel
-from splatproof.methods.city.partition import Partition
+from splatproof.methods.city.partition import Partition, check_blocks
 from splatproof.methods.city.progress import Progress
 from splatproof.methods.city.refine_parts import Whole, mean_of_parts, part_jobs, refine_parts
 from splatproof.methods.city.settings import CitySettings
 from splatproof.methods.city.small_file import compress, file_steps, order_in_file
 from splatproof.methods.city.stages import Stages
-from splatproof.methods.city.stitch import block_shares, cut_hard, draw_shares, near_walls, stitch
-from splatproof.methods.city.train_block import BlockJob, read_gaussians, select
+from splatproof.methods.city.stitch import near_walls
+from splatproof.methods.city.train_block import BlockJob, least_visits, read_gaussians, select
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin
 from splatproof.methods.contracts.run import Run
@@ -105,10 +105,12 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
 
     Raises: DataError for a scene that cannot be cut or trained on; UsageError if the folder belongs
         to another run; MissingError if the blocks cannot fit into memory; MissingError or DataError, before
-        anything else, where a refiner of side views lacks its library or weights.
+        anything else, where a refiner of side views lacks its library or weights, or an engine its package.
     """
+    check_engine(run.engine, run.workers)
     weights = refiner_of(settings.side).weights  # before minutes of matching photos
     scene = started(scene, settings.training, run)
+    check_blocks(scene, settings.blocks, settings.partition)
     with threads(run.threads), _work_folder(run) as folder:
         special = [method]
         if settings.block_terms.depth:
@@ -137,13 +139,19 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         elsewhere, peaks = elsewhere + told.get("elsewhere", 0.0), [one.peak_mb for one in facts]
         for name, value in told_by(facts).items():
             run.on_fact(name, value)
+        if (visits := least_visited(facts)) is not None:
+            run.on_count("least_visits", visits)
         for one in facts:
             if one.note:
                 run.say(f"block {one.block}: {one.note}")
-        kept = stages.run(
+        told = stages.run(
             "stitch", partial(_stitch, scene, settings, run, jobs, found, folder, method)
-        )["kept"]
-        facts = tuple(replace(one, kept=n) for one, n in zip(facts, kept, strict=True))
+        )
+        cores = told.get("cores", [-1] * len(facts))  # which an earlier release did not count
+        facts = tuple(
+            replace(one, kept=n, core=core)
+            for one, n, core in zip(facts, told["kept"], cores, strict=True)
+        )
         for one in facts:
             if one.primitives and not one.kept:
                 run.say(f"block {one.block}: lost all {one.primitives} Gaussians in the merge")
@@ -175,7 +183,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         model=merged.model, blocks=merged.blocks, distances=merged.distances, mode=settings.mode, shift=scene.shift, units=scene.units,
         backend=run.backend, regions=found.regions, stage_seconds=stages.seconds, stage_cpu_seconds=stages.cpu_seconds, packed=packed,
         packed_parts=bytes_of, refine_alone=alone,
-        block_facts=facts,
+        block_facts=facts, stage_peak_mb=stages.peak_mb,
     )  # fmt: skip
 
 
@@ -228,15 +236,21 @@ def _blocks(jobs: Sequence[BlockJob], run: Run, progress: Progress) -> dict[str,
     facts = run_blocks(
         jobs, engine=run.engine, workers=run.workers, threads=run.threads, report=progress.block
     )
-    return {"blocks": [asdict(one) for one in facts]} | _spent(facts, before, run)
+    visited = [
+        replace(one, least_visits=least_visits(job)) for one, job in zip(facts, jobs, strict=True)
+    ]
+    return {"blocks": [asdict(one) for one in visited]} | _spent(facts, before, run)
 
 
 def _spent(facts: Sequence[BlockFacts], before: Sequence[bool], run: Run) -> dict[str, float]:
-    """Wall seconds of what was done apart, and processor seconds of what this process's clock does not know."""
+    """Wall seconds of what was done apart, and processor seconds of what this process's clock does not know; peak memory."""
     workers = max(1, min(run.workers, len(facts)))
     apart = [was or run.engine != "inline" for was in before]
-    elsewhere = sum(one.cpu_seconds for one, gone in zip(facts, apart, strict=True) if gone)
-    return {"seconds": sum(one.seconds for one in facts) / workers, "elsewhere": elsewhere}
+    return {
+        "seconds": sum(one.seconds for one in facts) / workers,
+        "elsewhere": sum(one.cpu_seconds for one, gone in zip(facts, apart, strict=True) if gone),
+        "peak_mb": max((one.peak_mb for one in facts), default=0.0),
+    }
 
 
 def _stitch(
@@ -253,18 +267,18 @@ def _stitch(
         BlockModel(region=region, model=job.model)
         for region, job in zip(found.regions, jobs, strict=True)
     ]
-    kept = kept_rows(blocks, settings, run.seed, run.threads)
-    fade = block_shares(blocks) if settings.merge == "fade" and len(blocks) > 1 else None
+    kept, fade = kept_rows(blocks, settings, run.seed, run.threads)
     counts = write_merged(
         folder / "merged", blocks, kept,
         origin=Origin(method=method, settings=asdict(settings), scene=scene.name, seed=run.seed),
         mode=settings.mode, shift=scene.shift, units=scene.units, fade=fade,
     )  # fmt: skip
-    distances = [
-        block.region.distance(part["means"].double()).float()
-        for block in blocks
-        for part in block.slices(("means",))
-    ]
+    distances, cores = [], [0] * len(blocks)
+    for i, block in enumerate(blocks):
+        for part in block.slices(("means",)):
+            away = block.region.distance(part["means"].double())
+            cores[i] += int((away <= 1).sum())
+            distances.append(away.float())
     owners = torch.repeat_interleave(torch.arange(len(blocks)), torch.tensor(counts))
     away = torch.cat(distances)[torch.cat(kept)]
     whose = {"blocks": owners, "distances": away}
@@ -272,31 +286,7 @@ def _stitch(
         logits = [part["opacity_logits"] for block in blocks for part in block.slices(("opacity_logits",))]  # fmt: skip
         whose["unfaded"] = torch.cat(logits)[torch.cat(kept)]
     write_tensors(folder / "merged" / "blocks.safetensors", whose)
-    return {"kept": counts}
-
-
-def kept_rows(
-    blocks: Sequence[BlockModel], settings: CitySettings, seed: int, threads: int | None
-) -> tuple[Bool[Tensor, " _"], ...]:
-    """Which Gaussians of each block the merge keeps; one block loses nothing.
-
-    Args:
-        blocks: All blocks, in the order in which a hard merge resolves ties.
-        settings: Merge, outside and stitch count.
-        seed: Seed of the draws of a merge by "sis" or "shares".
-        threads: For its neighbour search; None: all cores. The result does not depend on it.
-    """
-    if len(blocks) == 1:
-        return (torch.ones(len(blocks[0]), dtype=torch.bool),)
-    if settings.merge == "hard":
-        return cut_hard(blocks, settings.outside)
-    generator = torch.Generator().manual_seed(seed)
-    if settings.merge in ("shares", "fade"):
-        held = block_shares(blocks)
-        if settings.merge == "fade":
-            return tuple(share > 0 for share in held)
-        return draw_shares(blocks, held, generator)
-    return stitch(blocks, settings.stitch, generator, threads=threads)
+    return {"kept": counts, "cores": cores}
 
 
 def _read_merged(folder: Path) -> Merged:

@@ -9,7 +9,7 @@ from typing import Any
 from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.base.plugin_files import Brought
 from splatproof.methods.city.block_facts import BlockFacts
-from splatproof.methods.city.executor import BlocksReport, Job, alone
+from splatproof.methods.city.executor import NO_RAY, BlocksReport, Job, alone
 from splatproof.methods.training.threads import threads as torch_threads
 
 RETRIES = 3
@@ -183,7 +183,5 @@ def _ray(*, alone: bool) -> Any:
         import ray.exceptions
         import ray.util.scheduling_strategies
     except ImportError:
-        raise MissingError(
-            "the engine 'ray' needs the package ray; run `pip install splatproof[distributed]`"
-        ) from None
+        raise MissingError(NO_RAY) from None
     return ray

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from splatproof.base.files import read_bytes
-from splatproof.base.memory import peak_memory_mb
+from splatproof.base.memory import peak_memory_mb, peak_within
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.block_facts import BlockFacts, read_facts, write_facts
 from splatproof.methods.city.coarse import shown_by
@@ -95,16 +95,18 @@ class PartJob:
         run = Run(seed=self.seed, backend=self.backend, background=self.background, report=report,
                   checkpoint_seconds=self.checkpoint_seconds, image_bytes=self.image_bytes)  # fmt: skip
         marks, _ = read_tensors(self.start)
-        refined = refine(
-            read_gaussians(self.start), self.scene, self.settings, self.base, run, self.folder, self.pack,
-            marks[MOVING], steps=self.facts.steps,
-        )  # fmt: skip
+        peak: dict[str, float] = {}
+        with peak_within(peak, "mb"):
+            refined = refine(
+                read_gaussians(self.start), self.scene, self.settings, self.base, run, self.folder, self.pack,
+                marks[MOVING], steps=self.facts.steps,
+            )  # fmt: skip
         write_tensors(self.result, {name: getattr(refined.model, name) for name in FIELDS})
         facts = replace(
             self.facts,
             seconds=refined.seconds,
             cpu_seconds=refined.cpu_seconds,
-            peak_mb=peak_memory_mb(),
+            peak_mb=peak.get("mb", peak_memory_mb()),
         )
         write_facts(self.record, self.key, facts)
         return facts

@@ -84,6 +84,11 @@ class CitySettings(Settings):
     them blocks compete for a rim at random (stochastic interwoven stitching, StitchGS). Ours, for a
     strip on both sides of a wall in which blocks have shares that sum to 1: shares: a Gaussian stays
     with the probability of its share; fade: it keeps that share of its optical depth."""
+    overlap: float = 0.0
+    """Share of its size, 0 to 1, by which each block's core reaches beyond its bounds when blocks are merged. 0: cores
+    abut; StitchGS' storage grows in its merge as if its cores overlapped, and 0.15 is the margin that its release trains.
+    hard and sis keep all that lies in a core, whole, as the paper does: where cores overlap optical depth adds up.
+    shares and fade have shares there too, which sum to 1."""
     outside: Literal["drop", "nearest"] = "drop"
     """What a hard merge does with Gaussians that lie in no block. drop: removes them, as the papers
     do; nearest: keeps those to which their own block is the nearest."""
@@ -132,6 +137,7 @@ class CitySettings(Settings):
         require(self.stitch.neighbours >= 1, "stitch.neighbours", self.stitch.neighbours, ">= 1")
         sharpness = self.stitch.sharpness
         require(0 <= sharpness < float("inf"), "stitch.sharpness", sharpness, "finite and >= 0")
+        require(0 <= self.overlap <= 1, "overlap", self.overlap, "0 to 1")
         require(self.pack.gate >= 0, "pack.gate", self.pack.gate, ">= 0")
 
     @property

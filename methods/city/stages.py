@@ -8,6 +8,7 @@ from typing import Any
 
 from splatproof.base.errors import UsageError
 from splatproof.base.files import read_text, write_text
+from splatproof.base.memory import peak_within
 from splatproof.methods.training.run_keys import what_differs
 
 
@@ -42,14 +43,21 @@ class Stages:
             name: Name of the stage, unique in the run.
             work: Does it and returns what is to be known of it, JSON-ready. It may name "seconds"
                 and "cpu_seconds" itself, where a part of it was done before or elsewhere; else they are
-                measured in this process.
+                measured in this process. "peak_mb" is the memory of the largest process of such a part, in 2^20
+                bytes, 0 where who did it has not said: then that of the stage is not known.
 
-        Returns: What is known of the stage, with its wall and processor seconds.
+        Returns: What is known of the stage, with its wall and processor seconds, and with "peak_mb", the peak memory
+            of the largest process that did it (or ended it, after an interruption), where that is known.
         """
         if name not in self.done:
             started, before = time.perf_counter(), time.process_time()
-            facts = work() or {}
+            here: dict[str, float] = {}
+            with peak_within(here, name):
+                facts = work() or {}
             passed = time.perf_counter() - started
+            elsewhere = facts.get("peak_mb")
+            if elsewhere != 0:
+                facts["peak_mb"] = max(here.get(name, 0.0), elsewhere or 0.0)
             facts["seconds"] = max(passed, facts.get("seconds", 0.0))
             facts.setdefault("cpu_seconds", time.process_time() - before)
             self.done[name] = facts
@@ -66,3 +74,9 @@ class Stages:
     def cpu_seconds(self) -> dict[str, float]:
         """Processor seconds of each stage that is done; what other processes did may not be in them."""
         return {name: facts.get("cpu_seconds", 0.0) for name, facts in self.done.items()}
+
+    @property
+    def peak_mb(self) -> dict[str, float]:
+        """Peak memory of the largest process of each stage that is done, in 2^20 bytes, where it is known."""
+        found = {name: facts.get("peak_mb", 0.0) for name, facts in self.done.items()}
+        return {name: peak for name, peak in found.items() if peak}

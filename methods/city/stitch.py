@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,7 +15,7 @@ from splatproof.base.errors import UsageError
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.voxel_region import VoxelRegion
 from splatproof.methods.storage.packed.morton import morton_order
-from splatproof.reference.partition.boxes import Region
+from splatproof.reference.partition.boxes import Region, WidenedRegion
 from splatproof.reference.stitching.stochastic import (
     COMPETITIVE,
     CORE,
@@ -138,8 +138,23 @@ def draw_shares(
     return tuple(kept)
 
 
+def widened(blocks: Sequence[BlockModel], overlap: float) -> tuple[BlockModel, ...]:
+    """The blocks with cores that overlap: all distances to a block are to one 1 + overlap times as large.
+
+    Args:
+        blocks: All blocks.
+        overlap: Share by which each is larger, >= 0; 0 changes no distance.
+
+    Source: see reference.stitching.stochastic.overlapping.
+    """
+    return tuple(
+        replace(block, region=WidenedRegion(region=block.region, margin=overlap))
+        for block in blocks
+    )
+
+
 def cut_hard(
-    blocks: Sequence[BlockModel], outside: Outside = "drop"
+    blocks: Sequence[BlockModel], outside: Outside = "drop", overlap: float = 0.0
 ) -> tuple[Bool[Tensor, " _"], ...]:
     """Hard merge: block i keeps what lies in its core; where cores touch, the first nearest block.
 
@@ -147,15 +162,17 @@ def cut_hard(
         blocks: All blocks; of two at the same distance the first one keeps a place.
         outside: What lies in no core is dropped ("drop"), as in the papers, or kept by the block
             that is nearest to it ("nearest").
+        overlap: Share by which cores reach beyond their blocks, >= 0; what lies there is kept by all whose core it is, see
+            reference.stitching.stochastic.overlapping.
 
-    Returns: Which primitives of each block stay; no place is kept by two blocks.
+    Returns: Which primitives of each block stay; without an overlap no place is kept by two blocks.
 
     Source: CityGaussian, Sec. 3.2; VastGaussian, Sec. 4.3; StitchGS, Sec. 4 (hard cuts).
     """
     return tuple(
         torch.cat(
             [
-                _owned(blocks, i, part["means"].double(), outside)
+                _owned(blocks, i, part["means"].double(), outside, overlap)
                 for part in block.slices(("means",))
             ]
             or [torch.zeros(0, dtype=torch.bool)]
@@ -165,7 +182,11 @@ def cut_hard(
 
 
 def _owned(
-    blocks: Sequence[BlockModel], block: int, means: Float64[Tensor, "n 3"], outside: Outside
+    blocks: Sequence[BlockModel],
+    block: int,
+    means: Float64[Tensor, "n 3"],
+    outside: Outside,
+    overlap: float,
 ) -> Bool[Tensor, " n"]:
     """Which places the block keeps; the others' distances are asked for only where it is not clear."""
     away = blocks[block].region.distance(means)
@@ -178,7 +199,7 @@ def _owned(
             theirs = other.region.distance(means[rows])
             mine &= theirs >= away[rows] if j > block else theirs > away[rows]
     kept[rows] = mine
-    return kept
+    return kept | ((away > 1) & (away <= 1 + overlap))
 
 
 def _zones_and_rim(block: BlockModel, settings: StitchSettings) -> tuple[UInt8[Tensor, " n"], _Rim]:
@@ -218,18 +239,19 @@ def near_walls(
     """
     held = torch.zeros(len(places), dtype=torch.int64)
     for region in regions:
-        if isinstance(region, VoxelRegion):
-            away = region.clipped(places, 1.0, 1 + 2 * reach)
-        else:
-            away = region.distance(places)
-        held += away <= 1 + reach
+        held += _clipped(region, places, 1.0, 1 + 2 * reach) <= 1 + reach
     return held >= 2
 
 
-def _clipped(region: Region, points: Float64[Tensor, "n 3"], low: float) -> Float64[Tensor, " n"]:
-    """Distances between `low` and a little beyond the rim: nothing here asks for others."""
+def _clipped(
+    region: Region, points: Float64[Tensor, "n 3"], low: float, high: float = BEYOND
+) -> Float64[Tensor, " n"]:
+    """Distances between `low` and `high`, which others may be taken for: nothing here asks for them."""
+    if isinstance(region, WidenedRegion):
+        times = 1 + region.margin
+        return _clipped(region.region, points, low * times, high * times) / times
     if isinstance(region, VoxelRegion):
-        return region.clipped(points, low, BEYOND)
+        return region.clipped(points, low, high)
     return region.distance(points)
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int8
 from torch import Tensor
 
 from splatproof.base.files import read_bytes
-from splatproof.base.memory import peak_memory_mb
+from splatproof.base.memory import peak_memory_mb, peak_within
 from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.city.block_facts import BlockFacts, read_facts, write_facts
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms, block_terms, with_appearance
@@ -48,6 +48,7 @@ from splatproof.reference.partition.view_sampling import (
     balanced_draws,
     view_bins,
 )
+from splatproof.reference.supervision.side_views import is_side_view_step
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene
@@ -163,6 +164,27 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
         folder=job.folder, seed=job.seed, backend=job.backend, background=job.background,
         report=report, on_fact=told.__setitem__, checkpoint_seconds=job.checkpoint_seconds, image_bytes=job.image_bytes,
     )  # fmt: skip
+    peak: dict[str, float] = {}
+    with peak_within(peak, "mb"):
+        block, trainer, first = _trained(job, run)
+    model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
+    note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
+    facts = replace(
+        job.facts,
+        seconds=trainer.seconds,
+        cpu_seconds=trainer.cpu_seconds,
+        peak_mb=peak.get("mb", peak_memory_mb()),
+        gaussians=(first + len(block.parameters)) / 2,
+        primitives=len(model),
+        densifications=trainer.counts.densifications,
+        note=note,
+        told=told,
+    )
+    return _finish(job, model, facts)
+
+
+def _trained(job: BlockJob, run: Run) -> tuple[GaussianModel, Trainer, int]:
+    """The block at its end, who has trained it, and how many Gaussians it started with."""
     started = None if job.start is None else read_gaussians(job.start)
     block, plan = prepare(job, started, run)
     first = len(block.parameters)
@@ -175,20 +197,7 @@ def train_block(job: BlockJob, report: Report) -> BlockFacts:
     trainer = Trainer(shown, plan, run)
     trainer.resume()
     trainer.train()
-    model = select(block.gaussians(), (block.parameters.labels[ROLE] != GHOST).cpu())
-    note = job.facts.note if len(model) else "left empty: training pruned every Gaussian of its own"
-    facts = replace(
-        job.facts,
-        seconds=trainer.seconds,
-        cpu_seconds=trainer.cpu_seconds,
-        peak_mb=peak_memory_mb(),
-        gaussians=(first + len(block.parameters)) / 2,
-        primitives=len(model),
-        densifications=trainer.counts.densifications,
-        note=note,
-        told=told,
-    )
-    return _finish(job, model, facts)
+    return block, trainer, first
 
 
 def _finish(job: BlockJob, model: Gaussians, facts: BlockFacts) -> BlockFacts:
@@ -271,6 +280,27 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         order=_balanced(job),
         held=partial(held_rows, follow=job.follow),
     )
+
+
+def least_visits(job: BlockJob) -> int:
+    """How often training visits the photo of a block that it visits least, 0 where it has none.
+
+    Exact without having watched: photos come in epochs, between side views, or by balanced draws, which are made again.
+
+    Args:
+        job: What is trained.
+    """
+    photos, steps = len(job.scene.train), job.settings.iterations
+    drawn = steps * job.settings.views_per_step
+    if not photos:
+        return 0
+    if (order := _balanced(job)) is None:
+        aside = range(steps) if job.sides else ()
+        drawn -= sum(is_side_view_step(step, steps, job.side.every) for step in aside)
+        return drawn // photos
+    unused = torch.Generator()
+    visits = torch.tensor([order.next(unused) for _ in range(drawn)], dtype=torch.int64)
+    return int(visits.bincount(minlength=photos).min())
 
 
 def _balanced(job: BlockJob) -> ViewOrder | None:

@@ -97,7 +97,8 @@ class Run:
     on_count: Callable[[str, int], None] = count_nothing
     """Called as on_count(name, number) at the end for work that was done, see
     `splatproof.methods.training.counts`; a continued run's numbers include those before the
-    interruption. Methods that train in blocks, each in a process of its own, do not count."""
+    interruption; and for "least_visits", see `Result.counters`. Methods that train in blocks, each in a process of its
+    own, count these alone."""
     on_elsewhere: Callable[[float, float], None] = spend_nothing
     """Called once as on_elsewhere(CPU seconds, peak memory in 2^20 bytes) where other processes, or earlier runs that
     share their blocks, trained parts of the model: what this process does not know of its own clock."""

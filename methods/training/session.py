@@ -57,6 +57,9 @@ def train(run: Run, prepare: Callable[[], tuple[M, Plan]]) -> M:
         for name, count in trainer.counts.named().items():
             if name != "pairs" or trainer.backend.counts_pairs:
                 run.on_count(name, count)
+        if plan.order is None:  # epochs: no view is visited twice more than another
+            drawn = trainer.step * plan.views_per_step
+            run.on_count("least_visits", drawn // len(plan.views))
     return model
 
 

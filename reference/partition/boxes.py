@@ -123,6 +123,29 @@ def box_distance(box: OrientedBox, points: Float[Tensor, "n 3"]) -> Float[Tensor
     return (local / box.half.to(points)).abs().amax(dim=1)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WidenedRegion:
+    """A region that is 1 + margin times as large, as its distances tell: d(p) / (1 + margin).
+
+    Of an oriented box it is that of `widen_oriented`.
+
+    Source: StitchGS, Sec. 3.2.1 (T_expand with lambda_margin); of other shapes than boxes: ours.
+    """
+
+    region: Region
+    margin: float
+    """lambda_margin >= 0."""
+
+    @property
+    def centre(self) -> Float[Tensor, "3"]:
+        """That of the region."""
+        return self.region.centre
+
+    def distance(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
+        """d(p) / (1 + margin) of each position."""
+        return self.region.distance(points) / (1 + self.margin)
+
+
 def corners(box: OrientedBox) -> Float[Tensor, "8 3"]:
     """World positions of the eight corners; corner i has bit j of i set where axis j is positive."""
     bits = torch.arange(8)[:, None] >> torch.arange(3) & 1

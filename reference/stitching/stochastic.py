@@ -196,6 +196,28 @@ def stitch(
     return tuple(kept)
 
 
+def overlapping(distances: Float64[Tensor, "k n"], overlap: float) -> Bool[Tensor, "k n"]:
+    """Which blocks keep, whole, what they hold at each place, where cores reach to d = 1 + overlap.
+
+    Up to a block's own border, d_i <= 1, a place is the nearest block's, the first of equals: with an overlap
+    of 0 that is the hard cut. Beyond, for 1 < d_i <= 1 + overlap, block i keeps what it has there too. Nothing is weighted:
+    where two blocks have trained one surface its optical depth is there twice, and so are its bytes. That
+    is the paper's own rule, "core primitives are always kept", for cores that overlap. The paper does not say whether
+    its half-extents are those before the margin of training or after; its merge adds 2 to 83 % of storage (Tables 8
+    and 9), and cores that abut can add no more than their rims. `shares` of the widened distances
+    weight what lies in the overlap, so that nothing is there twice.
+
+    Args:
+        distances: Normalised distance of each place to each of at least one block, before the margin.
+        overlap: Share o >= 0 by which a core is longer than its block; 0.15 is the margin that StitchGS' release trains.
+
+    Source: StitchGS, Sec. 3.2.1 (margin) and 3.2.3 (cores); that these are cores of the widened boxes: ours.
+    """
+    blocks = torch.arange(len(distances))[:, None]
+    own = (blocks == distances.argmin(dim=0)) & (distances <= 1)
+    return own | ((distances > 1) & (distances <= 1 + overlap))
+
+
 def shares(distances: Float64[Tensor, "k n"]) -> Float64[Tensor, "k n"]:
     """What each block has of each place, falling across a wall from both sides alike; they sum to 1.
 

@@ -117,8 +117,9 @@ class Result:
     from the opening of the scene. () where it has none."""
     counters: dict[str, int] = field(default_factory=dict)
     """Work that was done, by name: steps, pairs (of Gaussian and tile, all views of the training),
-    densifications, rows_added, rows_removed, resets, see `splatproof.methods.training.counts`; and
-    render_pairs (of the held-out views). The same bits of code, data, seed and SIMD level give the
+    densifications, rows_added, rows_removed, resets, see `splatproof.methods.training.counts`; least_visits
+    (how often training visited the photo that it visited least; of a scene in blocks the least of all blocks, each by its own
+    photos); and render_pairs (of the held-out views). The same bits of code, data, seed and SIMD level give the
     same numbers, however busy the machine is. Without what a method or backend does not count."""
     environment: dict[str, str] = field(default_factory=dict)
     """Versions, git commit, machine, threads, SIMD level, backend."""

@@ -57,6 +57,9 @@ class Claim:
     fixed_length: bool = False
     """Whether it is about rows of just these lengths, as one of equal time is: what further steps would
     change is not asked then."""
+    visits: int = 0
+    """Fewest times that training has to visit each of its photos; rows that are known to visit one fewer times are
+    too short. A file may say it for all of its claims. 0: it is not asked."""
     missing: str = ""
     """What would be needed to test it here, is not there, and cannot be read off the suite and the
     methods; empty: nothing."""
@@ -117,6 +120,8 @@ class ClaimFile:
 
     suite: str = ""
     """Suite of the claims that name none."""
+    visits: int = 0
+    """That of the claims that name none."""
     claims: tuple[Claim, ...] = ()
     checks: tuple[CheckClaim, ...] = ()
 
@@ -137,7 +142,7 @@ def load_claims(name: str, numbers: Numbers) -> tuple[Claim, ...]:
     """
     file, path = _read(name)
     where = str(path)
-    return tuple(_bound(one, file.suite, numbers, where) for one in file.claims)
+    return tuple(_bound(one, file, numbers, where) for one in file.claims)
 
 
 def load_checks(name: str) -> tuple[CheckClaim, ...]:
@@ -163,14 +168,16 @@ def _read(name: str) -> tuple[ClaimFile, Path]:
     return build(ClaimFile, read_toml(path), str(path)), path
 
 
-def _bound(claim: Claim, suite: str, numbers: Sequence[Mapping[str, str]], where: str) -> Claim:
-    """The claim with its suite, and with the effect that the paper prints."""
+def _bound(
+    claim: Claim, file: ClaimFile, numbers: Sequence[Mapping[str, str]], where: str
+) -> Claim:
+    """The claim with what its file says for all, and with the effect that the paper prints."""
     place = f"{where}: claim {claim.text!r}"
     if claim.printed is not None or claim.source:
         raise UsageError(f"{place}: printed and source are computed; name the cells instead")
     if claim.paper != HOUSE and (claim.cells is None) == (not claim.where):
         raise UsageError(f"{place}: expected cells of a table, or where it is said, and not both")
-    named = replace(claim, suite=claim.suite or suite)
+    named = replace(claim, suite=claim.suite or file.suite, visits=claim.visits or file.visits)
     if not named.suite:
         raise UsageError(f"{place}: suite is missing, in the claim and in the file")
     if claim.cells is None:

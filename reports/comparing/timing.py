@@ -2,12 +2,13 @@
 
 import datetime
 
+from splatproof.metrics.scene_registry import STAGES
 from splatproof.reference.types.result import BEGAN, BOOT, ENDED
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.matching import Group
 from splatproof.reports.verdicts import TIMES, untimed
 
-MACHINE_METRICS = (*TIMES, "peak_memory_mb")
+MACHINE_METRICS = (*TIMES, "peak_memory_mb", *(f"{stage}_peak_mb" for stage in STAGES))
 """What a case costs that depends on where and when it was measured."""
 SAME_PLACE = (BOOT, "cpu", "cores", "threads", "simd", "backend", "platform")
 """What all runs must have alike."""

@@ -190,7 +190,8 @@ the papers' numbers. It takes three seeds or more and a paired bootstrap over im
 - **holds**: the 95 % interval excludes 0 on the claimed side and reaches half the printed effect, or reaches the bar;
   **direction only**: it excludes 0 and ends below half the printed effect; **no difference**: it contains 0;
 - **contradicted**: it lies on the other side of 0, or misses the bar; **undecided**: it has both sides of the bar;
-- too short to judge: fewer than three seeds, nothing was ever densified, or a row still changed by more than {settled} dB
+- too short to judge: fewer than three seeds, nothing was ever densified, a photo is known to have been visited fewer times than a
+  suite asks for (city: 40), or a row still changed by more than {settled} dB
   (a tenth, of sizes and times) and by more than the difference with further steps, as rows of half and twice the steps foretell it;
 - not testable here: a method, a suite, a row or an idle machine is missing.
 """

@@ -14,9 +14,15 @@ from splatproof.suites.scene_scores.block_balance import (
     balance_metrics,
     fewest_densifications,
     four_machine_seconds,
+    over_hard_cut,
     retention,
 )
 from splatproof.suites.scene_scores.seams import score_seams
+
+
+def peak_name(stage: str) -> str:
+    """What metrics call the peak memory of a stage, among those of a city's stages and "score"."""
+    return f"{stage}_peak_mb"
 
 
 def city_scores(
@@ -27,7 +33,7 @@ def city_scores(
     folder: Path,
 ) -> tuple[tuple[ImageScore, ...], dict[str, float]]:
     """The images' scores with their seam metrics, and the scene's: seams, balance, seconds on four machines,
-    densifications, retention, edge cut, packed bytes.
+    densifications, retention, what the merge adds, edge cut, packed bytes, peak memory of the stages.
 
     The scene's seam metrics pool the seam pixels of all test views, as the paper defines them; they
     are not means of the images' values, of which those without a seam pixel are nan.
@@ -45,6 +51,8 @@ def city_scores(
         whole["packed_bytes"] = float(len(model.packed))
     blocks = model.block_facts
     whole |= balance_metrics(blocks) | fewest_densifications(blocks) | retention(blocks)
+    whole |= over_hard_cut(blocks)
+    whole |= {peak_name(stage): peak for stage, peak in model.stage_peak_mb.items()}
     whole |= four_machine_seconds(
         model.stage_seconds, model.stage_cpu_seconds, blocks, model.refine_alone
     )

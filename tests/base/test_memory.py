@@ -22,6 +22,37 @@ def test_peak_memory_sees_an_allocation_and_not_the_parents():
     assert peak_memory_mb() > len(held) / 2**20 > before + 100
 
 
+def test_a_part_of_a_process_has_a_peak_of_its_own_and_the_whole_keeps_its():
+    program = (
+        "from splatproof.base.memory import peak_memory_mb as peak, peak_within\n"
+        "peaks = {}; block = bytearray(200 * 2**20); del block; before = peak()\n"
+        "with peak_within(peaks, 'low'): pass\n"
+        "with peak_within(peaks, 'high'): bytearray(100 * 2**20)\n"
+        "with peak_within(peaks, 'last'): pass\n"
+        "print(before, peaks['low'], peaks['high'], peaks['last'], peak())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=True)
+    before, low, high, last, after = map(float, done.stdout.split())
+    assert before - 210 < low < before - 150
+    assert 80 < high - low < 120
+    assert abs(last - low) < 20
+    assert after == before  # the whole process's
+
+
+def test_a_peak_that_is_not_known_is_not_kept(monkeypatch):
+    monkeypatch.setattr(memory.Path, "write_text", refused)
+    peaks: dict[str, float] = {}
+    monkeypatch.setattr(memory, "_remembered", iter([100.0, 100.0, 100.0, 120.0]).__next__)
+    for name in ("lower", "higher"):
+        with memory.peak_within(peaks, name):
+            pass
+    assert peaks == {"higher": 120.0}
+
+
+def refused(*_: object) -> int:
+    raise PermissionError
+
+
 def test_what_the_memory_does_not_hold_is_refused(monkeypatch):
     monkeypatch.setattr(memory, "available_mb", lambda: 100.0)
     memory.check_room("a.png", 90 * 2**20)

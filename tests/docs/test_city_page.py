@@ -30,15 +30,30 @@ def test_seeds_become_means_with_intervals_and_gaps_become_dashes():
     assert "- c seed 0: it broke" in render_city([*rows, row("c", error="it broke")], [])
 
 
+def test_what_older_rows_do_not_say_is_a_dash_and_what_no_row_of_a_scene_says_no_column():
+    rows = [
+        row("old", retention=0.5),
+        row("new", retention=0.5, least_visits=41.0, stitch_peak_mb=512.4),
+    ]
+    text = render_city(rows, []).split("## town")[1]
+    assert "| row | K | visits ≥ | kept % |" in text
+    assert "| old | 4 | – | 50.0 |" in text
+    assert "| new | 4 | 41 | 50.0 |" in text
+    assert "| row | K | stitch |\n|---|---|---:|\n| new | 4 | 512 |" in text
+    assert "visits" not in render_city(rows[:1], []).split("## town")[1]
+
+
 def test_a_row_of_a_result():
     result = Result(
         suite="city", scene="town", method="stitchgs", variant="hard", seed=2, protocol="p",
         protocol_rules={}, settings={"blocks": 4, "iterations": 7}, images=(),
         metrics={"psnr": 20.123456789, "seam_psnr": float("nan")}, stages={"blocks": 3.0, "load": 9.0},
         cpu_seconds=1.0, peak_memory_mb=1.0, primitives=10, bytes_on_disk=2**20, render_ms=20.0,
-        split_sha256="", model_sha256="",
+        split_sha256="", model_sha256="", counters={"least_visits": 12, "render_pairs": 5},
     )  # fmt: skip
     found = row_of(result)
+    assert found["values"]["least_visits"] == 12
+    assert "render_pairs" not in found["values"]
     assert (found["row"], found["blocks"], found["steps"]) == ("stitchgs@hard", 4, 7)
     values = found["values"]
     assert (values["fps"], values["disk_mb"], values["training_seconds"]) == (50.0, 1.0, 3.0)

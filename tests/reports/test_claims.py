@@ -188,6 +188,16 @@ def test_files_that_do_not_fit_are_refused(tmp_path, monkeypatch, old: str, new:
         load_claims("made", LINES)
 
 
+def test_a_file_says_for_all_of_its_claims_how_often_photos_are_to_be_visited(
+    tmp_path, monkeypatch, every
+):
+    assert {one.visits for one in every if one.suite == "city"} == {40}
+    monkeypatch.setattr(claim_module, "FOLDER", tmp_path)
+    own = GOOD + GOOD.partition("\n")[2].replace("a is", "b is") + "visits = 9\n"
+    (tmp_path / "made.toml").write_text(f"visits = 40\n{own}")
+    assert [one.visits for one in load_claims("made", LINES)] == [40, 9]
+
+
 CLAIM = Claim(
     paper="P", text="a is better", suite="s", row="a", other="b", metric="psnr", printed=1.0
 )

@@ -204,6 +204,28 @@ def test_too_short_to_judge():
     assert "1 seed;" in too_short(failed)
 
 
+@pytest.mark.parametrize(
+    ("visits", "asked", "changed", "told"),
+    [
+        ((39, 80), 40, {}, "a: a photo was visited 39 times; 40 are needed"), ((40, 40), 40, {}, ""),
+        ((39, 39), 0, {}, ""), ((39, 80), 40, {"fixed_length": True}, ""),
+        ((39, 80), 40, {"before_training": True}, ""), ((None, None), 40, {}, ""),
+        ((None, 3), 40, {}, "b: a photo was visited 3 times; 40 are needed"),
+    ],
+)  # fmt: skip
+def test_rows_that_visit_a_photo_too_seldom_are_too_short(visits, asked, changed, told):
+    """One seed is enough to be one; a record that does not say it is not judged by it."""
+    least = dict(zip("ab", visits, strict=True))
+    found = [
+        one if (count := least[one.row]) is None
+        else dataclasses.replace(one, counters={"least_visits": count + (one.seed != 1)})
+        for one in runs(1.0)
+    ]  # fmt: skip
+    judged = verdict(dataclasses.replace(CLAIM, visits=asked, **changed), found)
+    assert judged.verdict == ("too short to judge" if told else "holds")
+    assert told in judged.reason
+
+
 def with_halves(gain: float, effect: float = 0.1, metric: str = "psnr") -> list[Measured]:
     """Rows a and b, `effect` apart, and theirs with half the steps, which are `gain` worse."""
     found = runs(effect, late_gain=9.0, noise=0.0)

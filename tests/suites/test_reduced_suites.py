@@ -17,6 +17,8 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
         assert row["psnr"] > 10  # a grey image has less
         if row["method"] != "3dgs":
             assert all(isinstance(row[name], float) for name in SEAMS), row
+            assert min(row[f"{stage}_peak_mb"] for stage in ("blocks", "stitch", "score")) > 50
+            assert row["over_hard_cut"] >= 1  # a hard cut, or sis, which drops nothing of it
     reasons = judged_in_reduced_form("city", tmp_path, capsys)
     assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
 

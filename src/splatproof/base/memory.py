@@ -3,6 +3,8 @@
 import os
 import resource
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from splatproof.base.errors import DataError, MissingError
@@ -17,11 +19,42 @@ SMALL = 64 * MEBIBYTE
 """Bytes up to which nobody asks how a file grew: what repeats itself for ever packs better yet."""
 
 
+_forgotten = [0.0]
+"""Largest peak of this process that `peak_within` made the system forget, in 2^20 bytes."""
+
+
 def peak_memory_mb() -> float:
     """Peak resident memory of this process in 2^20 bytes.
 
     Linux hands the parent's peak down to a new process in ru_maxrss, so VmHWM is read there.
     """
+    return max(_forgotten[0], _remembered())
+
+
+@contextmanager
+def peak_within(peaks: dict[str, float], name: str) -> Iterator[None]:
+    """Keep the peak resident memory of this process during the `with` block, in 2^20 bytes, as peaks[name].
+
+    Linux is asked to begin its peak anew (proc_pid_clear_refs(5)). Where that cannot be, a peak below that of the
+    process's life before is not known, and nothing is kept. Nested, the inner one alone is right.
+
+    Args:
+        peaks: Peaks by name, changed in place.
+        name: What the memory was taken for.
+    """
+    before = _remembered()
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+        _forgotten[0], before = max(_forgotten[0], before), 0.0
+    except OSError:
+        pass  # no Linux, or one that does not let it
+    yield
+    if (peak := _remembered()) > before:
+        peaks[name] = peak
+
+
+def _remembered() -> float:
+    """The peak as the system has it, in 2^20 bytes."""
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text().splitlines():

@@ -1,6 +1,8 @@
 """What blocks say for the record of their run."""
 
-from splatproof.methods.city.block_facts import BlockFacts, told_by
+from dataclasses import replace
+
+from splatproof.methods.city.block_facts import BlockFacts, least_visited, told_by
 
 
 def block(number: int, **told: str) -> BlockFacts:
@@ -20,3 +22,11 @@ def test_what_blocks_say_alike_is_said_once_and_what_they_do_not_with_its_blocks
         "views": "4 views (blocks 0, 3); 8 views (block 2)",
     }
     assert told_by([block(0)]) == {}
+
+
+def test_the_photo_that_was_visited_least_counts_and_empty_blocks_do_not():
+    trained = replace(block(0), primitives=5, least_visits=41)
+    empty = replace(block(2), least_visits=0)
+    assert least_visited([trained, replace(trained, least_visits=39), empty]) == 39
+    assert least_visited([trained, replace(trained, least_visits=-1)]) is None
+    assert least_visited([empty]) is None

@@ -1,6 +1,7 @@
 """Rows of the city end to end on a tiny scene: what they share, what they leave, where they break."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from helpers.baking import baked
 from helpers.city_scene import small_scene
 from splatproof.base.errors import DataError, MissingError, UsageError
-from splatproof.base.tensor_files import read_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.city.model import CONTAINER, CityModel, in_hundredths
 from splatproof.methods.city.planted import PlantSettings
 from splatproof.methods.city.refine import RefineSettings
@@ -31,6 +32,7 @@ from splatproof.metrics.seam import INNER, OUTER, overlap_band
 from splatproof.reference.stitching.preclean import CleanSettings
 from splatproof.reference.stitching.stochastic import RIM, StitchSettings
 from splatproof.reference.supervision.spiral_path import SpiralSettings
+from splatproof.suites.scene_scores.block_balance import over_hard_cut
 
 SHORT = {
     "iterations": 20,
@@ -120,6 +122,7 @@ def test_a_row_runs_from_scene_to_loaded_model(tmp_path, row):
     assert isinstance(back, CityModel)
     assert same(model, back)
     assert back.block_facts == model.block_facts
+    assert back.stage_peak_mb == model.stage_peak_mb
     assert (back.packed is not None) == settings.quantise
     assert back.packed_parts == model.packed_parts
     assert sum(model.packed_parts.values()) == len(model.packed or b"")
@@ -231,6 +234,44 @@ def test_stitching_keeps_every_core_and_some_of_the_rims(tmp_path):
         assert torch.equal(*core)
     assert not bool((hard.distances > 1).any())
     assert bool((soft.distances > 1).any())
+
+
+def test_cores_that_overlap_keep_more_and_the_record_says_how_much(tmp_path):
+    def merged(merge: str, overlap: float) -> CityModel:
+        at = run(tmp_path / f"{merge}{overlap}", cache=tmp_path / "cache")
+        return fit("stitchgs", at, merge=merge, overlap=overlap, **BARE)
+
+    hard, wide, competing = (merged(*of) for of in (("hard", 0.0), ("hard", 0.3), ("sis", 0.3)))
+    assert over_hard_cut(hard.block_facts) == {"over_hard_cut": 1.0}
+    growth = wide.primitives / hard.primitives
+    assert growth > 1
+    assert over_hard_cut(wide.block_facts)["over_hard_cut"] == pytest.approx(growth)
+    assert 1 < float(wide.distances.max()) <= 1.3
+    # what competes lies beyond the wider cores, all of which stay
+    cores = [int((one.distances <= 1.3).sum()) for one in (wide, competing)]
+    assert cores[0] == cores[1] == wide.primitives
+    assert float(competing.distances.max()) <= 1.3 * RIM + 1e-6
+    fading = merged("fade", 0.3)
+    assert 1.1 < float(fading.distances.max()) < 1.3 * RIM
+    assert bool(fading.model.opacity_logits.isfinite().all())
+    with pytest.raises(UsageError, match="overlap"):
+        METHODS["stitchgs"].settings(overlap=-0.1)
+
+
+def test_stages_say_what_memory_they_took_and_who_did_not_say_it_is_not_guessed(tmp_path):
+    more = {"coarse_iterations": 5} | BARE
+    first = fit("stitchgs", run(tmp_path / "a", cache=tmp_path), **more)
+    assert list(first.stage_peak_mb) == list(first.stage_seconds)
+    assert min(first.stage_peak_mb.values()) > 50  # no interpreter with torch takes less
+    (coarse,) = tmp_path.glob("coarse-*.safetensors")
+    tensors, facts = read_tensors(coarse)
+    again = fit("stitchgs", run(tmp_path / "b", cache=tmp_path), **more)
+    assert again.stage_peak_mb["coarse"] >= facts["peak_mb"] > 50
+    assert again.stage_peak_mb["blocks"] >= max(one.peak_mb for one in first.block_facts) > 50
+    del facts["peak_mb"]
+    write_tensors(coarse, tensors, facts)  # as earlier releases did
+    older = fit("stitchgs", run(tmp_path / "c", cache=tmp_path), **more)
+    assert set(older.stage_peak_mb) == set(older.stage_seconds) - {"coarse"}
 
 
 def test_equal_blocks_are_trained_once_where_runs_share_a_cache(tmp_path):
@@ -371,6 +412,8 @@ def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_eac
     spent = sum(block.cpu_seconds + block.refine_cpu_seconds for block in there.block_facts)
     assert seconds == pytest.approx(spent)
     assert peak >= max(block.peak_mb for block in there.block_facts)
+    assert there.stage_peak_mb["blocks"] >= max(block.peak_mb for block in there.block_facts)
+    assert there.stage_peak_mb["refine"] > 50
     assert steps[-1][0] == steps[-1][1]
     assert [step for step, _ in steps] == sorted(step for step, _ in steps)
     assert set(there.stage_cpu_seconds) == set(there.stage_seconds)
@@ -445,9 +488,14 @@ def test_a_damaged_container_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("row", "blocks", "told"), [("odbp+stitch", 61, "61 blocks"), ("vastgaussian", 9, "8 cameras")]
 )
-def test_more_blocks_than_there_is_work_for_are_refused(row, blocks, told):
+def test_more_blocks_than_there_is_work_for_are_refused_before_a_coarse_model_is_trained(
+    row, blocks, told
+):
+    def forbidden(step: int, total: int, values: dict[str, float]) -> None:
+        raise AssertionError("trained")
+
     with pytest.raises(DataError, match=told):
-        fit(row, run(), blocks=blocks)
+        fit(row, run(report=forbidden), blocks=blocks, coarse_iterations=10)
 
 
 def test_many_blocks_still_end_in_a_model(tmp_path):
@@ -514,9 +562,23 @@ def test_blocks_that_visit_their_views_equally_often_share_the_steps_by_their_vi
         assert count == pytest.approx(sum(steps) * of / sum(views), abs=1)
 
 
-def test_unknown_engines_are_refused():
-    with pytest.raises(UsageError, match="engine 'magic'"):
-        fit("blockgaussian", replace(run(), engine="magic"))
+@pytest.mark.parametrize(
+    ("wrong", "error", "told"),
+    [
+        ({"engine": "magic"}, UsageError, "engine 'magic'"), ({"workers": 0}, UsageError, "0 workers"),
+        ({"engine": "ray"}, MissingError, r"pip install splatproof\[distributed\]"),
+    ],
+)  # fmt: skip
+def test_engines_that_cannot_run_are_refused_before_a_coarse_model_is_trained(
+    wrong, error, told, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "ray", None)
+
+    def forbidden(step: int, total: int, values: dict[str, float]) -> None:
+        raise AssertionError("trained")
+
+    with pytest.raises(error, match=told):
+        fit("citygaussian", run(report=forbidden, **wrong))
 
 
 @pytest.mark.parametrize("merge", ["shares", "fade"])

@@ -135,6 +135,77 @@ def test_a_hard_cut_gives_each_place_to_one_block(count, size, seed):
             assert torch.equal(mask, want)
 
 
+@settings(max_examples=12)
+@given(
+    count=st.integers(1, 4), size=st.integers(0, 60), seed=SEEDS, overlap=st.sampled_from([0.0, 0.08, 0.2]),
+    kind=st.sampled_from(["cube", "voxels"]),
+)  # fmt: skip
+def test_cores_that_overlap_keep_what_the_reference_keeps(count, size, seed, overlap, kind):
+    scene = blocks(count, size, seed, kind)
+    kept = fast.cut_hard(scene, overlap=overlap)
+    for i, (block, mask) in enumerate(zip(scene, kept, strict=True)):
+        assert isinstance(block.model, Gaussians)
+        means = block.model.means.double()
+        away = torch.stack([one.region.distance(means) for one in scene])
+        assert torch.equal(mask, stitching.overlapping(away, overlap)[i])
+    if not overlap:
+        for mine, hard in zip(kept, fast.cut_hard(scene), strict=True):
+            assert torch.equal(mine, hard)
+
+
+@settings(max_examples=12)
+@given(
+    count=st.integers(1, 4), size=st.integers(0, 60), seed=SEEDS, overlap=st.sampled_from([0.0, 0.08, 0.2]),
+    kind=st.sampled_from(["cube", "voxels"]),
+)  # fmt: skip
+def test_widened_blocks_compete_and_share_as_the_reference_says(count, size, seed, overlap, kind):
+    scene = blocks(count, size, seed, kind)
+    wide = fast.widened(scene, overlap)
+    want = stitching.stitch(tuple(map(trained, wide)), OURS, generator(seed))
+    found = fast.stitch(wide, OURS, generator(seed))
+    assert all(torch.equal(a, b) for a, b in zip(found, want, strict=True))
+    if not overlap:
+        plain = fast.stitch(scene, OURS, generator(seed))
+        assert all(torch.equal(a, b) for a, b in zip(found, plain, strict=True))
+    for i, (block, held) in enumerate(zip(scene, fast.block_shares(wide), strict=True)):
+        assert isinstance(block.model, Gaussians)
+        means = block.model.means.double()
+        away = torch.stack([one.region.distance(means) for one in scene]) / (1 + overlap)
+        reached = (away < stitching.RIM).any(dim=0)
+        want = stitching.shares(away)[i]
+        assert torch.allclose(held[reached], want[reached], rtol=0, atol=1e-12)
+
+
+def test_what_overlapping_cores_hold_is_there_twice_and_once_where_it_fades(tmp_path):
+    """Both blocks trained the same model: where cores overlap its optical depth doubles, as in the paper, or does not."""
+    pair = blocks(2, 2_000, 3)
+    both = [BlockModel(region=block.region, model=pair[0].model) for block in pair]
+    model = pair[0].model
+    assert isinstance(model, Gaussians)
+    away = torch.stack([block.region.distance(model.means.double()) for block in both])
+    once = torch.nn.functional.softplus(model.opacity_logits)
+
+    def depth_of(kept, fade, name: str) -> torch.Tensor:
+        merge.write_merged(
+            tmp_path / name, both, kept, origin=ORIGIN, shift=torch.zeros(3, dtype=D), fade=fade
+        )
+        merged = load_reconstruction(tmp_path / name)
+        assert isinstance(merged, ExplicitModel)
+        rows = torch.cat([mask.nonzero()[:, 0] for mask in kept])
+        there = torch.nn.functional.softplus(merged.model.opacity_logits)
+        return torch.zeros(len(model)).index_add_(0, rows, there)
+
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "faded").mkdir()
+    held_by = (away <= 1.15).sum(dim=0)
+    assert int((held_by == 2).sum()) > 100
+    whole = depth_of(fast.cut_hard(both, overlap=0.15), None, "whole")
+    assert torch.allclose(whole, held_by * once, rtol=1e-5)
+    shares = fast.block_shares(fast.widened(both, 0.15))
+    faded = depth_of([share > 0 for share in shares], shares, "faded")
+    assert torch.allclose(faded, once, rtol=1e-5)
+
+
 def test_a_place_on_a_wall_has_one_owner():
     wall = torch.tensor([[1.0, 0, 0]])
     g = generator(0)

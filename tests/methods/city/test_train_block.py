@@ -1,5 +1,6 @@
 """One block: its rows keep their roles, it continues after a kill bit for bit, odd blocks end well."""
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from helpers.city_scene import small_scene
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
 from splatproof.methods.city.point_roles import CONTEXT, GHOST, OWN, ROLE, Auxiliary
-from splatproof.methods.city.train_block import BlockJob, prepare, train_block
+from splatproof.methods.city.train_block import BlockJob, least_visits, prepare, train_block
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.loading import load_reconstruction
@@ -22,7 +23,7 @@ from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
 from splatproof.reference.partition.view_sampling import SamplingSettings
 from splatproof.reference.supervision.spiral_path import SpiralSettings
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import Scene, View
 
 SHORT = Settings(
     iterations=30,
@@ -93,6 +94,29 @@ def test_views_and_points_of_others_are_not_in_a_job(tmp_path):
         assert [view.name for view in job.scene.views] == [scene.views[i].name for i in chosen]
         assert torch.equal(job.scene.points.positions, scene.points.positions[found.points[block]])
         assert not job.scene.test
+
+
+@pytest.mark.parametrize(
+    ("sampling", "every"),
+    [(None, 0), (None, 3), (SamplingSettings(azimuths=3, distances=2), 0), (SamplingSettings(uniform_share=0.5), 0)],
+)  # fmt: skip
+def test_visits_are_those_that_training_makes(tmp_path, monkeypatch, sampling, every):
+    scene = replace(small_scene(60), up=torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64))
+    side = SideSettings(every=every, spiral=SpiralSettings(layers=1, views=3))
+    job = jobs(tmp_path, scene=scene, sampling=sampling, side=side)[0]
+    seen = Counter[str]()
+    backward = Trainer.backward
+
+    def counting(self: Trainer, view: View):
+        seen[view.name] += 1
+        return backward(self, view)
+
+    monkeypatch.setattr(Trainer, "backward", counting)
+    train_block(job, nothing)
+    assert (len(seen) > len(job.scene.views)) == bool(every)
+    assert seen.total() == SHORT.iterations
+    assert least_visits(job) == min(seen[view.name] for view in job.scene.views)
+    assert least_visits(replace(job, scene=replace(job.scene, train=()))) == 0
 
 
 class Killed(Exception):

@@ -60,6 +60,7 @@ def counted(run: Run) -> tuple[dict[str, int], int]:
 def test_rows_at_the_end_are_those_at_the_start_and_what_was_added_less_what_was_removed():
     found, end = counted(RUN)
     assert found["steps"] == 60
+    assert found["least_visits"] == 60 // len(tiny_scene().train)
     assert (found["densifications"], found["resets"]) == (4, 2)  # at 10 to 40; at 20 and 40
     assert found["rows_added"] > 0
     assert found["rows_removed"] > 0

@@ -82,6 +82,9 @@ def test_a_margin_shrinks_distances_by_as_much():
     points = 9 * uniform(10, 3, seed=9)
     wide = boxes.widen_oriented(box, 0.25)
     assert_close(boxes.box_distance(wide, points) * 1.25, boxes.box_distance(box, points))
+    region = boxes.WidenedRegion(region=box, margin=0.25)
+    assert_close(region.distance(points), wide.distance(points))
+    assert torch.equal(region.centre, box.centre)
 
 
 @pytest.mark.parametrize("half", [[1.0, 0, 1], [1.0, -1, 1], [1.0, float("nan"), 1], [0.0, 0, 0]])

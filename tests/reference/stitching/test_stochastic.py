@@ -271,3 +271,24 @@ def test_no_blocks_give_nothing():
 def test_settings_without_sense_are_refused(wrong):
     with pytest.raises(UsageError):
         stitching.keep_probabilities((), replace(OURS, **wrong))
+
+
+def test_overlapping_cores_by_hand():
+    """Two blocks side by side whose wall is at d = 1 of both; places from deep in the first to beyond both."""
+    away = torch.tensor(
+        [[0.5, 0.95, 1.0, 1.05, 1.2, 1.3], [1.5, 1.05, 1.0, 0.95, 0.8, 1.4]], dtype=D
+    )
+    hard = [[True, True, True, False, False, False], [False, False, False, True, True, False]]
+    assert stitching.overlapping(away, 0.0).tolist() == hard
+    wide = [[True, True, True, True, True, False], [False, True, False, True, True, False]]
+    assert stitching.overlapping(away, 0.2).tolist() == wide
+
+
+@given(blocks=st.integers(1, 4), overlap=st.floats(0, 1), seed=SEEDS)
+def test_cores_that_overlap_keep_the_hard_cut_and_all_that_lies_in_them(blocks, overlap, seed):
+    away = 2.2 * torch.rand(blocks, 200, generator=generator(seed), dtype=D)
+    hard, wide = (stitching.overlapping(away, o) for o in (0.0, overlap))
+    assert int(hard.sum(dim=0).max()) <= 1
+    assert bool(wide[hard].all())
+    beyond = away > 1
+    assert torch.equal(wide[beyond], (away <= 1 + overlap)[beyond])

@@ -9,6 +9,7 @@ from splatproof.suites.scene_scores.block_balance import (
     balance_metrics,
     fewest_densifications,
     four_machine_seconds,
+    over_hard_cut,
     retention,
 )
 
@@ -88,3 +89,13 @@ def test_four_machines_share_the_parts_of_a_refinement_and_processor_seconds_are
     assert four_machine_seconds(stages, cpu | {"refine": 3.5}, whole, {}) == {
         "four_machine_seconds": 5.0 + 10.0 + 4.0, "four_machine_cpu_seconds": 4.0 + 9.0 + 3.5,
     }  # fmt: skip
+
+
+def test_what_a_merge_adds_is_over_what_a_hard_cut_keeps():
+    block = BlockFacts(block=0, views=1, points=2, load=3, primitives=100, kept=60, core=50)
+    other = replace(block, kept=40, core=40)
+    assert over_hard_cut([block, other]) == {"over_hard_cut": pytest.approx(100 / 90)}
+    assert over_hard_cut([block]) == {}  # there is no cut
+    assert over_hard_cut([block, replace(other, core=-1)]) == {}
+    assert over_hard_cut([replace(block, core=0), replace(other, core=0)]) == {}
+    assert "over_hard_cut" in SCENE_METRICS
