@@ -104,17 +104,17 @@ def scene(width: int) -> Scene:
 
 def start(size: Size) -> Problem:
     """A run from completed depths, on photos size[0] pixels wide."""
-    return Problem(leaves={}, given={"scene": scene(size[0])})
+    return Problem(leaves={}, given={"width": size[0]})
 
 
 def iterates(problem: Problem, _: Leaves) -> Callable[[], Tensor]:
     """`start` of training with the default settings; then a forward pass is one step.
 
     Args:
-        problem: Scene.
+        problem: The photos' width.
         _: Leaves of the problem; there are none.
     """
-    trainer = Trainer(*prepare(problem.given["scene"], StratoSplat(), Run()), Run())
+    trainer = Trainer(*prepare(scene(problem.given["width"]), StratoSplat(), Run()), Run())
     return lambda: torch.tensor(trainer.advance()["loss"])
 
 
