@@ -15,7 +15,7 @@ from splatproof.suites.twins.twin import Case, Component, Leaves, Problem, Size,
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 HEIGHT = 20.0
-"""Of the memory's camera above the ground, scene units: what it sees is as wide."""
+"""The memory's camera stands so far above the ground, scene units; what it sees is as wide."""
 ROOF, TALLEST = 10, 3.0
 """Side of a roof in pixels of that camera, and the height of the tallest, scene units."""
 COVERED = 4
@@ -24,7 +24,14 @@ EYE = torch.tensor([8.0, 0.0, 12.0], dtype=torch.float64)
 
 
 def looking(eye: Tensor, width: int, height: int, focal: float) -> Camera:
-    """A camera that looks at the origin."""
+    """A camera that looks at the origin.
+
+    Args:
+        eye: Where it stands, scene units.
+        width: Pixels.
+        height: Pixels.
+        focal: Focal length in pixels.
+    """
     intrinsics = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     return Camera(
         K=intrinsics.double(), world_to_camera=look_at(eye, torch.zeros_like(eye), UP), width=width,
