@@ -10,10 +10,11 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.resize import resample, scale_intrinsics
+from splatproof.methods.kernels import guide_depth
 from splatproof.methods.stratosplat.denoiser import PhotoDiffusion
 from splatproof.methods.stratosplat.prior_depth import relative_depth
 from splatproof.methods.stratosplat.settings import Completion
-from splatproof.reference.layered_memory import depth_adaptation, guide_depth, layered_depth
+from splatproof.reference.layered_memory import depth_adaptation, layered_depth
 from splatproof.reference.layered_memory.depth_adaptation import (
     AdaptationSettings,
     SparseDepths,

@@ -129,8 +129,9 @@ def column_samples(
     steps = torch.where(near > camera.near, (length / width * far / near).ceil(), 0).long()
     owner = torch.repeat_interleave(torch.arange(len(tops)), steps + 1)
     before = (steps + 1).cumsum(0) - (steps + 1)
-    share = (torch.arange(len(owner)) - before[owner]) / steps[owner].clamp(min=1)
-    depths = tops[owner] + share.to(tops) * (ends - tops)[owner]
+    # float32 division of integers would lose digits
+    share = (torch.arange(len(owner)) - before[owner]).to(tops) / steps[owner].clamp(min=1)
+    depths = tops[owner] + share * (ends - tops)[owner]
     return eye + rays[owner] * (depths / tops[owner])[:, None], depths
 
 

@@ -451,6 +451,32 @@ def adapt_colours_backward(
 def diffuse(values: Tensor, across: Tensor, down: Tensor, sweeps: int, smoothed: Tensor) -> None:
     """Sweeps of exchange with the four neighbours into the given array."""
 
+class Layers:
+    """Layers of a memory, and the camera that they are layers of."""
+
+    def __init__(
+        self,
+        pixels: Tensor,
+        depths: Tensor,
+        positions: Tensor,
+        K: Tensor,
+        world_to_camera: Tensor,
+        width: int,
+        height: int,
+        reach: float,
+    ) -> None: ...
+
+def draw_layers(
+    layers: Layers,
+    K: Tensor,
+    world_to_camera: Tensor,
+    width: int,
+    height: int,
+    near: float,
+    depth: Tensor,
+) -> None:
+    """Depth of what is nearest in each pixel of a view into the given array; infinite where nothing is."""
+
 def store_harmonics(
     rest: Tensor,
     log_scales: Tensor,

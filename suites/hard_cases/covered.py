@@ -87,6 +87,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
 TWINS: dict[str, tuple[str, ...]] = {
     "packing": ("small file", "quantisation"),
     "training step": ("training step",),
+    "hybrid step": ("training step",),
 }
 """Optimised components without a ladder of their own: every packing approximates, and a step is judged for every
 method (`splatproof.suites.hard_cases.steps`)."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from splatproof.reference.types.camera import Camera
 from splatproof.suites.hard_cases.gaussian_scenes import GaussianScene
 from splatproof.suites.studies.speed.judge import judge
 from splatproof.suites.twins.random_scenes import speed_scene
@@ -152,6 +153,21 @@ def _stark(rung: float) -> Problem:
     return replace(plain, given={name: rung * value for name, value in plain.given.items()})
 
 
+def _remote(rung: float) -> Problem:
+    """A memory and a view that lie `rung` away from the origin."""
+    plain = COMPONENTS["guide depth"].problem(COMPONENTS["guide depth"].tiny)
+    shift = rung * torch.tensor([0.6, -0.48, 0.64], dtype=torch.float64)
+
+    def moved(camera: Camera) -> Camera:
+        pose = camera.world_to_camera.clone()
+        pose[:3, 3] -= pose[:3, :3] @ shift
+        return replace(camera, world_to_camera=pose)
+
+    memory, view = plain.given["memory"], plain.given["camera"]
+    away = replace(memory, camera=moved(memory.camera), positions=memory.positions + shift)
+    return replace(plain, given={"memory": away, "camera": moved(view)})
+
+
 def _fine(rung: float) -> Problem:
     """Colours of codes `rung` times as far apart: less and less room for their fractions in float32."""
     return harmonics(COMPONENTS["stored harmonics"].tiny, rung)
@@ -188,6 +204,9 @@ LADDERS = (
     Ladder(component="hierarchy", name="times as large an anchor", rungs=decades(0, 3),
            problem=_leaf("hierarchy", "log_scales", lambda v, h: v + math.log(h))),
     Ladder(component="edge diffusion", name="times the contrast", rungs=decades(-3, 6), problem=_stark),
+    Ladder(component="guide depth", name="distance of the memory", rungs=decades(0, 5), problem=_remote),
+    Ladder(component="coordinate field", name="times the features", rungs=decades(0, 6),
+           problem=_leaf("coordinate field", "grid_3", torch.mul)),
     Ladder(component="stored harmonics", name="times the codes", rungs=decades(0, 4), problem=_fine),
     Ladder(component="soft rank", name="spread / temperature", rungs=decades(0, 8, 2),
            problem=_leaf("soft rank", "values", lambda v, h: v * h * TEMPERATURE)),

@@ -383,9 +383,33 @@ def stored(draw: random.Random) -> None:
     )
 
 
+def layers(draw: random.Random) -> None:
+    """Layers in any order, in a reference image that may not hold them, in front of any view."""
+    n, g = draw.choice((0, 1, 2, 17, 33)), torch.Generator().manual_seed(draw.getrandbits(31))
+    reference, view = camera(draw), camera(draw)
+    pixels = torch.randint(reference.width * reference.height, (n,), generator=g).sort().values
+    if n and draw.random() < 0.2:
+        pixels[draw.randrange(n)] = draw.choice((-1, 2**40, -(2**63)))
+    spoil = draw.random() < 0.3
+    positions = numbers(draw, n, 3, spoil=spoil).double()
+    depths = (pixels + 1).double() * 10.0 ** draw.randint(-8, 2)  # rising: sorted
+    parts = [pixels, numbers(draw, n).double() if spoil else depths, positions]
+    K, pose, width, height, _ = native_camera(reference)
+    made = _ext.Layers(
+        *(spoiled(draw, part) for part in parts),
+        K,
+        pose,
+        width,
+        height,
+        draw.choice((1.0, 3.0, *ODD)),
+    )
+    out = spoiled(draw, torch.empty(view.height, view.width, dtype=torch.float64))
+    _ext.draw_layers(made, *native_camera(view), out)
+
+
 CASES: dict[str, Callable[[random.Random], None]] = {
     "rasterize": draw_and_differentiate, "step": step, "blocks": blocks, "photometric": loss,
     "adam": update, "observe": statistics, "bindings": bare, "huge counts": huge, "flood": flood,
     "codes": codes, "attention": attention, "moving anchors": moving_anchors, "support": support,
-    "stored harmonics": stored,
+    "stored harmonics": stored, "layers": layers,
 }  # fmt: skip

@@ -74,6 +74,7 @@ void bind_colour_head(nb::module_& m);
 void bind_consistency(nb::module_& m);
 void bind_diffusion(nb::module_& m);
 void bind_field(nb::module_& m);
+void bind_guide_depth(nb::module_& m);
 void bind_moving_anchors(nb::module_& m);
 void bind_raster(nb::module_& m);
 void bind_stored(nb::module_& m);

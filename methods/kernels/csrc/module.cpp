@@ -37,6 +37,7 @@ NB_MODULE(_ext, m) {
   bind_consistency(m);
   bind_diffusion(m);
   bind_field(m);
+  bind_guide_depth(m);
   bind_moving_anchors(m);
   bind_raster(m);
   bind_stored(m);

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.testing import assert_close
 
 from helpers.aerial_scene import (
     FLOOR,
@@ -22,6 +23,7 @@ from splatproof.methods.stratosplat import completion
 from splatproof.methods.stratosplat.completion import completed
 from splatproof.methods.stratosplat.prior_depth import relative_depth
 from splatproof.methods.stratosplat.settings import Completion
+from splatproof.reference.layered_memory import guide_depth
 from splatproof.reference.layered_memory.depth_adaptation import SparseDepths
 from splatproof.reference.types.scene import DepthPrior, Scene
 
@@ -136,6 +138,14 @@ def test_independent_views_do_not_see_the_memory(monkeypatch):
         completion.guide_depth, "render", lambda *_: pytest.fail("the memory was asked")
     )
     cloud(aerial_scene(), guided=False, guidance_steps=1)
+
+
+def test_the_memory_guides_as_the_reference_draws_it(monkeypatch):
+    """A float32 that is off by one on the way to the denoiser is all that may differ."""
+    asked = {"guidance_steps": 1, "visible_weight": 10.0}
+    found = cloud(aerial_scene(), **asked)
+    monkeypatch.setattr(completion.guide_depth, "render", guide_depth.render)
+    assert_close(found.positions, cloud(aerial_scene(), **asked).positions, atol=1e-4, rtol=0)
 
 
 def test_a_view_without_points_is_guided_by_the_others():
