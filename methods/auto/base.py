@@ -4,6 +4,7 @@ import math
 from dataclasses import fields, replace
 from typing import Literal
 
+from splatproof.methods.auto.points import with_enough
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
@@ -19,6 +20,7 @@ from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import largest
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
+from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution
 from splatproof.reference.types.scene import Scene
@@ -76,7 +78,7 @@ def completed(settings: Settings, scene: Scene) -> StratoSplat:
 
 
 def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
-    """The scene with the points that training starts from.
+    """The scene with the points that training starts from: of those that stand still never fewer than `LEAST_POINTS`.
 
     Args:
         scene: As a method gets it.
@@ -86,8 +88,13 @@ def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
 
     Raises: As methods 3dgs and stratosplat.
     """
-    if base != "stratosplat":
+    if base == "pvg":
         return threedgs.started(scene, settings, run)
+    if base == "3dgs":
+        whole = with_enough(
+            threedgs.started(scene, replace(settings, most_points=None), run), run.seed
+        )
+        return whole if settings.most_points is None else with_at_most(whole, settings.most_points)
     points = stratosplat.started(scene, completed(settings, scene), replace(run, folder=None))
     return replace(scene, points=points)
 

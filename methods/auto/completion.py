@@ -4,9 +4,11 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from splatproof.methods.auto.choices import Choice
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.planner import Choice, coarsest
+from splatproof.methods.auto.measured import COMPLETED, EXPLICIT
 from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.usual import coarsest
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.resolution import Resolution
@@ -100,6 +102,7 @@ def sized(
     return settings, (Choice(
         component="resolution", value="1/2 of the photos' size" if factor == 2 else f"from 1/{factor:g} of the photos' size to 1/2",
         because=f"at full size about {whole} steps would fit, and {ENOUGH} are wanted",
+        expects=f"about {count} steps",
     ),)  # fmt: skip
 
 
@@ -119,8 +122,8 @@ def _choice(done: bool, because: str) -> Choice:
     return Choice(
         component="completed depths",
         value="of each photo, and virtual Gaussians (as method stratosplat's)" if done else "none",
-        because=because,
-    )
+        because=because, expects=f"{COMPLETED}; the pictures are better" if done else str(EXPLICIT),
+    )  # fmt: skip
 
 
 def completing(settings: Settings, asked: AutoSettings) -> Settings:

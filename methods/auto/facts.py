@@ -47,7 +47,7 @@ class SceneFacts:
     height: int
     """Pixels of the same photo."""
     points: int
-    """Number of points that training can start from: sparse ones, or drawn where there are none."""
+    """Number of points that training can start from: sparse ones, and drawn ones where these are none or hardly any."""
     track: float
     """Mean number of training views that see a point; nan where tracks are not known."""
     coverage: float

@@ -21,6 +21,9 @@ from splatproof.methods.auto.base import (
     started,
     without_what_is_lacking,
 )
+from splatproof.methods.auto.bounds import PIXELS_A_GAUSSIAN, bounded
+from splatproof.methods.auto.candidates import candidates, compete
+from splatproof.methods.auto.choices import Choice
 from splatproof.methods.auto.completion import (
     LEAST,
     completing,
@@ -35,31 +38,23 @@ from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
 from splatproof.methods.auto.photos import Photos, planned_photos, working
-from splatproof.methods.auto.planner import (
-    PIXELS_A_GAUSSIAN,
-    RANDOM_POINTS,
-    AutoPlan,
-    Choice,
-    bounded,
-    candidates,
-    compete,
-    plan,
-    usual,
-)
+from splatproof.methods.auto.planner import AutoPlan, plan
+from splatproof.methods.auto.points import LEAST_POINTS, lacking_points, with_enough
 from splatproof.methods.auto.probe import PIXELS, better, probe_of
+from splatproof.methods.auto.recount import Recount
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed, measure
 from splatproof.methods.auto.steps import most_steps, steps_in, training_seconds
+from splatproof.methods.auto.usual import usual
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import exposed
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.initialise import with_points, with_random_points
+from splatproof.methods.training.initialise import with_points
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.remembering import remembering
 from splatproof.methods.training.resolution import Resolution
-from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.threads import threads
 from splatproof.reference.types.scene import Scene, View
@@ -70,8 +65,6 @@ RESERVE = 0.03
 """Share of the seconds that is kept back for what nobody can measure before."""
 READING, ALL_READ = 0.1, 0.5
 """Share of the seconds in which photos are read ahead; of large ones, which training could not read as it goes, all are."""
-MEASURED = 30
-"""Steps over which the final speed is measured."""
 PROBE_STEPS = 300
 """Steps of each training of the probe."""
 Clock = Callable[[], float]
@@ -185,52 +178,6 @@ def _started(scene: Scene, chosen: Settings, run: Run, base: Base) -> Scene:
         return started(scene, chosen, run, base)
 
 
-class Recount:
-    """How many steps there will be, told when the number of Gaussians and the speed are known.
-
-    Before, both were guesses; densification is over then, and photos have the size of the last step.
-    """
-
-    def __init__(
-        self, settings: Settings, seconds: float, most: int, tell: Callable[[int], None]
-    ) -> None:
-        """Wait for the end of densification.
-
-        Args:
-            settings: What is trained.
-            seconds: Wall seconds that training may take in all.
-            most: Most steps that are told.
-            tell: Told the new number of steps.
-        """
-        steps = settings.iterations
-        grown = round(settings.density.stop * shrink(steps))
-        factors = [settings.resolution.factor(step, steps) for step in range(1, steps + 1)]
-        whole = factors.index(factors[-1])
-        self.first = self.next = min(max(grown, whole) + 1, steps)
-        self.seconds, self.most, self.tell = seconds, most, tell
-        self.began: float | None = None
-
-    def __call__(self, step: int, seconds: float) -> int | None:
-        """The number of steps, after `MEASURED` steps at the final speed and whenever half of the rest is done.
-
-        Args:
-            step: Number of the step that was done.
-            seconds: Wall seconds of training so far.
-        """
-        if step < self.next:
-            return None
-        if self.began is None:
-            self.first, self.began = step, seconds
-            self.next = step + MEASURED
-            return None
-        each = max(1e-6, (seconds - self.began) / (step - self.first))
-        left = max(0, int((self.seconds - seconds) / each))
-        self.next = step + max(MEASURED, left // 2)
-        steps = max(step, min(step + left, self.most))
-        self.tell(steps)
-        return steps
-
-
 def planned(
     scene: Scene, settings: AutoSettings, run: Run, photos: Photos | None = None
 ) -> Planned:
@@ -251,17 +198,19 @@ def planned(
     with threads(run.threads):
         share = ALL_READ if photos.readers else READING
         read_ahead(scene, share * settings.seconds, photos.readers or torch.get_num_threads())
-        pointed = with_random_points(scene, RANDOM_POINTS, run.seed)
-        facts = facts_of(pointed, run.image_bytes)
-        if not len(scene.points):
-            facts = without_points(facts)
+        bare, pointed = not len(scene.points), with_enough(scene, run.seed)
+        own = facts_of(pointed if bare else scene, run.image_bytes)
+        if bare:
+            own = without_points(own)
+        moves, motion = planned_motion(scene, settings, own)
+        few = not moves and len(scene.points) < LEAST_POINTS
+        facts = replace(own, points=len(pointed.points)) if few else own
         chosen = bounded(settings, usual(settings, facts), facts, free)
-        matching = planned_matching(scene, settings, facts, chosen.most_points, run)
+        matching = planned_matching(scene, settings, own, chosen.most_points, run)
         chosen = replace(
             chosen, dense_cell=matching.cell,
             dense=replace(chosen.dense, partners=matching.partners),
         )  # fmt: skip
-        moves, motion = planned_motion(scene, settings, facts)
         completes, completion = planned_completion(
             settings, facts, points=len(scene.points), moves=moves
         )
@@ -269,10 +218,11 @@ def planned(
         if moves:
             chosen = without_what_is_lacking(chosen)
         start = speed = None
+        unkept, matched = replace(run, folder=None), scene
+        if completes or few:
+            matched = with_points(scene, unkept, dense_cell=chosen.dense_cell, dense=chosen.dense)
         if completes:
             trial = completing(chosen, settings)
-            unkept = replace(run, folder=None)
-            matched = with_points(scene, unkept, dense_cell=chosen.dense_cell, dense=chosen.dense)
             start = started(matched, replace(trial, dense_cell=0.0), unkept, "stratosplat")
             speed = measure(start, trial, run, "stratosplat")
             left = settings.seconds * (1 - RESERVE) - (clock() - began)
@@ -286,18 +236,17 @@ def planned(
                 chosen, base = shortened(trial, count), "stratosplat"
                 completion = (*completion, *smaller)
             else:
-                start = started(matched, replace(chosen, dense_cell=0.0), unkept, "3dgs")
-                speed, completion = None, (too_slow(count),)
+                start = speed = None
+                completion = (too_slow(count),)
+        if base == "3dgs" and (completes or (few and not bare)):
+            start = started(matched, replace(chosen, dense_cell=0.0), unkept, base)
         speed = speed or measure(scene, chosen, run, base)
         chosen, choices = _probed(scene, settings, facts, chosen, speed, run)
     left = settings.seconds * (1 - RESERVE) - (clock() - began)
     if start is None:
         left -= matching.seconds
-    drawn = Choice(
-        component="start", value=f"{RANDOM_POINTS:,} points drawn in sight of the cameras",
-        because="the scene has none; --points triangulated may find some",
-    )  # fmt: skip
-    lacking = () if len(scene.points) else (drawn,)
+    drawn = bare or (few and base == "3dgs" and len(matched.points) < LEAST_POINTS)
+    lacking = (lacking_points(len(matched.points)),) if drawn else ()
     choices = (*photos.choices, *lacking, matching.choice, *motion, *completion, *choices)
     points = len(start.points) if start else facts.points
     made = plan(settings, replace(facts, points=points), chosen, choices, speed, left, free, base)

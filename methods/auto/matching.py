@@ -8,8 +8,9 @@ import torch
 from scipy.sparse import csr_array
 
 from splatproof.datasets.image_cache import ImageCache
+from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.planner import Choice
+from splatproof.methods.auto.measured import MATCHED, UNMATCHED
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.dense_points import match
@@ -72,10 +73,11 @@ def planned_matching(
             return _none("nothing says which photos see the same points")
         if not facts.track < LONG_TRACK:
             return _none(
-                f"a point was found in {facts.track:.1f} photos: matched points gain nothing"
+                f"a point was found in {facts.track:.1f} photos: matched points gain nothing",
+                str(UNMATCHED),
             )
         if facts.points > ENOUGH * (most_points or 2 * facts.points):
-            return _none(f"{facts.points:,} points are enough to start from")
+            return _none(f"{facts.points:,} points are enough to start from", str(UNMATCHED))
     cell = CELL if asked.dense_cell is None else asked.dense_cell
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
     centres = torch.stack([view.camera.centre for view in scene.train_views])
@@ -94,14 +96,17 @@ def planned_matching(
                     component="matched points", value=f"about one every {cell:g} pixels",
                     because="given" if asked.dense_cell is not None
                     else f"a point was found in {facts.track:.1f} photos only",
-                    expects=f"{len(pairs)} pairs of photos, {seconds:.0f} s",
+                    expects=f"{MATCHED}, for {seconds:.0f} s: {len(pairs)} pairs of photos",
                 ),
             )  # fmt: skip
-    return _none(f"{len(pairs)} pairs of photos would take {seconds:.0f} of {asked.seconds:.0f} s")
+    return _none(
+        f"{len(pairs)} pairs of photos would take {seconds:.0f} of {asked.seconds:.0f} s",
+        f"{seconds:.0f} s saved",
+    )
 
 
-def _none(why: str) -> Matching:
-    choice = Choice(component="matched points", value="none", because=why)
+def _none(why: str, expects: str = NOT_MEASURED) -> Matching:
+    choice = Choice(component="matched points", value="none", because=why, expects=expects)
     return Matching(cell=0.0, partners=PARTNERS[0], seconds=0.0, choice=choice)
 
 

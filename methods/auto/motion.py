@@ -1,7 +1,8 @@
 """Whether Gaussians move: where LiDAR sweeps say that something does."""
 
+from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.planner import Choice
+from splatproof.methods.auto.measured import MOVING
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.dynamic.terms import require_sweeps
 from splatproof.methods.dynamic.times import clock_of
@@ -54,5 +55,5 @@ def _choice(moves: bool, because: str) -> Choice:
     return Choice(
         component="motion",
         value="Gaussians that move (as method pvg's)" if moves else "none",
-        because=because,
-    )
+        because=because, expects=str(MOVING) if moves else NOT_MEASURED,
+    )  # fmt: skip

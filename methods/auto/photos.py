@@ -9,10 +9,11 @@ from functools import partial
 import torch
 
 from splatproof.datasets.truth_image import Truth
-from splatproof.methods.auto.planner import Choice, usual_for
+from splatproof.methods.auto.choices import Choice
 from splatproof.methods.auto.probe import kept, spread
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import VIEWS, Speed, measure
+from splatproof.methods.auto.usual import usual_for
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.image_room import READING_BYTES
 from splatproof.methods.training.resolution import shrunk
@@ -125,13 +126,27 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
         factor, fitting = _in_memory(count, pixels, factor, short, run.image_bytes)
         if fitting < count:
             count, because = fitting, f"{run.image_bytes >> 20:,} MB hold no more"
+    whole, small = (
+        max(0.0, left) / step_seconds(pixels, size, len(scene.points), speed)
+        for size in (1.0, factor)
+    )
+    told = []
+    if factor > 1:
+        height, width = views[0].size
+        told.append(Choice(
+            component="photos' size", value=f"1/{factor:g} of {width:,} x {height:,} pixels",
+            because=f"at full size about {whole:.0f} steps would fit, and {ENOUGH:,} are wanted",
+            expects=f"about {small:.0f} steps",
+        ))  # fmt: skip
+    if count < len(views):
+        told.append(Choice(
+            component="photos", value=f"{count} of {len(views)}, evenly", because=because,
+            expects=f"{(len(views) - count) * each / readers:.0f} s of reading saved",
+        ))  # fmt: skip
     spent = time.perf_counter() - began
     return Photos(
-        factor=factor, train=tuple(sorted(spread(scene.train, count))), readers=readers, seconds=spent,
-        choices=_choices(
-            factor, views[0].size, left / step_seconds(pixels, 1.0, len(scene.points), speed),
-            count, len(views), because,
-        ),
+        factor=factor, train=tuple(sorted(spread(scene.train, count))), choices=tuple(told),
+        readers=readers, seconds=spent,
     )  # fmt: skip
 
 
@@ -230,20 +245,3 @@ def _speed(scene: Scene, asked: AutoSettings, run: Run, factor: float) -> Speed:
     width, height = views[few[0]].camera.width, views[few[0]].camera.height
     small = replace(scene, views=tuple(views), train=few)
     return measure(small, usual_for(asked, width, height), run)
-
-
-def _choices(
-    factor: float, size: tuple[int, int], steps: float, count: int, views: int, because: str
-) -> tuple[Choice, ...]:
-    height, width = size
-    told = []
-    if factor > 1:
-        told.append(Choice(
-            component="photos' size", value=f"1/{factor:g} of {width:,} x {height:,} pixels",
-            because=f"at full size about {max(0.0, steps):.0f} steps would fit, and {ENOUGH:,} are wanted",
-        ))  # fmt: skip
-    if count < views:
-        told.append(
-            Choice(component="photos", value=f"{count} of {views}, evenly", because=because)
-        )
-    return tuple(told)

@@ -8,9 +8,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from splatproof.methods.auto.base import started
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import explicit, exposed
-from splatproof.methods.threedgs.fit import prepare, started
+from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution, shrunk
@@ -42,11 +43,14 @@ class Probe:
     def score(self, settings: Settings) -> tuple[float, ...]:
         """PSNR of each held-out view after a whole training under some settings.
 
+        Nothing is fitted to a held-out photo: a model with exposures shows it in the mean exposure of those that it
+        saw, as a protocol scores test photos of which it gives methods no part. Were it fitted, exposures would always win.
+
         Args:
             settings: What is tried; photos are not shrunk further.
         """
         settings = replace(settings, resolution=Resolution())
-        start = started(self.scene, settings, self.run)
+        start = started(self.scene, settings, self.run, "3dgs")
         model, plan = prepare(start, settings, self.run)
         trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, self.run)
         while trainer.step < plan.steps:

@@ -4,9 +4,8 @@ import statistics
 import time
 from dataclasses import dataclass, replace
 
-from splatproof.methods.auto.base import Base, prepare
+from splatproof.methods.auto.base import Base, prepare, started
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.threedgs.fit import started as pointed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.resolution import Resolution
@@ -47,7 +46,8 @@ def measure(scene: Scene, settings: Settings, run: Run, base: Base = "3dgs") -> 
         base: What is trained. Photos of Gaussians that move cannot be shrunk, and the whole step is taken to go by
             the Gaussians: steps that turn out faster are added later, slower ones would have come too late.
     """
-    scene = pointed(scene, replace(settings, dense_cell=0.0), run)
+    explicit = "3dgs" if base == "stratosplat" else base  # whose points are all there
+    scene = started(scene, replace(settings, dense_cell=0.0), run, explicit)
     if base == "pvg":
         swept = tuple(index for index in scene.train if scene.views[index].load_sweep is not None)
         few = replace(scene, train=swept[:: max(1, len(swept) // VIEWS)][:VIEWS])
@@ -72,8 +72,8 @@ def _step(
     trainer = Trainer(model, plan, replace(run, folder=None))
     times = []
     for index in range(WARM + len(scene.train) + TIMED):
-        started = time.perf_counter()
+        began = time.perf_counter()
         trainer.advance()
         if index >= WARM + len(scene.train):
-            times.append((time.perf_counter() - started) / settings.views_per_step)
+            times.append((time.perf_counter() - began) / settings.views_per_step)
     return statistics.median(times), model.primitives

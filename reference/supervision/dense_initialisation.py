@@ -19,6 +19,8 @@ from splatproof.reference.types.scene import SparsePoints
 Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
 """The unit vectors that make |A h| least, of either sign."""
 Matcher = Literal["flow", "prior", "roma"]
+AT_ONCE = 1_000_000
+"""Observations, about, that are looked through at once for pairs of views."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,8 +128,9 @@ def select_pairs(
 ) -> list[tuple[int, int]]:
     """Pairs (a, b), a < b, of each image with its most co-visible partners at a useful angle.
 
-    Memory grows with the observations and with the pairs of views that share a point, not with
-    views x points.
+    All images look for their partners at once, each at its next best one in each round: of a video, whose next photos all
+    lie under too small an angle, that takes as many rounds as there are such photos. Memory grows with the pairs of
+    views that share a point and with the observations, not with views x points.
 
     Args:
         centres: Camera centres in scene units.
@@ -140,24 +143,43 @@ def select_pairs(
     Source: DPGS, Sec. 3.1; numbers of partners and angles: ours.
     """
     counted = seen.astype(np.int32)
-    shared = (counted @ counted.T).tocsr()
+    shared = (counted @ counted.T).tocoo()
+    first, second = shared.coords
+    order = np.lexsort((second, -shared.data, first))
+    order = order[first[order] != second[order]]
+    first, second = first[order], second[order]
+    coming, ends = (
+        np.searchsorted(first, np.arange(len(centres)), side) for side in ("left", "right")
+    )
+    by_value = [np.argsort(points[:, axis].numpy(), kind="stable") for axis in range(3)]
+    sorted_seen = [seen[:, order].sorted_indices() for order in by_value]
+    found = np.zeros(len(centres), np.int64)
     low, high = settings.angles
     pairs = set()
-    for a in range(len(centres)):
-        row = slice(shared.indptr[a], shared.indptr[a + 1])
-        others, counts = shared.indices[row], shared.data[row]
-        found = 0
-        for b in others[np.lexsort((others, -counts))].tolist():
-            if found == settings.partners:
-                break
-            if a == b:
-                continue
-            median = points[seen_by_both(seen, a, b)].median(dim=0).values
-            angle = _angle(centres[a] - median, centres[b] - median)
-            if low <= float(angle) <= high:
-                pairs.add((min(a, b), max(a, b)))
-                found += 1
+    while len(a := np.flatnonzero((found < settings.partners) & (coming < ends))):
+        b = second[coming[a]]
+        middle = [
+            order[_middle(rows, a, b)] for order, rows in zip(by_value, sorted_seen, strict=True)
+        ]
+        medians = torch.stack([points[middle[axis], axis] for axis in range(3)], dim=1)
+        angle = _angle(centres[a] - medians, centres[b] - medians).numpy()
+        useful = (low <= angle) & (angle <= high)
+        ends_of = (np.minimum(a, b)[useful].tolist(), np.maximum(a, b)[useful].tolist())
+        pairs |= set(zip(*ends_of, strict=True))
+        coming[a] += 1
+        found[a] += useful
     return sorted(pairs)
+
+
+def _middle(seen: csr_array, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """The lower middle one of the points that each of some pairs of views share, in the order of the columns."""
+    size = max(1, AT_ONCE // int(np.diff(seen.indptr).max()))
+    found = []
+    for begin in range(0, len(first), size):
+        part = slice(begin, begin + size)
+        both = (seen[first[part]] * seen[second[part]]).tocsr()
+        found.append(both.indices[(both.indptr[:-1] + both.indptr[1:] - 1) // 2])
+    return np.concatenate(found)
 
 
 def _angle(a: Float[Tensor, "*n 3"], b: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n"]:

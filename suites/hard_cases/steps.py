@@ -13,8 +13,8 @@ from torch import Tensor
 
 from splatproof.base.typed_toml import build
 from splatproof.methods.auto.facts import facts_of
-from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.usual import usual
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.point_roles import CONTEXT, GHOST, OWN
 from splatproof.methods.city.train_block import BlockJob

@@ -81,13 +81,23 @@ PLAN = ["plan", "my scene", "--seconds", "2"]
 def test_the_plan_of_a_scene_says_what_was_measured_and_what_follows(tiny, capsys):
     assert main(PLAN) == 0
     shown = capsys.readouterr()
-    for word in ("photos", "baselines", "matched points", "harmonics", "dropout", "steps"):
+    for word in (
+        "photos",
+        "baselines",
+        "matched points",
+        "density",
+        "views a step",
+        "harmonics",
+        "dropout",
+        "steps",
+    ):
         assert word in shown.out
     assert "nan" not in shown.out.replace("Gaussians", "")
     assert main([*PLAN, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["facts"]["views"] == 8
     assert {"steps", "points", "harmonics"} <= {one["component"] for one in told["choices"]}
+    assert all(one["because"] and one["expects"] for one in told["choices"])
 
 
 def test_the_command_that_a_plan_names_is_the_plan(tiny, capsys):

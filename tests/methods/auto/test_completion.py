@@ -22,8 +22,8 @@ from splatproof.methods.auto.completion import (
 from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import fit, planned
 from splatproof.methods.auto.method import cost
-from splatproof.methods.auto.planner import usual
 from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.auto.usual import usual
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training import initialise
 from splatproof.methods.training.fewer_points import with_at_most

@@ -10,10 +10,12 @@ from helpers.aerial_scene import without_points
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.auto import fit as auto
+from splatproof.methods.auto import probe
 from splatproof.methods.auto.facts import facts_of
-from splatproof.methods.auto.fit import PLAN, Recount, fit, planned
+from splatproof.methods.auto.fit import PLAN, fit, planned
 from splatproof.methods.auto.goal import keep_back
 from splatproof.methods.auto.probe import probe_of
+from splatproof.methods.auto.recount import Recount
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
@@ -85,16 +87,35 @@ def test_steps_follow_the_speed_of_the_machine():
 
 def test_the_probe_holds_views_out_and_keeps_its_hands_off_the_others():
     scene = tiny_scene(views=10)
-    probe = probe_of(scene, Run(threads=1))
-    assert probe is not None
-    held, seen = {view.name for view in probe.held}, {v.name for v in probe.scene.train_views}
+    found = probe_of(scene, Run(threads=1))
+    assert found is not None
+    held, seen = {view.name for view in found.held}, {v.name for v in found.scene.train_views}
     assert held
     assert not held & seen
     assert held | seen == {view.name for view in scene.train_views}
-    scores = probe.score(Settings(iterations=20, sh_degree=0))
-    assert len(scores) == len(probe.held)
-    assert scores == probe.score(Settings(iterations=20, sh_degree=0))
+    scores = found.score(Settings(iterations=20, sh_degree=0))
+    assert len(scores) == len(found.held)
+    assert scores == found.score(Settings(iterations=20, sh_degree=0))
     assert probe_of(tiny_scene(views=4), Run()) is None
+
+
+def test_nothing_of_a_held_out_photo_is_fitted(monkeypatch):
+    """It is shown in the mean exposure, however bright it is: else exposures would always win."""
+    shown = []
+    monkeypatch.setattr(probe, "psnr", lambda image, *_: shown.append(image) or 0.0)
+    found = probe_of(tiny_scene(views=10), Run(threads=1))
+    assert found is not None
+
+    def darker(view):
+        return replace(view, load=lambda: 0.5 * view.load())
+
+    held = tuple(darker(view) for view in found.held)
+    dark = replace(found, held=held, photos=tuple(view.load() for view in held))
+    for one in (found, dark):
+        one.score(Settings(iterations=20, sh_degree=0, exposure="gain"))
+    half = len(found.held)
+    assert len(shown) == 2 * half
+    assert all(torch.equal(a, b) for a, b in zip(shown[:half], shown[half:], strict=True))
 
 
 def test_a_probe_decides_within_its_share(monkeypatch):
@@ -103,8 +124,8 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
     assert names == [
-        "matched points", "completed depths", "exposure", "blocks", "points", "Gaussians", "largest scale",
-        "harmonics", "opacity term", "steps", "dropout",
+        "matched points", "completed depths", "exposure", "blocks", "points", "resolution", "density", "Gaussians",
+        "largest scale", "harmonics", "opacity term", "views a step", "steps", "dropout", "anchors",
     ]  # fmt: skip
     assert found.plan.choices[2].because.startswith("probe: ")
 
@@ -127,9 +148,9 @@ def test_pixels_that_do_not_count_judge_nothing():
     other = replace(scene, views=tuple(map(spoilt, scene.views)))
     scores = []
     for one in (scene, other):
-        probe = probe_of(one, Run(threads=1))
-        assert probe is not None
-        scores.append(probe.score(Settings(iterations=20, sh_degree=0)))
+        found = probe_of(one, Run(threads=1))
+        assert found is not None
+        scores.append(found.score(Settings(iterations=20, sh_degree=0)))
     assert scores[0] == scores[1]
 
 

@@ -15,10 +15,11 @@ from splatproof.methods.auto import facts as facts_module
 from splatproof.methods.auto import fit as fitting
 from splatproof.methods.auto.base import moving, prepare, without_what_is_lacking
 from splatproof.methods.auto.facts import PAIRS, SceneFacts, facts_of, moving_share
-from splatproof.methods.auto.fit import RESERVE, Recount, fit
+from splatproof.methods.auto.fit import RESERVE, fit
 from splatproof.methods.auto.motion import LEAST_MOVING, planned_motion
-from splatproof.methods.auto.planner import usual
+from splatproof.methods.auto.recount import Recount
 from splatproof.methods.auto.settings import LACKING, AutoSettings
+from splatproof.methods.auto.usual import usual
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.sweep_points import TimedPoints
 from splatproof.methods.threedgs.settings import Settings

@@ -8,22 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from splatproof.base.errors import UsageError
+from splatproof.methods.auto.bounds import bounded, training_mb
+from splatproof.methods.auto.candidates import Candidate, candidates, compete
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.planner import (
-    PACE,
-    Candidate,
-    bounded,
-    candidates,
-    coarsest,
-    compete,
-    plan,
-    training_mb,
-    usual,
-)
+from splatproof.methods.auto.planner import plan
 from splatproof.methods.auto.probe import better
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
+from splatproof.methods.auto.usual import PACE, coarsest, usual
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,

@@ -292,7 +292,7 @@ seen = dense.observations(points, views)
 print(len(dense.select_pairs(centres, points.positions, seen, dense.DenseSettings())))
 """
 """A drone's strip of 2,000 photos, every point in five in a row, in a process that may take 600 MiB
-more than its libraries. Measured: 300 MiB are enough, 250 are not; the scene itself has 72. A
+more than its libraries. Measured: 400 MiB are enough, 350 are not; the scene itself has 72. A
 boolean views x points matrix alone is 1.9 GiB."""
 
 

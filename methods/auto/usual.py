@@ -1,0 +1,87 @@
+"""Settings before anything has competed: what is asked for, and what the size of the photos decides."""
+
+import math
+from dataclasses import replace
+
+from splatproof.methods.auto.facts import SceneFacts
+from splatproof.methods.auto.settings import AutoSettings
+from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.density import Density, Pace
+from splatproof.methods.training.resolution import Resolution
+
+LEAST_SHORT_SIDE = 80
+"""Pixels that the short side of a shrunk photo keeps: with fewer, what is learnt of it has to be unlearnt
+(brighton_beach at 250 px loses 0.6 dB where it starts at a quarter; one seed)."""
+FULL_FROM = 0.3
+"""Share of the steps from which on photos have their full size."""
+PIXELS_A_POINT = 4
+"""Pixels of one photo for each point that training starts from at most. Held-out training photos of seneca at 400 px,
+1,000 steps, one seed: from 30,000 points 25.2 dB with 49,000 Gaussians, from all 62,785 (and twice the will to
+grow) 25.3 dB with 129,000; caliterra loses 0.7 dB where it starts from 12,000 points of 24,715."""
+GROWTH = Density(start=1500, gradient=4e-4, reset_interval=0, least_interval=100)
+"""Density control of a run without opacity resets, which cost a short run more than they mend."""
+PACE: Pace = "free"
+"""How fast the number of Gaussians may come to its cap. Held-out training photos, two seeds: an even pace gains 0.2 to 0.8
+dB in the tunnel and loses 0.5 to 0.9 dB on courtyard; with twice the will to grow, +0.3 to +0.4 and -0.5 to -0.6."""
+WIDEST = 0.5
+"""Largest scale as a share of the distance to the nearest training camera, see `ScaleBound`. Held-out training photos
+of courtyard, three folds: a half gains 0.1 to 0.4 dB, a quarter and one between -0.4 and +0.2; one or two folds of six
+other scenes: a half between -0.3 and +0.3."""
+DROPOUT = 0.2
+"""Share of the Gaussians that a step leaves out, against photos learnt by heart."""
+DROPOUT_FROM = 60
+"""How often each photo has to be looked at, as planned, for that to pay. Suite auto, test photos: at 250 looks dropout
+gains 0.8 dB on brighton_beach at 250 px, at 150 it gains 0.6 there at 500 px, at 130 it gains 0.7 on courtyard and at 110
+loses 0.1 in the tunnel (a seed each); at 30 it loses 0.6, 0.0 and 0.3 dB on caliterra, at 15 0.4 and 0.6 on seneca."""
+RANDOM_POINTS = 10_000
+"""Points that training starts from where structure from motion left none: drawn in sight of the cameras."""
+
+
+def usual(asked: AutoSettings, facts: SceneFacts) -> Settings:
+    """Settings before anything has competed: what is asked for, and what facts alone decide.
+
+    Args:
+        asked: The budget, and what is fixed.
+        facts: What was measured.
+    """
+    return usual_for(asked, facts.width, facts.height)
+
+
+def usual_for(asked: AutoSettings, width: int, height: int) -> Settings:
+    """Settings that the size of the photos decides, and what is asked for.
+
+    Args:
+        asked: The budget, and what is fixed.
+        width: Pixels of a photo.
+        height: Pixels of a photo.
+    """
+    return Settings(
+        iterations=asked.steps or 1000,
+        sh_degree=3 if asked.sh_degree is None else asked.sh_degree,
+        sh_interval=0,
+        random_background=True,
+        opacity_weight=0.01 if asked.opacity_weight is None else asked.opacity_weight,
+        dropout=DROPOUT if asked.dropout is None else asked.dropout,
+        widest=WIDEST if asked.widest is None else asked.widest,
+        exposure=asked.exposure or "off",
+        random_points=RANDOM_POINTS,
+        dense_cell=asked.dense_cell or 0.0,
+        most_points=max(1, width * height // PIXELS_A_POINT)
+        if asked.most_points is None
+        else asked.most_points,
+        resolution=Resolution(coarsest=coarsest(width, height), full_from=FULL_FROM)
+        if asked.coarsest is None
+        else Resolution(coarsest=asked.coarsest, full_from=FULL_FROM),
+        density=GROWTH if asked.gradient is None else replace(GROWTH, gradient=asked.gradient),
+    )  # fmt: skip
+
+
+def coarsest(width: int, height: int) -> float:
+    """Largest power of two up to 8 by which photos can be shrunk and still show something.
+
+    Args:
+        width: Pixels of a photo.
+        height: Pixels of a photo.
+    """
+    room = min(width, height) / LEAST_SHORT_SIDE
+    return float(2 ** max(0, min(3, math.floor(math.log2(max(room, 1))))))
