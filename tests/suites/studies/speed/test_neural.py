@@ -166,9 +166,10 @@ def test_the_page_shows_times_goals_errors_and_parts(rows):
 def test_by_torch_no_kernel_of_networks_applies_and_afterwards_they_do():
     some = [torch.zeros(2)]
     assert readable(some)
-    with pytest.raises(ZeroDivisionError), by_torch(), by_torch():
+    with by_torch():
+        with by_torch():
+            assert not readable(some)
         assert not readable(some)
-        raise ZeroDivisionError
     assert readable(some)
 
 
