@@ -29,11 +29,7 @@ def applies(network: SupportNetwork, *sites: Tensor) -> bool:
     """
     depths = [len(net.weights) for net in (network.modulation, network.gate, network.residual)]
     tensors = [*sites, *_parameters(network)]
-    return (
-        readable(tensors)
-        and depths == [2, 2, 1]
-        and not sites[1].requires_grad
-    )
+    return readable(tensors) and depths == [2, 2, 1] and not sites[1].requires_grad
 
 
 def support(

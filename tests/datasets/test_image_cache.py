@@ -54,7 +54,9 @@ def test_what_does_not_drop_finds_as_many_as_fit_in_every_round(drops):
     draw = torch.Generator().manual_seed(0)
     for _ in range(5):
         for key in torch.randperm(40, generator=draw).tolist():
-            value = cache.get(key, lambda key=key: made.append(key) or torch.full((10,), float(key)))
+            value = cache.get(
+                key, lambda key=key: made.append(key) or torch.full((10,), float(key))
+            )
             assert float(value[0]) == key
             assert cache.held <= cache.limit
     assert (len(made) == 40 + 4 * 36) == (not drops)

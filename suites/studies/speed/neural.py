@@ -176,9 +176,10 @@ def facts(name: str, session: Steps, *, quick: bool) -> dict[str, Any]:
     method = name.removesuffix(TORCH)
     with session.networks():
         exact = steps.judge(method, steps.RUNGS[0])
-    nothing = dict.fromkeys(("max_abs_error", "grad_rel_l2", "grad_cosine"))
+    found: dict[str, float | None] = dict.fromkeys(("max_abs_error", "grad_rel_l2", "grad_cosine"))
     trainer = session.restored()
-    found = errors(trainer) if name in BY_TORCH else nothing
+    if name in BY_TORCH:
+        found |= errors(trainer)
     seen = visible(trainer)
     with session.networks():
         parts = stages.shares(trainer, max(1, STAGE_STEPS // (3 if quick else 1)))

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from splatproof.methods.training.loop import Trainer
-from splatproof.methods.training.terms import Term
+from splatproof.methods.training.terms import ImageTerm, Term
 
 WHOLE = "rest"
 """What a step spends outside of all parts that have a name."""
@@ -90,10 +90,11 @@ def watched(trainer: Trainer) -> Iterator[Stopwatch]:
             if hasattr(owner, attribute):  # not every model asks who is in view
                 setattr(owner, attribute, watch.timed(name, getattr(owner, attribute)))
         trainer.backend = replace(backend, rasterize=watch.timed("render", backend.rasterize))
-        trainer.image_terms = [
+        counted: list[ImageTerm] = [
             Term(name=term.name, weight=term.weight, loss=watch.timed(term.name, term.loss))
             for term in terms
         ]
+        trainer.image_terms = counted
         yield watch
     finally:
         trainer.backend, trainer.image_terms = backend, terms
