@@ -41,9 +41,9 @@ INSIDE = (0.06, 0.94)
 DISPARITIES = (0.1, 0.5)
 """Least and greatest inverse depth of the relief, one over scene units."""
 EVERY = 5
-"""Of so many rows one is not to be seen: it is behind the cameras, or dead at the views' moments."""
+"""One of so many rows is not to be seen: it is behind the cameras, or dead at the views' moments."""
 SHOWN = 6
-"""Of the ten slots of an anchor so many hold a Gaussian."""
+"""Slots of an anchor's ten that hold a Gaussian."""
 PIXELS = (1.0, 4.0)
 """Standard deviations of Gaussians in pixels, log-uniform in between, as of the rasterizer's scenes."""
 RETURNS = 5_000
