@@ -1,7 +1,8 @@
-"""Bounded memory: values are made when asked for and the least recently used ones are dropped."""
+"""Bounded memory: values are made when asked for; without room the least recently used go, or new ones are not kept."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import partial
 from threading import Lock
 
 from torch import Tensor
@@ -11,30 +12,33 @@ from splatproof.reference.types.scene import View
 
 
 class TensorCache:
-    """Least-recently-used tensors up to a number of bytes; safe for several threads.
+    """Tensors up to a number of bytes, by default those that were last asked for; safe for several threads.
 
     Two threads that ask for the same key at once compute it once; a tensor larger than the
     whole bound is returned and not kept. Callers must not write into what they get.
     """
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, *, drops: bool = True) -> None:
         """Start empty.
 
         Args:
             limit: Most bytes kept; 0 keeps nothing.
+            drops: Whether the least recently used tensors make room for new ones. False: what is kept stays,
+                and what finds no room is made each time. Of more tensors than fit that are asked for in rounds,
+                each in a new order, as many as fit are found then; dropping leaves next to none until it is asked for.
         Raises: UsageError if limit is negative.
         """
         if limit < 0:
             raise UsageError(f"cache limit is {limit} bytes, expected >= 0")
-        self.limit = limit
+        self.limit, self.drops = limit, drops
         self.held = 0
         self._kept: OrderedDict[Hashable, Tensor] = OrderedDict()
         self._making: dict[Hashable, Lock] = {}
         self._lock = Lock()
 
-    def __reduce__(self) -> tuple[type["TensorCache"], tuple[int]]:
+    def __reduce__(self) -> tuple[partial["TensorCache"], tuple[int]]:
         """Sent to another process it starts empty there."""
-        return TensorCache, (self.limit,)
+        return partial(TensorCache, drops=self.drops), (self.limit,)
 
     def __len__(self) -> int:
         """Return the number of tensors kept."""
@@ -70,6 +74,8 @@ class TensorCache:
         if size > self.limit:
             return
         with self._lock:
+            if not self.drops and self.held + size > self.limit:
+                return
             while self.held + size > self.limit:
                 _, dropped = self._kept.popitem(last=False)
                 self.held -= dropped.numel() * dropped.element_size()

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
@@ -14,17 +15,23 @@ from splatproof.methods.kernels import attention as native
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Neighbours:
-    """Pairs (source, target) of anchors, sorted by source and then target; each with its reverse.
+    """Pairs (source, target) of anchors, sorted by source and then target; of each the reverse is there too.
 
     Every anchor is a neighbour of itself.
     """
 
     sources: Int[Tensor, " e"]
     targets: Int[Tensor, " e"]
-    reverse: Int[Tensor, " e"]
-    """Where the pair (target, source) stands."""
     starts: Int[Tensor, " n"]
     """Where the pairs of each source begin."""
+
+    @cached_property
+    def reverse(self) -> Int[Tensor, " e"]:
+        """Where the pair (target, source) of each pair stands; the kernels do without.
+
+        Pairs sorted by target and then source are the reversed ones in their own order.
+        """
+        return self.targets.argsort(stable=True)
 
     @cached_property
     def native(self) -> _ext.NearLists:
@@ -33,7 +40,7 @@ class Neighbours:
 
     def __getstate__(self) -> dict[str, Tensor]:
         """The tensors alone: snapshots of a training are pickled, and the kernels' form is made again."""
-        return {name: value for name, value in vars(self).items() if name != "native"}
+        return {name: vars(self)[name] for name in ("sources", "targets", "starts")}
 
     def among(self, chosen: Int[Tensor, " v"]) -> "Neighbours":
         """The pairs both of whose anchors are chosen, renumbered.
@@ -59,12 +66,10 @@ class Neighbours:
 
     def _kept(self, keep: Tensor, sources: Tensor, targets: Tensor, count: int) -> "Neighbours":
         """Some of the pairs; with each its reverse."""
-        place = keep.cumsum(0) - 1
         index = torch.where(keep)[0]
         sources = sources[index]
         return Neighbours(
-            sources=sources, targets=targets[index], reverse=place[self.reverse[index]],
-            starts=starts_of(sources, count),
+            sources=sources, targets=targets[index], starts=starts_of(sources, count)
         )  # fmt: skip
 
 
@@ -91,14 +96,14 @@ def neighbours(centres: Float[Tensor, "n 3"], radius: float) -> Neighbours:
     pairs = KDTree(points).query_pairs(radius * (1 + 1e-6), output_type="ndarray")
     found = torch.from_numpy(pairs).to(centres.device).long()
     own = torch.arange(count, device=centres.device)
-    keys = torch.cat(
-        [own * count + own, found[:, 0] * count + found[:, 1], found[:, 1] * count + found[:, 0]]
-    )
-    keys = keys.sort().values
-    sources, targets = keys // max(count, 1), keys % max(count, 1)
-    every = Neighbours(
-        sources=sources, targets=targets,
-        reverse=torch.searchsorted(keys, targets * count + sources),
-        starts=starts_of(sources, count),
+    one, other = found.unbind(dim=1)
+    places = centres.detach()
+    near = (places.index_select(0, one) - places.index_select(0, other)).norm(dim=1) <= radius
+    one, other = one[near], other[near]
+    keys = torch.cat([own * count + own, one * count + other, other * count + one])
+    # numpy's sort of plain numbers takes a tenth of torch's, which sorts places along
+    keys = torch.from_numpy(np.sort(keys.cpu().numpy())).to(keys)
+    sources = keys // max(count, 1)
+    return Neighbours(
+        sources=sources, targets=keys - sources * count, starts=starts_of(sources, count)
     )  # fmt: skip
-    return every.within(centres.detach(), radius)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.networks import readable
 from splatproof.methods.kernels.rasterizer import plain
 from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.anchors.scaffold import Anchors, Decoder
@@ -32,7 +33,7 @@ def applies(anchors: Anchors, decoder: Decoder, camera_centre: Tensor) -> bool:
     """
     tensors = [*vars(anchors).values(), *_tensors(decoder)]
     return (
-        all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
+        readable(tensors)
         and all(len(network.weights) == LAYERS for network in _networks(decoder))
         and not camera_centre.requires_grad
     )

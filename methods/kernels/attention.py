@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.networks import readable
 from splatproof.methods.kernels.rasterizer import plain
 from splatproof.methods.kernels.threads import use_threads
 
@@ -22,7 +23,7 @@ def applies(*tensors: Tensor) -> bool:
     Args:
         tensors: Query, key, value and centres.
     """
-    return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
+    return readable(tensors)
 
 
 def lists(starts: Int[Tensor, " n"], targets: Int[Tensor, " e"]) -> _ext.NearLists:

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.networks import readable
 from splatproof.methods.kernels.rasterizer import plain
 from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.types.mlp import Mlp
@@ -28,9 +29,7 @@ def applies(colours: Tensor, of_each: Tensor, head: Mlp) -> bool:
         head: The network.
     """
     tensors = [colours, of_each, *head.weights, *head.biases]
-    return len(head.weights) == LAYERS and all(
-        t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors
-    )
+    return len(head.weights) == LAYERS and readable(tensors)
 
 
 def adapt(

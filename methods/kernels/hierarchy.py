@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.networks import readable
 from splatproof.methods.kernels.rasterizer import plain
 from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.anchors.motion_hierarchy import (
@@ -57,7 +58,7 @@ def applies(
     """
     tensors = [*_stored(anchors), *_tensors(networks)]
     return (
-        all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
+        readable(tensors)
         and all(len(network.weights) == DEPTH for network in _networks(networks))
         and len(anchors.offsets) < MOST_LAYERS
         and not (camera_centre is not None and camera_centre.requires_grad)

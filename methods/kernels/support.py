@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from splatproof import _ext
+from splatproof.methods.kernels.networks import readable
 from splatproof.methods.kernels.rasterizer import plain
 from splatproof.methods.kernels.threads import use_threads
 from splatproof.reference.anchors.support_network import SupportNetwork
@@ -28,11 +29,7 @@ def applies(network: SupportNetwork, *sites: Tensor) -> bool:
     """
     depths = [len(net.weights) for net in (network.modulation, network.gate, network.residual)]
     tensors = [*sites, *_parameters(network)]
-    return (
-        all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
-        and depths == [2, 2, 1]
-        and not sites[1].requires_grad
-    )
+    return readable(tensors) and depths == [2, 2, 1] and not sites[1].requires_grad
 
 
 def support(

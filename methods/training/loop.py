@@ -276,7 +276,10 @@ class Trainer:
         for name, value in self.model.parameters.trained.items():
             value.requires_grad_(name in self.model.schedules)
         splats = self.model.splats(view.without_truth(), moment)
-        probe = ScreenProbe.zeros(len(splats), splats.means)
+        probe, density = None, self.plan.density
+        if density.watches(self.step):
+            wanted = "absolute" in density.needs
+            probe = ScreenProbe.zeros(len(splats), splats.means, absolute=wanted)
         output = self.backend.draw(
             view.camera, splats, background=self.behind(), probe=probe, mode=self.model.mode
         )
@@ -291,10 +294,10 @@ class Trainer:
             loss.backward()
         values = {"loss": float(loss.detach())}
         values |= {name: float(value.detach()) for name, value in losses.items()}
-        if not self.plan.density.watches(self.step):
+        if probe is None:
             return values, None
         signed, absolute = (
-            torch.zeros_like(part) if part.grad is None else part.grad
+            torch.zeros_like(part) if part.grad is None and part.requires_grad else part.grad
             for part in (probe.signed, probe.absolute)
         )
         return values, Observation(

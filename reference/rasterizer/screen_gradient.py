@@ -17,18 +17,22 @@ class ScreenProbe:
     signed: Float[Tensor, "n 2"]
     """Its .grad is the sum over pixels of d loss / d (2D mean)."""
     absolute: Float[Tensor, "n 2"]
-    """Its .grad is the sum over pixels of |d loss / d (2D mean)| through each pixel."""
+    """Its .grad is the sum over pixels of |d loss / d (2D mean)| through each pixel, if it asks for one: it costs
+    more than the other."""
 
     @staticmethod
-    def zeros(count: int, like: Tensor) -> "ScreenProbe":
+    def zeros(count: int, like: Tensor, *, absolute: bool = True) -> "ScreenProbe":
         """A fresh probe for `count` Gaussians in the dtype of `like`.
 
         Args:
             count: Number of Gaussians n.
             like: Any tensor of the dtype (and device) that the probe is to have.
+            absolute: Whether absolute gradients are collected.
         """
-        signed, absolute = (like.new_zeros(count, 2, requires_grad=True) for _ in range(2))
-        return ScreenProbe(signed=signed, absolute=absolute)
+        return ScreenProbe(
+            signed=like.new_zeros(count, 2, requires_grad=True),
+            absolute=like.new_zeros(count, 2, requires_grad=absolute),
+        )
 
 
 class _Collect(torch.autograd.Function):

@@ -237,6 +237,10 @@ FARTHEST = 30.0
 """Times GRADIENT that method hdgs may be off far away: it decodes positions into the scene's frame in float32,
 so that near ties in depth may change their order. 1e-2 was measured from a distance of 100 on; with positions
 rounded in the truth too, 4e-6 at any."""
+KINKED = 10.0
+"""Times GRADIENT that method dlg-gs may be off: its dropout term is an L1 of two renders that are equal but for rounding
+where nothing was dropped, and there rounding has the sign. 4.5e-3 was measured at distances from 1 on, and 2e-6 without
+the term."""
 RUNGS = (1.0, 1e2, 1e4)
 """Distances from the origin in scene units; cameras stand up to 1 apart."""
 
@@ -266,12 +270,13 @@ def judge(method: str, distance: float, threads: int | None = 1) -> dict[str, An
     error = abs(found.loss - truth.loss) / max(1.0, abs(truth.loss))
     finite = math.isfinite(error) and all(map(math.isfinite, each.values()))
     far = min(FARTHEST, max(1.0, distance / 3)) if method == "hdgs" else 1.0
+    bound = GRADIENT * (KINKED if method == "dlg-gs" else far)
     return {
         "component": COMPONENT, "case": f"{method}, {LADDER} {distance:g}",
         "implementation": f"{method}, {found.path}", "ladder": LADDER, "hardness": distance,
         "expect": "finite", "budget": far * BUDGET, "discontinuity_pixels": int(ignored.sum()),
         "finite": finite, "max_abs_error": error, "grad_rel_l2": max(each.values()), "ms": ms,
-        "ok": finite and error <= far * BUDGET and each[worst] <= far * GRADIENT,
+        "ok": finite and error <= far * BUDGET and each[worst] <= bound,
         "note": f"worst: {worst}",
     }  # fmt: skip
 

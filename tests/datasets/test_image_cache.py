@@ -1,3 +1,4 @@
+import pickle
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -44,6 +45,22 @@ def test_the_least_recently_used_image_goes_first():
     for one in (a, b, a, c, a, b):
         cache.load(one)
     assert loads == [0, 1, 2, 1]
+
+
+@pytest.mark.parametrize("drops", [True, False])
+def test_what_does_not_drop_finds_as_many_as_fit_in_every_round(drops):
+    made: list[int] = []
+    cache = pickle.loads(pickle.dumps(TensorCache(4 * 40, drops=drops)))
+    draw = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        for key in torch.randperm(40, generator=draw).tolist():
+            value = cache.get(
+                key, lambda key=key: made.append(key) or torch.full((10,), float(key))
+            )
+            assert float(value[0]) == key
+            assert cache.held <= cache.limit
+    assert (len(made) == 40 + 4 * 36) == (not drops)
+    assert len(made) > 190 or not drops  # of 200, so fewer than 10 of 160 were found
 
 
 def test_views_of_one_name_are_not_mixed_up():

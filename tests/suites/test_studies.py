@@ -103,6 +103,12 @@ def test_a_step_that_is_off_is_seen(monkeypatch):
     assert row["note"] == "worst: features"
 
 
+def test_dropout_alone_is_why_a_step_of_dlg_gs_has_a_wider_budget(monkeypatch):
+    assert steps.judge("dlg-gs", 1.0)["ok"]
+    monkeypatch.setitem(steps.SMALL, "dlg-gs", steps.SMALL["dlg-gs"] | {"dropout": 0.0})
+    assert steps.judge("dlg-gs", 1.0)["grad_rel_l2"] < 0.02 * steps.GRADIENT  # measured 1.7e-6
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_learns_from_a_nasty_start(method, tmp_path):

@@ -41,7 +41,7 @@ class Watch:
         Args:
             ours: Processes that are not others, beside this one.
         """
-        self._ours = (os.getpid(), *ours)
+        self._ours = {os.getpid(), *ours}  # sessions may run in this process
         self._start = self._now()
 
     def _now(self) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.suites.studies.speed import neural
 from splatproof.suites.studies.speed import roofline as speed_roofline
 from splatproof.suites.studies.speed.idle import SHARE, Patience, Watch, undisturbed
 from splatproof.suites.studies.speed.session import Open, Process, Session, Task, with_backend
@@ -39,7 +40,7 @@ def rows(
     kept: Sequence[Row] = (),
     open_session: Open = Process,
 ) -> Iterator[Row]:
-    """A row a twin and case, then a row a stage of the engine against the machine's peak.
+    """A row a twin and case, one a method with networks, one a stage of the engine against the machine's peak.
 
     Keys: component, twin, case, forward_ms, backward_ms (medians of interleaved runs; None where
     there is none), ratio, ratio_low, ratio_high (time of both passes in units of the usual twin's, median
@@ -47,7 +48,8 @@ def rows(
     grad_rel_l2, grad_cosine, discontinuity_pixels (against the float64 reference on error_case), peak_mb
     (of a process that does nothing else), added_mb (of that, beyond what it held before the first run),
     device_mb, contributing_pairs, usual (the twin that users get), approximates, disturbed_percent (share
-    of a core that other processes used meanwhile, nan where the system does not tell), ok, note.
+    of a core that other processes used meanwhile, nan where the system does not tell), ok, note. Whole training
+    steps of methods with networks have more keys, see `neural.facts`; their errors are against torch's networks.
 
     Each case waits until the machine is idle. A round during which others used more than 5 % of a
     core is thrown away and repeated, as long as `wait` lasts; after that the row has no times but ratios:
@@ -58,7 +60,8 @@ def rows(
         quick: Small cases, fewer rounds.
         wait: Seconds that may be lost to other processes in the whole study.
         backend: "cpu", or "cuda" to add gsplat's twins.
-        only: Pattern of shells on component/case; None: all. The engine's stages are `roofline`.
+        only: Pattern of shells on component/case; None: all. Whole steps of methods with networks are component
+            `neural step`, the engine's stages `roofline`.
         kept: Rows of an earlier call that was ended; their cases are not measured again.
         open_session: How twins are run; in a process of its own each.
 
@@ -82,6 +85,10 @@ def rows(
         ]
         found = found or bool(cases)
         yield from timer.component(component, cases, known)
+    for case in neural.CASES:
+        if case.quick == quick and _chosen(only, neural.COMPONENT, case.label):
+            found = True
+            yield from known.get((neural.COMPONENT, case.label)) or timer.steps(case)
     if _chosen(only, "roofline", ""):
         yield from speed_roofline.rows(quick=quick, patience=patience)
     elif not found:
@@ -89,7 +96,7 @@ def rows(
             f"{name}/{c.label(case.size)}"
             for name, c in COMPONENTS.items()
             for case in timed_cases(c, quick=quick)
-        ]
+        ] + [f"{neural.COMPONENT}/{case.label}" for case in neural.CASES if case.quick == quick]
         raise UsageError(f"--only {only}: none of the cases {', '.join(every)}, roofline")
 
 
@@ -192,9 +199,7 @@ class Timer:
         finally:
             for session in sessions.values():
                 session.close()
-        disturbed = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
-        timed = rounds if self.quick or not disturbed else []
-        relative = disturbed if timed else f"{disturbed}: no times, but ratios"
+        timed, relative = self.told(rounds, percent)
         for twin in twins:
             runs = [run for turns in timed for run in turns.get(twin.name, [])]
             low, middle, high = ratios(rounds, twin.name, component.usual)
@@ -210,7 +215,42 @@ class Timer:
                 "ok": twin.name not in failed, "note": failed.get(twin.name, relative),
             }  # fmt: skip
 
-    def rounds(self, sessions: dict[str, Session]) -> tuple[list[Turns], float]:
+    def steps(self, case: neural.Case) -> Iterator[Row]:
+        """Time training steps of the methods of one case in turns, in this process.
+
+        Args:
+            case: Methods and their scene.
+        """
+        sessions = neural.sessions(case)
+        rounds, percent = self.rounds(sessions)
+        timed, relative = self.told(rounds, percent)
+        size = case.size
+        for name, session in sessions.items():
+            low, middle, high = ratios(rounds, name, case.usual)
+            yield {
+                "component": neural.COMPONENT, "twin": name, "case": case.label,
+                "size": [size.gaussians, size.width, size.height],
+                "forward_ms": median([run[0] for turns in timed for run in turns[name]]),
+                "backward_ms": None, "ratio": middle, "ratio_low": low, "ratio_high": high,
+                **NO_MEMORY, "contributing_pairs": None, "usual": name == case.usual, "growth": False,
+                "approximates": "", "rms_error": None, "discontinuity_pixels": None,
+                "error_case": "torch's networks", "disturbed_percent": percent, "note": relative,
+                **neural.facts(name, session, quick=self.quick),
+            }  # fmt: skip
+
+    def told(self, rounds: list[Turns], percent: float) -> tuple[list[Turns], str]:
+        """Rounds that times may be read of, and what their rows note.
+
+        Args:
+            rounds: What was measured.
+            percent: What others used meanwhile, of one core.
+        """
+        disturbed = f"others used {percent:.0f} % of a core" if percent > SHARE else ""
+        if self.quick or not disturbed:
+            return rounds, disturbed
+        return [], f"{disturbed}: no times, but ratios"
+
+    def rounds(self, sessions: Mapping[str, Session]) -> tuple[list[Turns], float]:
         """Rounds that nobody disturbed, or else disturbed ones, and the most that others used."""
         pids = [session.pid for session in sessions.values()]
         seconds = TURN_SECONDS

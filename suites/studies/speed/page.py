@@ -16,6 +16,8 @@ MACHINE = {
 }  # fmt: skip
 """What the page says of where the rows were measured, in this order."""
 TRAINING = "training step"
+NEURAL = "neural step"
+"""Component of the rows of whole training steps of methods with networks."""
 
 
 def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str]) -> str:
@@ -37,7 +39,7 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
         "## Machine",
         table(("", ""), [(shown, machine[key]) for key, shown in MACHINE.items()
                          if machine.get(key)]),
-        *peers(machine, rows), *roofline(rows), *growth(rows),
+        *peers(machine, rows), *neural(rows), *roofline(rows), *growth(rows),
         "## Error against speed",
         ("One point a twin, on the case that its error is from; the line is the frontier. An error "
         "of 0 is drawn at 1e-16; what approximates is hollow and has a star."),
@@ -138,6 +140,42 @@ def _judged(peer: Row, theirs: float, ours: float | None) -> tuple[str, str]:
     return ("-" if not ours else f"{number(theirs / ours)}x"), goal
 
 
+def neural(rows: Sequence[Row]) -> list[str]:
+    """Whole training steps of methods with networks, with their goals, errors and stages."""
+    mine = [row for row in rows if row["component"] == NEURAL]
+    if not mine:
+        return []
+    _, width, height = mine[0]["size"]
+    lines = [
+        (row["twin"], row["case"], number(row["gaussians"]), number(row["forward_ms"]),
+         number(row["ratio"]), f"{number(row['ratio_low'])} to {number(row['ratio_high'])}", row["goal"],
+         number(row["max_abs_error"]), number(row["grad_rel_l2"]), number(row["exact_loss_error"]),
+         number(row["exact_grad_rel_l2"]), row["note"])
+        for row in mine
+    ]  # fmt: skip
+    names = dict.fromkeys(stage for row in mine for stage in row["stages"])
+    parts = [
+        (name, *(_percent(row["stages"].get(name)) for row in mine)) for name in names
+    ]  # fmt: skip
+    return [
+        f"## Whole training steps of the neural rows at {width}x{height}",
+        ("Steps of the methods' own trainer on scenes made in memory, a fifth of the rows out of view or dead, every "
+        "turn from the same state; Gaussians are those that a view shows. Rows of a case take turns in one process; "
+        "a ratio is a row's time over that of the first row of its case, median and interval over rounds. Goals are "
+        "for 100,000 Gaussians at 400x300 on two quiet cores. Image and gradient (the worst tensor's) of the "
+        "kernels' networks are held against torch's on the same scene; loss and gradient of a step on a small "
+        "nasty scene against float64 and autograd."),
+        table(("method", "case", "Gaussians", "ms", "ratio", "interval", "goal", "image error", "gradient rel. L2",
+               "loss error, float64", "gradient, float64", "note"), lines),
+        "Share of a step that its stages take:",
+        table(("stage", *(row["twin"] for row in mine)), parts),
+    ]  # fmt: skip
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
 def roofline(rows: Sequence[Row]) -> list[str]:
     """Peaks of the machine and the share that each stage reaches."""
     mine = [row for row in rows if row["component"] == "roofline"]
@@ -203,7 +241,8 @@ def _each(ms: float | None, count: int) -> float | None:
 
 def components(rows: Sequence[Row]) -> list[str]:
     """A table a component with every twin in every case."""
-    names = dict.fromkeys(row["component"] for row in rows if row["component"] != "roofline")
+    apart = ("roofline", NEURAL)
+    names = dict.fromkeys(row["component"] for row in rows if row["component"] not in apart)
     parts = []
     for name in names:
         mine = [row for row in rows if row["component"] == name and not row.get("growth")]

@@ -57,7 +57,9 @@ def test_anchors_in_one_place_and_none_at_all():
 
 
 def test_an_anchor_at_exactly_the_radius_is_a_neighbour():
-    assert (0, 1) in pairs(neighbours(torch.tensor([[0.1, 0, 0], [0.4, 0, 0]]), 0.3))
+    centres = torch.tensor([[0.1, 0, 0], [0.4, 0, 0]])
+    assert (0, 1) in pairs(neighbours(centres, 0.3))
+    assert (0, 1) in pairs(neighbours(centres, 1.0).within(centres, 0.3))
 
 
 @given(n=st.integers(1, 12), seed=st.integers(0, 2**16), radius=st.floats(0, 3))

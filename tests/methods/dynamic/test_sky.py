@@ -8,7 +8,16 @@ import torch
 
 from helpers.tiny_scene import camera
 from splatproof.methods.dynamic.settings import SkySettings
-from splatproof.methods.dynamic.sky import SKY, Sky, around, off_cube, on_cube, places, started
+from splatproof.methods.dynamic.sky import (
+    SKY,
+    Sky,
+    around,
+    in_order,
+    off_cube,
+    on_cube,
+    places,
+    started,
+)
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.render import RenderOutput
 
@@ -53,6 +62,29 @@ def test_shares_are_those_of_the_four_texels_around(side):
     assert (shares >= 0).all()
     assert int(texels.min()) >= 0
     assert int(texels.max()) < 6 * side * side
+
+
+@pytest.mark.parametrize("side", [1, 3, 8])
+def test_texels_within_a_face_are_those_of_the_directions_to_them(side):
+    """The texel around each corner, looked up by the direction of its place as those over an edge are."""
+    rays = directions(2000)
+    texels, _ = around(rays, side)
+    face, place = on_cube(rays)
+    low = ((place + 1) / 2 * side - 0.5).floor()
+    for corner, found in zip([(0, 0), (1, 0), (0, 1), (1, 1)], texels.unbind(dim=1), strict=True):
+        centre = (low + torch.tensor(corner) + 0.5) * 2 / side - 1
+        hair = 1 + 1e-3 / side
+        beyond = torch.where(centre.abs() > 1, centre.sign() * hair, centre)
+        other, there = on_cube(off_cube(face, beyond))
+        cell = ((there + 1) / 2 * side).floor().clamp(0, side - 1).long()
+        assert torch.equal(found, (other * side + cell[:, 1]) * side + cell[:, 0])
+
+
+@pytest.mark.parametrize("count", [7, 2**16, 2**16 + 1])
+def test_short_numbers_are_sorted_as_long_ones_are(count):
+    draw = torch.Generator().manual_seed(count)
+    values = torch.randint(max(0, count - 9), count, (500,), generator=draw)
+    assert torch.equal(in_order(values, count), values.argsort(stable=True))
 
 
 def test_at_the_centre_of_a_texel_it_is_that_texel():

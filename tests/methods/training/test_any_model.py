@@ -97,6 +97,23 @@ def test_statistics_of_splats_are_summed_to_their_rows():
     assert not virtual.by_row(norm).any()
 
 
+@pytest.mark.parametrize("needs", [frozenset({"signed"}), frozenset()])
+def test_absolute_gradients_are_told_only_where_asked_for_and_change_no_other(needs):
+    every, few = Watching(), Watching()
+    few.needs = needs
+    after = []
+    for density in (every, few):
+        model = Pairs()
+        trainer(model, density=density).advance()
+        after.append(model.parameters.state())
+    assert few.told[0].absolute is None
+    one, other = few.told[0].signed, every.told[0].signed
+    assert one is not None
+    assert other is not None
+    assert torch.equal(one, other)
+    assert all(torch.equal(value, after[1][name]) for name, value in after[0].items())
+
+
 def test_the_loss_is_the_weighted_sum_and_every_term_has_its_name():
     spread = Term(name="spread", loss=lambda frame: frame.splats.means.square().mean(), weight=0.5)
     told = trainer(Pairs(), Photometric(), spread).advance()

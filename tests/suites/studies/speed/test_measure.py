@@ -14,6 +14,7 @@ from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.suites.studies.speed import idle
 from splatproof.suites.studies.speed import judge as speed_judge
 from splatproof.suites.studies.speed import measure as speed
+from splatproof.suites.studies.speed import neural as speed_neural
 from splatproof.suites.studies.speed import plot as speed_plot
 from splatproof.suites.studies.speed import roofline as speed_roofline
 from splatproof.suites.studies.speed.measure import Timer
@@ -99,11 +100,12 @@ def test_an_approximation_shows_its_error_and_must_be_finite(fault, ok):
 
 @pytest.fixture
 def only_line(monkeypatch) -> Iterator[None]:
-    """The registry holds one small component, and the roofline is left out."""
+    """The registry holds one small component; the roofline and steps of methods with networks are left out."""
     kept = dict(COMPONENTS)
     COMPONENTS.clear()
     COMPONENTS["line"] = line()
     monkeypatch.setattr(speed_roofline, "rows", lambda **_: iter(()))
+    monkeypatch.setattr(speed_neural, "CASES", ())
     monkeypatch.setattr(speed, "ROUND_SECONDS", 0.01)
     monkeypatch.setattr(speed, "TURN_SECONDS", 0.01)
     yield
