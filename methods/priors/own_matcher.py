@@ -61,19 +61,48 @@ class Said:
     """k between two planes of the second sweep."""
 
 
+class Mixing(nn.Module):
+    """Comparisons of neighbouring pixels and neighbouring planes looked at in turns, which is fast on a processor."""
+
+    def __init__(self) -> None:
+        """Start from random weights, with the last of zeros: it says nothing at first."""
+        super().__init__()
+        self.pixels = nn.ModuleList(
+            nn.Conv2d(before, MIXED, 3, padding=1) for before in (GROUPS, MIXED)
+        )
+        self.planes = nn.ModuleList(
+            nn.Conv2d(MIXED, after, (3, 1), padding=(1, 0)) for after in (MIXED, 1)
+        )
+        for values in self.planes[1].parameters():
+            init.zeros_(values)
+
+    def forward(self, cost: Float[Tensor, "g d h w"]) -> Float[Tensor, "d h w"]:
+        """A logit for each plane and pixel.
+
+        Args:
+            cost: How alike each group of features is.
+        """
+        at = cost
+        for index in range(2):
+            by_plane = functional.relu(self.pixels[index](at.transpose(0, 1))).transpose(0, 1)
+            at = self.planes[index](by_plane.flatten(2)[None])[0].unflatten(2, cost.shape[2:])
+            at = functional.relu(at) if index == 0 else at
+        return at[0]
+
+
 class MatchNetwork(nn.Module):
-    """55,000 parameters: features of both photos, compared on planes, coarse and then fine; ours."""
+    """52,000 parameters: features of both photos, compared on planes, coarse and then fine; ours."""
 
     def __init__(self) -> None:
         """Start from random weights; what looks at neighbours says nothing at first."""
         super().__init__()
         self.near = _layers((3, NEAR, 1, 1), (NEAR, NEAR, 1, 1))
-        self.half = _layers((NEAR, HALF, 2, 1), (HALF, HALF, 1, 1))
+        self.halved = _layers((NEAR, HALF, 2, 1), (HALF, HALF, 1, 1))
         self.wide = _layers((HALF, WIDE, 2, 1), (WIDE, WIDE, 1, 1), (WIDE, WIDE, 1, 2))
         self.far = nn.Conv2d(WIDE, COARSE, 3, padding=2, dilation=2)
         self.join = nn.Conv2d(NEAR + COARSE, NEAR, 3, padding=1)
         self.sharp = nn.Parameter(torch.full((2,), SHARP))
-        self.mix = nn.ModuleList(_mixing() for _ in range(2))
+        self.mix = nn.ModuleList(Mixing() for _ in range(2))
 
     def features(
         self, photo: Float[Tensor, "3 h w"], counted: Bool[Tensor, "h w"]
@@ -86,11 +115,11 @@ class MatchNetwork(nn.Module):
         """
         weight = counted.to(photo)
         near = self.near(_stretched(photo, weight)[None])
-        far = self.far(self.wide(self.half(near)))
+        far = self.far(self.wide(self.halved(near)))
         larger = functional.interpolate(far, scale_factor=STRIDE, mode="bilinear")
         fine = self.join(torch.cat([near, larger], dim=1))
-        share = functional.avg_pool2d(weight[None], STRIDE)
-        return _units(far[0]) * share, _units(fine[0]) * weight
+        share = functional.avg_pool2d(weight[None], STRIDE)[0]
+        return _units(far[0], share), _units(fine[0], weight)
 
     def forward(self, pair: Pair) -> Said:
         """Logits of both sweeps; gradients of the second do not reach where it starts.
@@ -132,7 +161,7 @@ class MatchNetwork(nn.Module):
             met = functional.grid_sample(there[None], grid, align_corners=False)[0]
             alike.append((here * met).unflatten(0, (GROUPS, -1)).sum(dim=1))
         cost = torch.stack(alike, dim=1)
-        return self.sharp[level] * cost.mean(dim=0) + self.mix[level](cost[None])[0, 0]
+        return self.sharp[level] * cost.mean(dim=0) + self.mix[level](cost)
 
 
 def _layers(*sizes: tuple[int, int, int, int]) -> nn.Sequential:
@@ -147,15 +176,6 @@ def _layers(*sizes: tuple[int, int, int, int]) -> nn.Sequential:
     return nn.Sequential(*made)
 
 
-def _mixing() -> nn.Sequential:
-    last = nn.Conv3d(MIXED, 1, 3, padding=1)
-    init.zeros_(last.weight)
-    return nn.Sequential(
-        nn.Conv3d(GROUPS, MIXED, 3, padding=1), nn.ReLU(),
-        nn.Conv3d(MIXED, MIXED, 3, padding=1), nn.ReLU(), last,
-    )  # fmt: skip
-
-
 def _stretched(
     photo: Float[Tensor, "3 h w"], weight: Float[Tensor, "h w"]
 ) -> Float[Tensor, "3 h w"]:
@@ -165,8 +185,13 @@ def _stretched(
     return off / (off.square().sum(dim=(1, 2)) / count + DARKEST**2).sqrt()[:, None, None]
 
 
-def _units(features: Float[Tensor, "c h w"]) -> Float[Tensor, "c h w"]:
-    return functional.normalize(features.unflatten(0, (GROUPS, -1)), dim=1).flatten(0, 1)
+def _units(
+    features: Float[Tensor, "c h w"], weight: Float[Tensor, "h w"]
+) -> Float[Tensor, "c h w"]:
+    """Less their mean, which all pixels have in common and which tells none apart, and of length 1 in each group."""
+    mean = (features * weight).sum(dim=(1, 2)) / weight.sum().clamp(min=1)
+    off = (features - mean[:, None, None]).unflatten(0, (GROUPS, -1))
+    return functional.normalize(off, dim=1).flatten(0, 1) * weight
 
 
 def peak(

@@ -17,7 +17,7 @@ LONGEST = 640
 """Most pixels of the longer side that is matched; larger photos are made smaller first."""
 STEP = 2.0
 """Pixels that a match moves from one plane to the next, in the median over the photo: half a coarse cell."""
-FEWEST, MOST = 8, 128
+FEWEST, MOST = 8, 96
 """Number of planes. Where MOST do not reach, they lie farther apart than STEP."""
 RARE = 0.01
 """Share of the shared points at either end of their range that does not widen it: some are wrong."""
@@ -101,6 +101,28 @@ def pair_of(
         align_corners=False,
     )[0]  # fmt: skip
     return Pair(photo=photo, other=brought, covered=covered, planes=planes)
+
+
+def window(pair: Pair, rows: slice, columns: slice) -> Pair:
+    """A part of a pair, as if no more had been taken of either photo.
+
+    Args:
+        pair: The photos.
+        rows: Rows that are kept, multiples of STRIDE of them.
+        columns: Columns that are kept, multiples of STRIDE of them.
+    """
+    planes = pair.planes
+    out = torch.eye(3, dtype=torch.float64)  # from the part's pixels to the whole's
+    out[:2, 2] = out.new_tensor([columns.start, rows.start])
+    back = torch.linalg.inv(out)
+    kept = replace(
+        planes, slope=planes.slope @ out, middle=planes.middle @ out,
+        still=back @ planes.still @ out, moving=back @ planes.moving @ out,
+    )  # fmt: skip
+    return Pair(
+        photo=pair.photo[:, rows, columns], other=pair.other[:, rows, columns],
+        covered=pair.covered[rows, columns], planes=kept,
+    )  # fmt: skip
 
 
 def planes_between(

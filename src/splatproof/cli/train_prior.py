@@ -139,13 +139,13 @@ def matcher(
     worlds: tuple[str, ...] = ("courtyard", "aerial-sparse"),
     preset: str = "small",
     seeds: int = 2,
-    steps: int = 1000,
+    steps: int = 900,
 ) -> None:
     """Train the network that matches photos before a training (`dense.matcher = "own"`).
 
     It learns from pairs of photos of worlds whose depth is known. Worlds, threads, bits and the record are as for
-    the depth network; the record also says how many pixels it and optical flow match on one more world of each
-    kind, which it never saw, and how far off (pixels).
+    the depth network; the record also says which share of pixels it and optical flow are sure of on one more world
+    of each kind, which it never saw, and how many pixels these are off.
 
     Args:
         out: File of the weights.
@@ -153,7 +153,7 @@ def matcher(
             out of domain.
         preset: Size of the worlds.
         seeds: Worlds of each kind, of the seeds 1000, 1001, ...; the one after them is kept for the record.
-        steps: Pairs of photos; about half a second each on one thread.
+        steps: Parts of pairs of photos; about a third of a second each on one thread.
 
     Raises: UsageError as the depth network's.
     """

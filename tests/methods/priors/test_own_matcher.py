@@ -51,7 +51,7 @@ def shipped() -> OwnMatcher:
 
 
 def test_it_has_as_many_parameters_as_it_says():
-    assert 54_500 < sum(values.numel() for values in MatchNetwork().parameters()) < 55_500
+    assert 51_500 < sum(values.numel() for values in MatchNetwork().parameters()) < 52_500
 
 
 def test_the_answer_is_the_mean_about_the_likeliest_plane():
@@ -177,7 +177,7 @@ def test_the_shipped_weights_are_those_of_their_record():
     facts = load_facts(own_matcher.SHIPPED)
     named = ("worlds", "seeds", "steps", "preset")
     assert {name: record[name] for name in named} == {name: facts[name] for name in named}
-    assert record["loss"][-1] < 0.6 * record["loss"][0]
+    assert record["loss"][-1] < 0.7 * record["loss"][0]
     assert set(record["apart"]) == set(record["worlds"])
 
 
