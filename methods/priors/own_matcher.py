@@ -138,7 +138,9 @@ class MatchNetwork(nn.Module):
         coarse = self._swept(0, here[0], there[0], pair.planes, cells, whole)
         first, step = float(scales[0]), float(scales[1] - scales[0])
         found = first + step * peak(coarse.detach())[0]
-        start = functional.interpolate(found[None, None], scale_factor=STRIDE, mode="bilinear")[0, 0]
+        start = functional.interpolate(found[None, None], scale_factor=STRIDE, mode="bilinear")[
+            0, 0
+        ]
         number = torch.arange(FINE) - MIDDLE
         around = start + step / FINER * number[:, None, None]
         fine = self._swept(1, here[1], there[1], pair.planes, pixels(height, width), around)
@@ -304,7 +306,9 @@ def agreement(
         align_corners=False,
     )[0, 0, :, 0]  # fmt: skip
     ray = torch.cat([at, torch.ones_like(z[:, None])], dim=1) @ torch.linalg.inv(second.K).T
-    back, ahead = project_points(first, (ray / read[:, None] - second.translation) @ second.rotation)
+    back, ahead = project_points(
+        first, (ray / read[:, None] - second.translation) @ second.rotation
+    )
     off = back - pixels(*inverse.shape)[..., :2].reshape(-1, 2)
     met = (at >= 0).all(dim=1) & (at < size).all(dim=1) & (z > 0) & (ahead > 0)
     alike = torch.exp(-off.square().sum(dim=1) / (2 * AGREEMENT**2))

@@ -95,9 +95,7 @@ def samples_of(scene: Scene) -> list[Sample]:
     """
     found = []
     for first, second, shared in pairs_of(scene):
-        (a, photo), (b, other) = (
-            smaller(view.camera, view.load()) for view in (first, second)
-        )
+        (a, photo), (b, other) = (smaller(view.camera, view.load()) for view in (first, second))
         pair = pair_of(a, b, photo, other, shared)
         if pair is None:
             continue
@@ -111,9 +109,7 @@ def samples_of(scene: Scene) -> list[Sample]:
     return found
 
 
-def true_depth(
-    view: View, camera: Camera
-) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
+def true_depth(view: View, camera: Camera) -> tuple[Float[Tensor, "h w"], Bool[Tensor, "h w"]]:
     """True depth of each pixel, 1 where there is no surface, and where there is one.
 
     Args:
@@ -149,9 +145,7 @@ def shown(
     return at.reshape(*depth.shape, 2), seen.reshape(depth.shape)
 
 
-def loss_of(
-    said: Said, scales: Float[Tensor, " d"], sample: Sample
-) -> Float[Tensor, ""]:
+def loss_of(said: Said, scales: Float[Tensor, " d"], sample: Sample) -> Float[Tensor, ""]:
     """Cross entropy of both sweeps' planes, and the error of the answer.
 
     Between two planes the truth is each of them by its nearness. Only what lies among a sweep's planes counts there.

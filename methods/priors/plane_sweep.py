@@ -125,9 +125,7 @@ def window(pair: Pair, rows: slice, columns: slice) -> Pair:
     )  # fmt: skip
 
 
-def planes_between(
-    first: Camera, second: Camera, shared: Float[Tensor, "n 3"]
-) -> Planes | None:
+def planes_between(first: Camera, second: Camera, shared: Float[Tensor, "n 3"]) -> Planes | None:
     """Planes of photo A along the one that the shared points lie about on, or facing A.
 
     Scale, place and turn of the scene do not matter. None without a shared point before both, and where the middle
@@ -163,7 +161,9 @@ def planes_between(
         slope=slope, middle=middle, still=back @ still, moving=back @ moving,
         scales=slope.new_tensor([low, high]),
     )  # fmt: skip
-    lattice = pixels(first.height, first.width)[:: max(1, first.height // 8), :: max(1, first.width // 8)]
+    lattice = pixels(first.height, first.width)[
+        :: max(1, first.height // 8), :: max(1, first.width // 8)
+    ]
     ends = positions(found, lattice, found.scales[:, None, None].expand(2, *lattice.shape[:2]))
     shown = (ends > NOWHERE).all(dim=-1).all(dim=0)
     if not shown.any():

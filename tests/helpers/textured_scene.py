@@ -52,7 +52,9 @@ def pattern(points: Float[Tensor, "h w 3"], unit: float = 1.0) -> Float[Tensor, 
     """Waves of 6 to 25 pixels, other ones in each colour."""
     draw = torch.Generator().manual_seed(3)
     ways = torch.randn(12, 2, generator=draw).double()
-    ways = 2.8 * torch.rand(12, 1, generator=draw).double().add(0.3) * ways / ways.norm(dim=1)[:, None]
+    ways = (
+        2.8 * torch.rand(12, 1, generator=draw).double().add(0.3) * ways / ways.norm(dim=1)[:, None]
+    )
     phase = 6.3 * torch.rand(12, 3, generator=draw).double()
     waves = torch.sin(2.4 * (points[..., :2] / unit @ ways.T)[..., None] + phase)
     return (0.5 + 0.12 * waves.sum(dim=-2)).clamp(0, 1).float()

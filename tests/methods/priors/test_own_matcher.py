@@ -31,9 +31,7 @@ from splatproof.reference.types.scene import Scene
 
 def matched(scene: Scene, matcher: OwnMatcher, a: int = 0, b: int = 1):
     first, second = scene.views[a], scene.views[b]
-    return matcher(
-        first.camera, second.camera, first.load(), second.load(), scene.points.positions
-    )
+    return matcher(first.camera, second.camera, first.load(), second.load(), scene.points.positions)
 
 
 def true_warp(scene: Scene, a: int = 0, b: int = 1) -> torch.Tensor:
@@ -64,13 +62,17 @@ def test_the_answer_is_the_mean_about_the_likeliest_plane():
     assert_close(sure[0], torch.tensor([1.0, 0.6, 0.0]), atol=1e-4, rtol=0)
 
 
+@torch.no_grad()
 def test_brightness_and_contrast_do_not_matter_and_what_does_not_count_is_nothing():
     photo = textured_scene().views[0].load().permute(2, 0, 1)
     torch.manual_seed(0)
     network, counted = MatchNetwork(), torch.ones(photo.shape[1:], dtype=torch.bool)
     usual, other = network.features(photo, counted), network.features(0.5 * photo + 0.2, counted)
     for one, two in zip(usual, other, strict=True):
-        assert_close(one, two, atol=2e-3, rtol=0)  # DARKEST's share; 6e-4 was seen
+        # DARKEST is 0.4 % of the stretching at half this contrast; 0.003 was seen
+        assert_close(one, two, atol=5e-3, rtol=0)
+    curved = network.features(photo**2, counted)[1]
+    assert float((curved - usual[1]).abs().max()) > 0.1  # the control
     counted[:, :32] = False
     coarse, fine = network.features(photo, counted)
     assert not coarse[:, :, :8].any()

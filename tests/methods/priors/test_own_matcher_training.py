@@ -8,16 +8,18 @@ from torch.testing import assert_close
 
 from helpers.textured_scene import textured_scene
 from splatproof.base.errors import DataError
+from splatproof.methods.priors import own_matcher_training
 from splatproof.methods.priors.own_matcher import FINE, MIDDLE, MatchNetwork, Said
 from splatproof.methods.priors.own_matcher_training import (
     Sample,
     errors,
     loss_of,
+    part,
     samples_of,
     shown,
     train,
 )
-from splatproof.methods.priors.plane_sweep import pixels
+from splatproof.methods.priors.plane_sweep import pixels, positions
 
 
 @pytest.fixture(scope="module")
@@ -79,18 +81,45 @@ def test_the_loss_is_least_where_the_truth_is_said(samples):
     assert float(loss_of(said, scales, beyond)) == 0  # among no plane
 
 
-def test_a_short_training_learns_and_is_the_same_again(samples):
-    losses: list[float] = []
-    first = train(samples, steps=16, report=lambda step, steps, loss: losses.append(loss))
-    assert sum(losses[-4:]) < 0.9 * sum(losses[:4])
-    again = train(samples, steps=16)
+def test_a_short_training_learns_and_is_the_same_again(samples, monkeypatch):
+    monkeypatch.setattr(own_matcher_training, "CROP", (32, 32))
+    fresh, first, again = (train(samples, steps=steps) for steps in (1, 10, 10))
+    seen, scales = samples[0], samples[0].pair.planes.scales.float()
+    with torch.no_grad():
+        before, taught = (
+            float(loss_of(network(seen.pair), scales, seen)) for network in (fresh, first)
+        )
+    assert taught < 0.96 * before  # 0.936 was seen
     for mine, other in zip(first.parameters(), again.parameters(), strict=True):
         assert torch.equal(mine, other)
-    assert any(
-        not torch.equal(mine, other)
-        for mine, other in zip(
-            first.parameters(), train(samples, steps=1, seed=1).parameters(), strict=True
-        )
+    drawn = train(samples, steps=1, seed=1)
+    assert not torch.equal(fresh.far.weight, drawn.far.weight)
+
+
+def test_a_part_is_told_of_matches_within_it_alone(samples, monkeypatch):
+    monkeypatch.setattr(own_matcher_training, "CROP", (32, 40))
+    whole = samples[0]
+    known = torch.ones_like(whole.known)
+    moved = whole.pair.planes.scales[-1] * torch.ones_like(whole.truth).double()
+    whole = replace(whole, truth=moved.float(), known=known)
+    kept = part(whole, torch.Generator().manual_seed(0))
+    rows, columns = next(
+        (row, column)
+        for row in range(17)
+        for column in range(25)
+        if torch.equal(whole.pair.photo[:, row : row + 32, column : column + 40], kept.pair.photo)
+    )
+    assert rows + columns > 0
+    there = positions(whole.pair.planes, pixels(*known.shape), whole.truth[None])[0]
+    corner = there.new_tensor([columns, rows])
+    there = there[rows : rows + 32, columns : columns + 40] - corner
+    at = positions(kept.pair.planes, pixels(32, 40), kept.truth[None])[0]
+    assert_close(at, there, atol=1e-9, rtol=0)
+    assert torch.equal(kept.known, ((at >= 0) & (at < at.new_tensor([40, 32]))).all(dim=-1))
+    assert 0 < float(kept.known.double().mean()) < 1
+    plane = pixels(*known.shape) @ whole.pair.planes.slope
+    assert_close(
+        pixels(32, 40) @ kept.pair.planes.slope, plane[rows : rows + 32, columns : columns + 40]
     )
 
 

@@ -71,7 +71,9 @@ def test_planes_lie_a_step_apart_and_beyond_the_points():
     assert len(alone.scales) == FEWEST
 
 
-@pytest.mark.parametrize("points", [SHARED[:7], SHARED @ torch.diag(torch.tensor([1, 1, 0.1])).double()])
+@pytest.mark.parametrize(
+    "points", [SHARED[:7], SHARED @ torch.diag(torch.tensor([1, 1, 0.1])).double()]
+)
 def test_few_points_and_steep_walls_are_swept_facing_the_photo(points):
     """The second wall is so steep that its horizon is nearly in the photo."""
     if len(points) > 7:
@@ -79,7 +81,7 @@ def test_few_points_and_steep_walls_are_swept_facing_the_photo(points):
         points[:, 2] += 1.6 * points[:, 0]
     planes = planes_between(FIRST, SECOND, points)
     assert planes is not None
-    at, z = project_points(FIRST, points)
+    _, z = project_points(FIRST, points)
     assert_close(planes.slope, torch.stack([z[0] * 0, z[0] * 0, (1 / z).median()]))
 
 

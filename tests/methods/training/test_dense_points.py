@@ -433,7 +433,9 @@ def test_our_own_network_is_told_cameras_photos_and_points_and_the_record_its_do
     assert said.endswith(f"weights {sha256(SHIPPED)}")
     elsewhere = replace(scene, facts={"world": "city"})
     with_points(elsewhere, run, dense_cell=CELL, dense=DenseSettings(matcher="own"))
-    assert facts["matcher"].startswith("out of domain: trained on courtyard, aerial-sparse, used on")
+    assert facts["matcher"].startswith(
+        "out of domain: trained on courtyard, aerial-sparse, used on"
+    )
 
 
 def test_whose_weights_match_is_a_fact_of_a_case(tmp_path):
