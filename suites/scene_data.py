@@ -11,6 +11,7 @@ from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.fingerprint import Known, files_sha256
 from splatproof.methods.dpgs.refiners import REFINER
 from splatproof.methods.priors.kinds import WEIGHTS
+from splatproof.methods.training.matchers import MATCHER
 from splatproof.reference.types.protocol import Protocol
 
 FILES = "files_sha256"
@@ -22,6 +23,7 @@ WORDS = {
     FILES: "its photos, masks or depth",
     WEIGHTS: "its depth prior's weights",
     REFINER: "its refiner's weights",
+    MATCHER: "its matcher's weights",
 }
 """Facts that depend on files alone, neither on code nor on protocol, most telling first."""
 PLUGIN = "plugin "

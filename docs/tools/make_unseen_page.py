@@ -23,7 +23,7 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
   photo that sees most of them; `@own` by our small network, trained on cities and farms of other seeds (**in domain**:
   the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
-  `@di-true` is `@di` with the true depth for matches: a bound on all matchers.
+  `@di-true` is `@di` with the true depth for matches: a bound on all matchers; `@di-own` has those of our own network.
 - `citygaussian`, `vastgaussian`, `blockgaussian` and `dpgs-partition` (blocks of equal load): four blocks after a coarse model;
   `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block. They were recorded before the processes of
   blocks were counted, and have no processor seconds or peak memory.

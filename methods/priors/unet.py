@@ -18,7 +18,7 @@ LEVELS = 4
 STRIDE = 2 ** (LEVELS - 1)
 """Both sides of what a network sees are multiples of this."""
 RATE = 1e-3
-"""Adam's rate at the start of a training; it falls to 0 along half a cosine."""
+"""Adam's rate at the start of a training, unless it has its own; it falls to 0 along half a cosine."""
 PACKAGED = Path(__file__).parent / "weights"
 """Folder of the weights that come with this package."""
 GROUP = 8
@@ -76,6 +76,7 @@ def fitted(
     steps: int,
     seed: int,
     report: Callable[[int, int, float], None],
+    rate: float = RATE,
 ) -> N:
     """A network whose loss Adam followed; equal losses and seed give equal weights on one machine.
 
@@ -85,12 +86,13 @@ def fitted(
         steps: Number of batches.
         seed: Seed of weights and draws.
         report: Told (step, steps, loss).
+        rate: Adam's rate at the start.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         network = make()
     draw = torch.Generator().manual_seed(seed)
-    adam = torch.optim.Adam(network.parameters(), lr=RATE)
+    adam = torch.optim.Adam(network.parameters(), lr=rate)
     rates = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
     for step in range(steps):
         error = loss(network, draw)

@@ -20,6 +20,7 @@ from splatproof.methods.stratosplat.virtual import drawn_field, stack_of
 from splatproof.methods.threedgs.fit import prepare as prepare_explicit
 from splatproof.methods.training import initialise
 from splatproof.methods.training.fewer_points import with_at_most
+from splatproof.methods.training.matchers import weights_sha256
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.schedules import shrink
 from splatproof.methods.training.session import run_key, train
@@ -159,9 +160,11 @@ def _kept(path: Path | None, key: str) -> SparsePoints | None:
 
 
 def _priors(scene: Scene, settings: StratoSplat) -> tuple[str, ...]:
-    """Name and hash of the depth priors that completion reads, or that photos are matched by."""
+    """Name and hash of the depth priors that completion reads, or that photos are matched by, and the hash of a
+    matcher's weights."""
     matched = settings.init == "dense" and settings.dense.matcher == "prior"
-    if not (settings.completes or matched):
-        return ()
-    names = ("depth_prior", "depth_prior_sha256")
-    return tuple(scene.facts[name] for name in names if name in scene.facts)
+    names = ("depth_prior", "depth_prior_sha256") if settings.completes or matched else ()
+    read = tuple(scene.facts[name] for name in names if name in scene.facts)
+    matches = settings.init != "sfm" and settings.dense_cell
+    weights = weights_sha256(settings.dense) if matches else ""
+    return (*read, weights) if weights else read

@@ -18,6 +18,7 @@ from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.progress import bar
 from splatproof.methods.contracts.run import keep_to_oneself
 from splatproof.methods.priors.matches import match_by_prior, require_priors
+from splatproof.methods.priors.own_matcher import OwnMatcher, load_own_matcher
 from splatproof.methods.priors.roma import load_matcher
 from splatproof.methods.training.least_vectors import least_vectors
 from splatproof.reference.supervision.dense_initialisation import (
@@ -68,13 +69,13 @@ def with_dense_points(
         say: Told in one line where no point is added, and why.
 
     Raises: UsageError where depth priors are to match and a training view has none; MissingError or DataError where
-        roma is to, and lacks its package or weights.
+        a network is to, and lacks its package or weights.
 
     Source: DPGS, Sec. 3.1, and its spec, step 5; voxel size and least number of matches: ours.
     """
     if settings.matcher == "prior":
         require_priors(scene)
-    matcher = load_matcher(Path(settings.weights)) if settings.matcher == "roma" else None
+    matcher = _network(settings)
     without = f"dense_cell {cell:g}: no points of matched photos are added, for"
     instead = "dense_cell 0 goes without"
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
@@ -112,13 +113,20 @@ def with_dense_points(
     return made
 
 
+def _network(settings: DenseSettings) -> DenseMatcher | OwnMatcher | None:
+    """The network that matches, its weights read; None: no network does."""
+    if settings.matcher == "own":
+        return load_own_matcher()
+    return load_matcher(Path(settings.weights)) if settings.matcher == "roma" else None
+
+
 def _found(
     views: Sequence[View],
     positions: Float[Tensor, "n 3"],
     seen: csr_array,
     images: ImageCache,
     settings: DenseSettings,
-    matcher: DenseMatcher | None,
+    matcher: DenseMatcher | OwnMatcher | None,
     pair: tuple[int, int],
 ) -> DensePoints:
     first, second = pair
@@ -170,23 +178,25 @@ def match(
     shared: Float[Tensor, "n 3"],
     images: ImageCache,
     settings: DenseSettings,
-    matcher: DenseMatcher | None = None,
+    matcher: DenseMatcher | OwnMatcher | None = None,
 ) -> DensePoints:
     """Points of two views; masked pixels of the first give none.
 
     Args:
         first: The view whose pixels are followed.
         second: The view they are found in.
-        shared: Sparse points that both see, for the plane that brings the photos together or the priors' scale.
+        shared: Sparse points that both see, for the planes that bring the photos together or the priors' scale.
         images: Where photos of the views are kept once they are read.
         settings: Who matches, and which matches become points.
-        matcher: The network that matches where roma does.
+        matcher: The network that matches where roma or ours does.
     """
     image = images.load(first)
     if settings.matcher == "prior":
         warp, certainty = match_by_prior(first, second, shared)
-    elif settings.matcher == "roma":
-        assert matcher is not None
+    elif isinstance(matcher, OwnMatcher):
+        other = images.load(second)
+        warp, certainty = matcher(first.camera, second.camera, image, other, shared)
+    elif matcher is not None:
         warp, certainty = matcher(image, images.load(second))
     else:
         plane = plane_between(

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,9 +10,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import tree_sha256
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.dense_points import with_dense_points
+from splatproof.methods.training.matchers import matcher_words
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.supervision.dense_initialisation import DenseSettings
 from splatproof.reference.types.gaussians import Gaussians
@@ -78,7 +77,7 @@ def with_points(
     Args:
         scene: The scene, with its own points if it has any.
         run: Seed of the draw and bound on images in memory; it is told where photos give no points, and its record
-            whose weights matched them.
+            whose weights matched them, and whether ours know such scenes.
         random_points: Points to draw where the scene has none; 0: none.
         dense_cell: Pixels a point that is matched between photos before training; 0: none are.
         dense: Which photos are matched, and which matches become points; None: by the defaults.
@@ -87,8 +86,9 @@ def with_points(
     if dense_cell:
         dense = dense or DenseSettings()
         scene = with_dense_points(scene, dense_cell, run.image_bytes, dense, run.say)
-        if dense.matcher == "roma":
-            run.on_fact("matcher", f"weights {tree_sha256(Path(dense.weights))}")
+        said = matcher_words(dense, scene)
+        if said:
+            run.on_fact("matcher", said)
     return scene
 
 

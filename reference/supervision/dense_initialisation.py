@@ -18,9 +18,13 @@ from splatproof.reference.types.scene import SparsePoints
 
 Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
 """The unit vectors that make |A h| least, of either sign."""
+<<<<<<< HEAD
 Matcher = Literal["flow", "prior", "roma"]
 AT_ONCE = 1_000_000
 """Observations, about, that are looked through at once for pairs of views."""
+=======
+Matcher = Literal["flow", "prior", "own", "roma"]
+>>>>>>> w-a
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +47,8 @@ class DenseSettings:
     """Least angle between the two rays of a match, degrees in [0, 180]."""
     matcher: Matcher = "flow"
     """Who says where a photo's pixels lie in the other. flow: optical flow both ways; prior: the depth priors
-    of both, a bound on all matchers where they are the true depth; roma: the network of the paper, with weights of one's
-    own."""
+    of both, a bound on all matchers where they are the true depth; own: a small network of ours that knows the poses,
+    with weights that come along; roma: the network of the paper, with weights of one's own."""
     weights: str = ""
     """Folder of roma's weights, as their authors name them: tiny_roma_v1_outdoor.pth, or roma_outdoor.pth and
     dinov2_vitl14_pretrain.pth; nothing is fetched."""

@@ -60,6 +60,8 @@ def rows(*, quick: bool, roma: Path | None = None) -> Iterator[Row]:
     for prior in PRIORS:
         row = {"scene": SCENE, "threshold": "matcher", "value": f"prior {prior}"}
         yield row | quality(with_priors(scene, prior, seed=0), DenseSettings(matcher="prior"))
+    row = {"scene": SCENE, "threshold": "matcher", "value": "own"}
+    yield row | quality(scene, DenseSettings(matcher="own"))
     if roma is not None:
         settings = DenseSettings(matcher="roma", weights=str(roma))
         row = {"scene": SCENE, "threshold": "matcher", "value": "roma"}

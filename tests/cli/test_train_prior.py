@@ -6,12 +6,14 @@ import pytest
 import torch
 
 from helpers.prior_scenes import plane_scene
+from helpers.textured_scene import textured_scene
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.files import sha256
 from splatproof.cli import main, train_prior
 from splatproof.methods.dpgs import refiner_training
-from splatproof.methods.priors import network
+from splatproof.methods.priors import network, own_matcher_training
 from splatproof.methods.priors.network import load_network
+from splatproof.methods.priors.own_matcher import load_own_matcher
 from splatproof.methods.priors.unet import load_facts
 from splatproof.methods.priors.view_refiner import load_refiner
 
@@ -68,6 +70,33 @@ def test_the_refiner_trains_and_says_what_it_does_for_worlds_apart(monkeypatch, 
     assert set(record["error_apart"]) == {"render", "warp", "own"}
     assert record["sha256"] == sha256(out)
     load_refiner(out)
+    capsys.readouterr()
+
+
+def test_the_matcher_trains_and_says_what_it_does_for_worlds_apart(monkeypatch, tmp_path, capsys):
+    asked = []
+
+    def scenes(world, preset, seed):
+        asked.append((world, seed))
+        return [textured_scene()]
+
+    monkeypatch.setattr(own_matcher_training, "CROP", (32, 32))
+    monkeypatch.setattr(own_matcher_training, "COMPARED", 1)
+    monkeypatch.setattr(train_prior, "_scenes", scenes)
+    monkeypatch.setattr(train_prior, "CURVE_EVERY", 4)
+    out = tmp_path / "m.safetensors"
+    told = ["train-prior", "matcher", str(out), "--worlds", "city", "--seeds", "1", "--steps", "4"]
+    assert main(told) == 0
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert record["command"] == (
+        "bench train-prior matcher m.safetensors --worlds city --preset small --seeds 1 --steps 4"
+    )
+    assert asked == [("city", 1000), ("city", 1001)]
+    assert (record["pairs"], len(record["loss"])) == (6, 1)
+    assert set(record["apart"]["city"]) == {"flow", "own"}
+    assert set(record["apart"]["city"]["own"]) == {"sure", "median", "off"}
+    assert record["sha256"] == sha256(out)
+    load_own_matcher(out)
     capsys.readouterr()
 
 

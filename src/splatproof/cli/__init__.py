@@ -117,7 +117,7 @@ COMMANDS = {
     ),
     "train-prior": Command(
         module="train_prior",
-        functions={"depth": "depth", "refiner": "refiner"},
+        functions={"depth": "depth", "refiner": "refiner", "matcher": "matcher"},
         help="Train the networks that make priors, on worlds that no suite tests.",
     ),
     "plan": Command(

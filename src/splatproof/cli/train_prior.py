@@ -133,6 +133,66 @@ def refiner(
     _tell(out, record)
 
 
+def matcher(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.safetensors")],
+    *,
+    worlds: tuple[str, ...] = ("courtyard", "aerial-sparse"),
+    preset: str = "small",
+    seeds: int = 2,
+    steps: int = 900,
+) -> None:
+    """Train the network that matches photos before a training (`dense.matcher = "own"`).
+
+    It learns from pairs of photos of worlds whose depth is known. Worlds, threads, bits and the record are as for
+    the depth network; the record also says which share of pixels it and optical flow are sure of on one more world
+    of each kind, which it never saw, and how many pixels these are off.
+
+    Args:
+        out: File of the weights.
+        worlds: Kinds of worlds (`bench scenes list` shows scenes of each); one that is left out says what it does
+            out of domain.
+        preset: Size of the worlds.
+        seeds: Worlds of each kind, of the seeds 1000, 1001, ...; the one after them is kept for the record.
+        steps: Parts of pairs of photos; about a third of a second each on one thread.
+
+    Raises: UsageError as the depth network's.
+    """
+    from splatproof.methods.priors.own_matcher import save_matcher
+    from splatproof.methods.priors.own_matcher_training import errors, samples_of, train
+    from splatproof.methods.training.threads import threads
+
+    _check(out, worlds, preset, seeds, steps)
+    facts, numbers = _facts(worlds, preset, seeds, steps)
+    with threads(1):
+        samples = [
+            sample
+            for number in numbers
+            for world in worlds
+            for scene in _scenes(world, preset, number)
+            for sample in samples_of(scene)
+        ]
+        network, losses, seconds = _trained("matcher", train, samples, steps, "pairs")
+        apart = {
+            world: [errors(network, scene) for scene in _scenes(world, preset, numbers[-1] + 1)]
+            for world in worlds
+        }
+    save_matcher(out, network, facts)
+    record = facts | _record("matcher", out, facts, len(samples), losses, seconds, "pairs")
+    record |= {"apart": {world: _means(found) for world, found in apart.items()}}
+    _tell(out, record)
+
+
+def _means(found: list[dict[str, dict[str, float]]]) -> dict[str, dict[str, float]]:
+    """Each number's mean over scenes."""
+    return {
+        name: {
+            what: round(sum(one[name][what] for one in found) / len(found), 4)
+            for what in found[0][name]
+        }
+        for name in found[0]
+    }
+
+
 def _facts(
     worlds: tuple[str, ...], preset: str, seeds: int, steps: int
 ) -> tuple[dict[str, object], list[int]]:
@@ -142,13 +202,13 @@ def _facts(
 
 
 def _trained(
-    name: str, train: "Callable[..., N]", samples: list[Any], steps: int
+    name: str, train: "Callable[..., N]", samples: list[Any], steps: int, what: str = "views"
 ) -> "tuple[N, list[float], float]":
     """A network, the loss of each step and the seconds it took."""
     losses: list[float] = []
     started = time.perf_counter()
     with output.progress() as bar:
-        task = bar.add_task(f"{name} on {len(samples)} views", total=steps, values="")
+        task = bar.add_task(f"{name} on {len(samples)} {what}", total=steps, values="")
 
         def report(step: int, total: int, loss: float) -> None:
             losses.append(loss)
@@ -159,7 +219,13 @@ def _trained(
 
 
 def _record(
-    name: str, out: Path, facts: dict[str, Any], views: int, losses: list[float], seconds: float
+    name: str,
+    out: Path,
+    facts: dict[str, Any],
+    count: int,
+    losses: list[float],
+    seconds: float,
+    what: str = "views",
 ) -> dict[str, Any]:
     """What the file beside the weights adds: the command that makes them again, hash and curve."""
     import torch
@@ -171,7 +237,7 @@ def _record(
         words += ["--model-steps", str(facts["model_steps"])]
     return {
         "command": shlex.join(words), "sha256": sha256(out), "bytes": out.stat().st_size,
-        "views": views, "torch": torch.__version__, "train_seconds": round(seconds),
+        what: count, "torch": torch.__version__, "train_seconds": round(seconds),
         "loss": _curve(losses), "loss_every": CURVE_EVERY,
     }  # fmt: skip
 

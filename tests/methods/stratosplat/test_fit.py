@@ -178,6 +178,20 @@ def test_points_that_are_matched_by_other_priors_do_not_continue(tmp_path):
         fit(replace(scene, facts=facts | {"depth_prior_sha256": "b"}), short, run)
 
 
+def test_points_that_a_network_of_other_weights_matched_do_not_continue(tmp_path, monkeypatch):
+    scene = aerial_scene().for_training()
+    short = replace(
+        SHORT, iterations=2, init="dense", planes=Planes(field="none"),
+        dense=DenseSettings(matcher="own", partners=1),
+    )  # fmt: skip
+    run = replace(RUN, folder=tmp_path)
+    fit(scene, short, run)
+    fit(scene, short, run)
+    monkeypatch.setattr(module, "weights_sha256", lambda dense: "others")
+    with pytest.raises(UsageError, match="differs"):
+        fit(scene, short, run)
+
+
 def test_noise_of_all_stages_is_that_of_the_poses(scene):
     short = replace(SHORT, iterations=3)
     ours = fit(scene, replace(short, noise="L2"), RUN)

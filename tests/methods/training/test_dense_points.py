@@ -13,17 +13,19 @@ from scipy.spatial import KDTree
 
 from helpers.tiny_scene import sparse_points, tiny_scene
 from splatproof.base.errors import UsageError
-from splatproof.base.files import tree_sha256
+from splatproof.base.files import sha256, tree_sha256
 from splatproof.base.typed_toml import build
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.priors.attach import with_priors
 from splatproof.methods.priors.matches import match_by_prior
+from splatproof.methods.priors.own_matcher import SHIPPED, MatchNetwork, OwnMatcher
 from splatproof.methods.registry import get_method
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import dense_points
 from splatproof.methods.training.dense_points import Voxels, extended, with_dense_points
 from splatproof.methods.training.initialise import with_points
+from splatproof.methods.training.matchers import MATCHER, matcher_facts
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.supervision.dense_initialisation import (
     DensePoints,
@@ -395,6 +397,56 @@ def test_roma_matches_every_pair_by_one_network_whose_weights_are_told(
     assert len(found.points) > len(scene.points)
     assert torch.equal(found.points.positions, true.points.positions)
     assert facts == {"matcher": f"weights {tree_sha256(tmp_path)}"}
+
+
+class TrueMatcher(OwnMatcher):
+    """Says what the depth priors of the views of two cameras say."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(MatchNetwork())
+        self.scene = scene
+
+    def __call__(self, first, second, image, other, shared):
+        a, b = (
+            next(view for view in self.scene.views if view.camera is camera)
+            for camera in (first, second)
+        )
+        assert torch.equal(image, a.load())
+        assert torch.equal(other, b.load())
+        return match_by_prior(a, b, shared)
+
+
+def test_our_own_network_is_told_cameras_photos_and_points_and_the_record_its_domain(
+    yard: Scene, monkeypatch
+):
+    """A network that says what true depths say gives the points that these give."""
+    scene = with_priors(replace(yard, train=yard.train[:2]), "oracle", 0)
+    monkeypatch.setattr(dense_points, "load_own_matcher", lambda: TrueMatcher(scene))
+    facts: dict[str, str] = {}
+    run = Run(on_fact=facts.__setitem__)
+    found = with_points(scene, run, dense_cell=CELL, dense=DenseSettings(matcher="own"))
+    true = with_points(scene, Run(), dense_cell=CELL, dense=DenseSettings(matcher="prior"))
+    assert len(found.points) > len(scene.points)
+    assert torch.equal(found.points.positions, true.points.positions)
+    (said,) = facts.values()
+    assert said.startswith("in domain: trained on courtyard, aerial-sparse, used on courtyard; ")
+    assert said.endswith(f"weights {sha256(SHIPPED)}")
+    elsewhere = replace(scene, facts={"world": "city"})
+    with_points(elsewhere, run, dense_cell=CELL, dense=DenseSettings(matcher="own"))
+    assert facts["matcher"].startswith(
+        "out of domain: trained on courtyard, aerial-sparse, used on"
+    )
+
+
+def test_whose_weights_match_is_a_fact_of_a_case(tmp_path):
+    own = DenseSettings(matcher="own")
+    assert matcher_facts(Settings(dense_cell=4.0, dense=own)) == {MATCHER: sha256(SHIPPED)}
+    roma = DenseSettings(matcher="roma", weights=str(tmp_path))
+    (tmp_path / "w").write_text("weights")
+    assert matcher_facts(Settings(dense_cell=4.0, dense=roma)) == {MATCHER: tree_sha256(tmp_path)}
+    assert matcher_facts(Settings(dense=own)) == {}
+    assert matcher_facts(Settings(dense_cell=4.0)) == {}
+    assert matcher_facts(object()) == {}
 
 
 @pytest.mark.parametrize("wrong", [-1.0, float("nan"), float("inf")])

@@ -335,6 +335,8 @@ def test_weights_are_for_the_matcher_that_has_none_of_its_own():
     with pytest.raises(UsageError, match="weights = '': expected the folder"):
         dense.DenseSettings(matcher="roma")
     assert dense.DenseSettings(matcher="roma", weights="w").weights == "w"
+    with pytest.raises(UsageError, match="weights = 'w': expected none: matcher is 'own'"):
+        dense.DenseSettings(matcher="own", weights="w")
 
 
 def textured(seed: int = 0) -> np.ndarray:

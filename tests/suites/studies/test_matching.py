@@ -49,7 +49,7 @@ def test_what_no_view_sees_has_no_error():
 
 
 @pytest.mark.parametrize("roma", [None, Path("w")])
-@pytest.mark.parametrize(("quick", "count"), [(True, 1 + 3 + 8), (False, 1 + 3 + 12)])
+@pytest.mark.parametrize(("quick", "count"), [(True, 1 + 4 + 8), (False, 1 + 4 + 12)])
 def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count, roma):
     asked, priors = [], []
 
@@ -71,6 +71,8 @@ def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count, 
         moved = {n: v for n, v in vars(settings).items() if v != getattr(usual, n)}
         if row.get("value") == "roma":
             assert moved == {"matcher": "roma", "weights": "w"}
+        elif row.get("value") == "own":
+            assert moved == {"matcher": "own"}
         elif row["threshold"] == "matcher":
             assert moved == {"matcher": "prior"}
         else:
