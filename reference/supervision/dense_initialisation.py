@@ -18,13 +18,9 @@ from splatproof.reference.types.scene import SparsePoints
 
 Solver = Callable[[Float[Tensor, "n 4 4"]], Float[Tensor, "n 4"]]
 """The unit vectors that make |A h| least, of either sign."""
-<<<<<<< HEAD
-Matcher = Literal["flow", "prior", "roma"]
+Matcher = Literal["flow", "prior", "own", "roma"]
 AT_ONCE = 1_000_000
 """Observations, about, that are looked through at once for pairs of views."""
-=======
-Matcher = Literal["flow", "prior", "own", "roma"]
->>>>>>> w-a
 
 
 @dataclass(frozen=True, kw_only=True)
