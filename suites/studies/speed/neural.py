@@ -27,6 +27,8 @@ TORCH = " by torch"
 """What the name of a method ends in whose networks torch computes."""
 STAGE_STEPS = 9
 """Steps that shares of stages are the medians of; in the reduced form a third of them."""
+COSINE = 0.9999
+"""Least cosine of gradients by the kernels' networks and by torch's, as for twins: 1 - 1e-8 was measured."""
 FLOOR = 1e-6
 """Share of the largest gradient's norm below which another one is rounding, as for hard cases."""
 
@@ -166,7 +168,7 @@ def facts(name: str, session: Steps, *, quick: bool) -> dict[str, Any]:
     Keys: gaussians (visible in a view, mean), max_abs_error, grad_rel_l2, grad_cosine (of a view's image and of the
     worst tensor's gradient, kernels against torch; None for methods without networks, and for torch itself),
     exact_loss_error, exact_grad_rel_l2 (of a step on the nasty scene, against float64 and autograd), ok (whether the
-    latter keep their budget), stages (shares of a step by name), goal.
+    latter keep their budget and gradients of the kernels point where torch's do), stages (shares of a step by name), goal.
 
     Args:
         name: Method, or method by torch.
@@ -180,13 +182,13 @@ def facts(name: str, session: Steps, *, quick: bool) -> dict[str, Any]:
     trainer = session.restored()
     if name in BY_TORCH:
         found |= errors(trainer)
-    seen = visible(trainer)
+    cosine, seen = found["grad_cosine"], visible(trainer)
     with session.networks():
         parts = stages.shares(trainer, max(1, STAGE_STEPS // (3 if quick else 1)))
     goal = GOALS.get(name, Goal()).words
     return {
         **found, "exact_loss_error": exact["max_abs_error"], "exact_grad_rel_l2": exact["grad_rel_l2"],
-        "ok": exact["ok"], "gaussians": seen, "stages": parts, "goal": goal,
+        "ok": exact["ok"] and (cosine is None or cosine > COSINE), "gaussians": seen, "stages": parts, "goal": goal,
     }  # fmt: skip
 
 

@@ -95,11 +95,13 @@ def test_networks_that_are_wrong_are_seen(tiny, monkeypatch):
         splats = right(*given, **named)
         return replace(splats, scales=1.01 * splats.scales)
 
+    session = Steps(trainer, torch_networks=False)
     assert neural.errors(trainer)["grad_rel_l2"] < 1e-4
     monkeypatch.setattr(decoding.native, "decode", wrong)
     found = neural.errors(trainer)
     assert found["grad_rel_l2"] > 1e-3
     assert found["max_abs_error"] > 1e-4
+    assert not neural.facts("scaffold-gs", session, quick=True)["ok"]
 
 
 def test_every_turn_begins_with_the_same_state(tiny):
