@@ -18,11 +18,12 @@ from splatproof.methods.priors.own_matcher import (
     MatchNetwork,
     OwnMatcher,
     agreement,
+    estimate,
     load_own_matcher,
     peak,
     save_matcher,
 )
-from splatproof.methods.priors.plane_sweep import pixels
+from splatproof.methods.priors.plane_sweep import pair_of, pixels
 from splatproof.methods.priors.unet import load_facts
 from splatproof.reference.supervision.side_views import unproject
 from splatproof.reference.types.camera import project_points
@@ -139,6 +140,47 @@ def test_depths_that_lead_back_agree_and_others_do_not():
     moved = -torch.log(spoilt[row, column]) * 2
     parallax = 70 * math.hypot(0.5, 0.1) * float(here[row, column])
     assert float(moved.sqrt()) == pytest.approx(parallax * (1 - 1 / 1.1), rel=0.05)
+
+
+@torch.no_grad()
+def test_the_second_sweep_is_finer_and_about_what_the_first_found():
+    scene = textured_scene()
+    a, b = scene.views[0], scene.views[1]
+    pair = pair_of(a.camera, b.camera, a.load(), b.load(), scene.points.positions)
+    assert pair is not None
+    network, swept = MatchNetwork(), []
+
+    def third(level, here, there, planes, at, scales):
+        swept.append(scales)
+        logits = torch.full(scales.shape, -50.0)
+        logits[3] = 50.0  # of both sweeps
+        return logits
+
+    network._swept = third  # type: ignore[method-assign]
+    inverse, sure = estimate(network, pair)
+    first, second = swept
+    step = (first[1] - first[0])[0, 0]
+    assert_close(second[own_matcher.MIDDLE], first[3, 0, 0].expand_as(second[0]))
+    assert_close(second[1:] - second[:-1], (step / own_matcher.FINER).expand_as(second[1:]))
+    said = inverse / (pixels(*sure.shape) @ pair.planes.slope)
+    assert_close(said.float(), second[3])
+    assert_close(sure, torch.ones_like(sure))
+
+
+def test_what_the_other_photo_says_otherwise_is_not_sure(monkeypatch):
+    scene = textured_scene()
+    a, b = scene.views[0], scene.views[1]
+    for share, least, most in ((1.0, 0.99, 1.0), (1.5, 0.0, 0.2)):
+        depths = iter([a.load_depth(), b.load_depth() * share])  # type: ignore[misc]
+
+        def says(network, pair, depths=depths):
+            depth = next(depths).double()
+            return 1 / depth, torch.ones_like(depth).float()
+
+        monkeypatch.setattr(own_matcher, "estimate", says)
+        certainty = matched(scene, OwnMatcher(MatchNetwork()))[1]
+        assert least <= float(certainty[12:-12, 20:-12].min())
+        assert float(certainty[12:-12, 20:-12].max()) <= most
 
 
 def test_photos_that_share_nothing_are_not_matched(shipped):
