@@ -4,10 +4,10 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8, UInt16
@@ -15,15 +15,18 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.base.folders import new_folder
+from splatproof.datasets.photos import write_png
 from splatproof.datasets.seen import seen_in_training
 from splatproof.methods.contracts.reconstruction import Reconstruction
+from splatproof.metrics.ldr_flip import flip_map
+from splatproof.metrics.pairs import check_pair
 from splatproof.metrics.registry import find_metric
-from splatproof.metrics.scoring import round_to_8_bit
+from splatproof.metrics.scoring import prepare, region_columns, round_to_8_bit, score_image
+from splatproof.metrics.seen_part import with_seen
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore, picture_name
 from splatproof.reference.types.scene import Scene, View
 from splatproof.suites import appearance
-from splatproof.suites.view_scoring import Folders, Scorers, Shot, helpers
 
 TIMED_FRAMES = 15
 """Frames whose render time is measured, spread over the test views."""
@@ -58,24 +61,14 @@ def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
     return views
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scored:
-    """What `score_views` found."""
-
-    images: tuple[ImageScore, ...]
-    """A score for each view, sorted by name."""
-    cpu_seconds: float
-    """CPU seconds of other processes that helped."""
-
-
 def score_views(
     scene: Scene,
     model: Reconstruction,
     protocol: Protocol,
     folder: Path,
     tell: Callable[[int, int], None] = lambda done, total: None,
-) -> Scored:
-    """Score every test view; of large photos several at a time, as threads and memory allow.
+) -> tuple[ImageScore, ...]:
+    """Score every test view, one in memory at a time.
 
     Writes renders/, truth/, masks/ (where the scene has any) and errors/ (FLIP error maps, magma,
     black where nothing is scored) as PNGs named after the views. Renders, truth and masks are what
@@ -87,40 +80,41 @@ def score_views(
         protocol: The rules.
         folder: Folder of the case.
         tell: Hears how many views are scored, of how many.
+    Returns: Scores sorted by name.
     Raises: DataError where `scored_views` refuses the scene, or a view cannot be scored.
     """
     views = scored_views(scene, protocol)
+    names = [picture_name(view.name) for view in views]
+    scores = []
     masked = any(view.load_mask is not None for view in views)
     seen = seen_in_training(scene)
     known = [part for part in seen.values() if part is not None]
     apart = any(float(part.double().mean()) < SEEN_WHOLE for part in known)
-    most = max(view.camera.width * view.camera.height for view in views)
     with (
         new_folder(folder / "renders") as renders,
         new_folder(folder / "truth") as truths,
         new_folder(folder / "errors") as errors,
-        new_folder(folder / "masks") if masked else nullcontext(None) as masks,
-        Scorers(
-            helpers(len(views), most, protocol), protocol,
-            Folders(renders=renders, truth=truths, errors=errors, masks=masks),
-        ) as scorers,
-    ):  # fmt: skip
-        for view in views:
-            tell(scorers.done, len(views))
-            render, shown = kept(drawn(view, scene.train_views, model, protocol), protocol.rounding)
+        new_folder(folder / "masks") if masked else nullcontext(folder) as masks,
+    ):
+        for view, name in zip(views, names, strict=True):
+            tell(len(scores), len(views))
+            image = drawn(view, scene.train_views, model, protocol)
+            render, shown = kept(image, protocol.rounding)
             truth, true = kept(view.load(), "float")
-            part, moving = seen[view.name], _moving(view, protocol)
-            shot = Shot(
-                name=view.name, picture=picture_name(view.name),
-                render=render.numpy(), truth=truth.numpy(), shown=shown, true=true,
-                mask=None if view.load_mask is None else view.load_mask().numpy(),
-                moving=None if moving is None else {k: own.numpy() for k, own in moving.items()},
-                seen=None if part is None else part.numpy(), known=bool(known), apart=apart,
-            )  # fmt: skip
-            scorers.give(shot)
-        scores = scorers.scores()
-        tell(scorers.done, len(views))
-    return Scored(images=scores, cpu_seconds=scorers.cpu_seconds)
+            mask = None if view.load_mask is None else view.load_mask()
+            score = score_image(view.name, render, truth, protocol, mask, _moving(view, protocol))
+            if known:
+                score = with_seen(
+                    score, render, truth, protocol, mask, seen[view.name], apart=apart
+                )
+            scores.append(score)
+            write_png(renders / name, shown)
+            write_png(truths / name, true)
+            write_png(errors / name, error_picture(view.name, render, truth, protocol, mask))
+            if masked:
+                valid = np.ones(truth.shape[:2], bool) if mask is None else mask.numpy()
+                write_png(masks / name, np.repeat(valid[..., None] * np.uint8(255), 3, axis=2))
+    return tuple(scores)
 
 
 def drawn(
@@ -174,6 +168,28 @@ def to_8_bit(image: Float[Tensor, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
     """Clamped and rounded half up, as bytes."""
     rounded = round_to_8_bit(image.detach().float().clamp(0, 1), "round") * 255
     return rounded.round().to(torch.uint8).numpy()
+
+
+def error_picture(
+    name: str, render: Tensor, truth: Tensor, protocol: Protocol, mask: Tensor | None
+) -> UInt8[np.ndarray, "h w 3"]:
+    """FLIP of what is scored as colours: black (equal) over red to yellow-white (1).
+
+    Args:
+        name: Name of the view, for errors.
+        render: The model's image, h x w x 3, sRGB in [0, 1].
+        truth: The photo, of the same size.
+        protocol: The rules: what of the image is scored.
+        mask: True where a pixel is valid, h x w; None: everywhere.
+    Returns: A picture of the whole image, black where nothing is scored.
+    """
+    ready = prepare(render, truth, protocol, mask, name=name)
+    pair = check_pair(ready.render, ready.truth, ready.mask, metric="error map")
+    error = np.where(pair.valid, flip_map(pair), 0.0)
+    whole = np.zeros(render.shape[:2])
+    whole[:, region_columns(render.shape[1], protocol.region)] = error
+    colours = cv2.applyColorMap((whole * 255).round().astype(np.uint8), cv2.COLORMAP_MAGMA)
+    return np.asarray(colours[..., ::-1], dtype=np.uint8)
 
 
 def render_milliseconds(

@@ -223,7 +223,7 @@ def _run(job: Job, tell: Tell) -> None:
     model = load_reconstruction(job.folder / "model", backend=job.backend)
     taken: dict[str, float] = {}
     with measure.timed(before.stages, "score"), peak_within(taken, peak_name("score")):
-        images, means, render_ms, drawn, elsewhere = _scores(job, scene, model, tell)
+        images, means, render_ms, drawn = _scores(job, scene, model, tell)
         timed = ()
         if job.case.marks and scene.test:
             timed = timed_scores(
@@ -242,7 +242,7 @@ def _run(job: Job, tell: Tell) -> None:
         images=images,
         metrics=means,
         stages=before.stages,
-        cpu_seconds=before.cpu_seconds + measure.cpu_seconds() - started + elsewhere,
+        cpu_seconds=before.cpu_seconds + measure.cpu_seconds() - started,
         peak_memory_mb=max(before.peak_memory_mb, peak_memory_mb()),
         primitives=model.primitives,
         bytes_on_disk=measure.bytes_on_disk(job.folder / "model"),
@@ -261,17 +261,15 @@ def _run(job: Job, tell: Tell) -> None:
 
 def _scores(
     job: Job, scene: Scene, model: Reconstruction, tell: Tell
-) -> tuple[tuple[ImageScore, ...], dict[str, float], float, dict[str, int], float]:
-    """The scores of each held-out view, those of the scene, milliseconds a frame, counters, and the
-    CPU seconds of processes that helped."""
+) -> tuple[tuple[ImageScore, ...], dict[str, float], float, dict[str, int]]:
+    """The scores of each held-out view, those of the scene, milliseconds a frame, and counters."""
     if not scene.test:
-        return (), {}, math.nan, {}, 0.0
+        return (), {}, math.nan, {}
     backend, rules = get_backend(job.backend), job.case.protocol
     listed = backend.pairs()
-    scored = score_views(
+    images = score_views(
         scene, model, rules, job.folder, lambda done, total: tell("score", done, total, {})
     )
-    images = scored.images
     drawn = {"render_pairs": backend.pairs() - listed} if backend.counts_pairs else {}
     render_ms = render_milliseconds(
         scored_views(scene, rules), model, torch.tensor(rules.background)
@@ -281,7 +279,7 @@ def _scores(
     if isinstance(model, CityModel):
         images, extra = city_scores(scene, model, rules, images, job.folder)
         means |= extra
-    return images, means, render_ms, drawn, scored.cpu_seconds
+    return images, means, render_ms, drawn
 
 
 def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> None:

@@ -65,7 +65,7 @@ SCENE = dim(tiny_scene())
 
 
 def psnr(model: Lit, rules, folder) -> float:
-    images = score_views(SCENE, model, rules, folder).images
+    images = score_views(SCENE, model, rules, folder)
     return images[0].metrics["psnr"]
 
 

@@ -1,8 +1,5 @@
 """Pictures and scores of the held-out views."""
 
-import os
-import signal
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import PurePosixPath
 from types import SimpleNamespace
@@ -18,11 +15,11 @@ from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.result import picture_name
 from splatproof.suites.held_out import (
     TIMED_FRAMES,
+    error_picture,
     render_milliseconds,
     score_views,
     to_8_bit,
 )
-from splatproof.suites.view_scoring import Scorers, error_picture, helpers
 
 PROTOCOL = load_protocol("default")
 MODEL = model_of(0.3, "reference")
@@ -50,7 +47,9 @@ def test_error_picture_is_black_where_equal_or_not_scored_and_bright_where_not()
 
 def test_pictures_have_the_views_names_and_the_truths_size(tmp_path):
     scene = fake_scene("town", PROTOCOL)
-    images = score_views(scene, MODEL, PROTOCOL, tmp_path).images
+    heard = []
+    images = score_views(scene, MODEL, PROTOCOL, tmp_path, lambda *done: heard.append(done))
+    assert heard == [(0, 2), (1, 2)]
     assert [image.name for image in images] == ["0.png", "3.png"]
     for kind in ("renders", "truth", "errors"):
         for image in images:
@@ -95,7 +94,7 @@ def test_scenes_that_cannot_be_scored_leave_nothing(tmp_path):
 def test_views_of_several_folders_have_pictures_of_their_own(tmp_path):
     scene = fake_scene("town", PROTOCOL)
     views = [replace(view, name=f"camera_{i}/000.png") for i, view in enumerate(scene.views)]
-    scores = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path).images
+    scores = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path)
     found = {path.name for path in (tmp_path / "renders").iterdir()}
     assert found == {picture_name(score.name) for score in scores}
     assert found == {f"camera_{i}-000.png" for i in scene.test}
@@ -110,14 +109,12 @@ def test_what_moves_is_scored_apart_where_it_is_known(tmp_path):
     masks = {"vehicles": moved, "people": torch.zeros_like(moved)}
     views = list(scene.views)
     views[first] = replace(views[first], load_moving=lambda: masks)
-    known, unknown = score_views(replace(scene, views=tuple(views)), MODEL, rules, tmp_path).images
+    known, unknown = score_views(replace(scene, views=tuple(views)), MODEL, rules, tmp_path)
     shares = {"moving": moved.double().mean(), "still": (~moved).double().mean()}
     mse = sum(share * 10 ** (-known.metrics[f"{p}_psnr"] / 10) for p, share in shares.items())
     assert float(mse) == pytest.approx(10 ** (-known.metrics["psnr"] / 10))
     assert np.isnan(unknown.metrics["moving_psnr"])
-    plain = score_views(
-        replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path / "plain"
-    ).images
+    plain = score_views(replace(scene, views=tuple(views)), MODEL, PROTOCOL, tmp_path / "plain")
     assert "moving_psnr" not in plain[0].metrics
 
 
@@ -130,64 +127,3 @@ def test_a_frame_on_a_gpu_is_timed_until_it_is_drawn(monkeypatch, on_gpu):
     views = list(fake_scene("town", PROTOCOL).test_views)
     assert render_milliseconds(views, MODEL, torch.zeros(3)) >= 0
     assert len(waits) == on_gpu * (1 + TIMED_FRAMES)
-
-
-def files(folder):
-    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
-def test_processes_beside_this_one_give_the_same_scores_and_pictures(tmp_path, monkeypatch):
-    rules = replace(PROTOCOL, parts=("moving", "still"))
-    scene = fake_scene("town", rules)
-    moved = torch.zeros(18, 24, dtype=torch.bool)
-    moved[3:9, 4:10] = True
-    masks = {"vehicles": moved, "people": torch.zeros_like(moved)}
-    views = [
-        replace(view, load_mask=(~moved).clone, load_moving=lambda: masks) for view in scene.views
-    ]
-    scene = replace(scene, views=tuple(views))
-    here = score_views(scene, MODEL, rules, tmp_path / "here")
-    heard = []
-    monkeypatch.setattr("splatproof.suites.held_out.helpers", lambda *_: 2)
-    there = score_views(scene, MODEL, rules, tmp_path / "there", lambda *done: heard.append(done))
-    assert str(there.images) == str(here.images)  # nan is not nan
-    assert files(tmp_path / "there") == files(tmp_path / "here")
-    assert here.cpu_seconds == 0 < there.cpu_seconds
-    assert heard[0] == (0, 2)
-    assert heard[-1] == (2, 2)
-    broken = [replace(view, load=lambda: torch.full((18, 24, 3), 2.0)) for view in views]
-    with pytest.raises(DataError, match="values in \\[0, 1\\]"):
-        score_views(replace(scene, views=tuple(broken)), MODEL, rules, tmp_path / "bad")
-    assert not list((tmp_path / "bad").iterdir())
-
-    give = Scorers.give
-
-    def killed(self, shot):
-        give(self, shot)
-        for worker in self._workers:
-            with suppress(ProcessLookupError):  # killed before
-                os.kill(worker.pid, signal.SIGKILL)
-
-    monkeypatch.setattr(Scorers, "give", killed)
-    images = score_views(scene, MODEL, rules, tmp_path / "killed").images
-    assert str(images) == str(here.images)
-    assert files(tmp_path / "killed") == files(tmp_path / "here")
-
-
-def test_processes_help_where_photos_are_large_threads_many_and_memory_free(monkeypatch):
-    free = [100_000.0]
-    monkeypatch.setattr("splatproof.suites.view_scoring.available_mb", lambda: free[0])
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 8)
-    assert helpers(12, 10_000_000, PROTOCOL) == 8
-    assert helpers(3, 10_000_000, PROTOCOL) == 3
-    network = replace(PROTOCOL, metrics=(*PROTOCOL.metrics, "lpips_vgg_m11"))
-    assert helpers(12, 10_000_000, network) == 0
-    assert helpers(12, 250_000, PROTOCOL) == 0  # seconds, all of them
-    assert helpers(1, 10_000_000, PROTOCOL) == 0
-    free[0] = 30_000.0
-    assert helpers(12, 10_000_000, PROTOCOL) == 4
-    free[0] = 8_000.0
-    assert helpers(12, 10_000_000, PROTOCOL) == 0  # one that helps is none
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
-    free[0] = 100_000.0
-    assert helpers(12, 10_000_000, PROTOCOL) == 0

@@ -120,14 +120,14 @@ def test_a_case_folder_scores_as_its_record_says(
     shown = truths[0] + distance * (4 * noise_image(HEIGHT, WIDTH, seed + 9) - 2)
     mask = random_mask(HEIGHT, WIDTH, 0.9, seed) if masked else None
     with tempfile.TemporaryDirectory() as name:
-        images = score_views(town(truths, mask), Painted(shown), protocol, Path(name)).images
+        images = score_views(town(truths, mask), Painted(shown), protocol, Path(name))
         assert_same(images, scored_again(Path(name), protocol))
 
 
 def test_the_comparison_sees_truth_of_8_bit(tmp_path):
     protocol = replace(RULES, rounding="float")
     truth = noise_image(HEIGHT, WIDTH, 0)
-    images = score_views(town([truth], None), Painted(truth * 0.999), protocol, tmp_path).images
+    images = score_views(town([truth], None), Painted(truth * 0.999), protocol, tmp_path)
     assert_same(images, scored_again(tmp_path, protocol))
     (path,) = (tmp_path / "truth").iterdir()
     coarse = cv2.imread(str(path))  # 8 bit

@@ -54,7 +54,7 @@ def score_held_out(
     opened = open_scene(source, rules)
     model = placed(load_reconstruction(path), opened)
     with TemporaryDirectory() as folder:
-        return opened.name, rules, score_views(opened, model, rules, Path(folder)).images
+        return opened.name, rules, score_views(opened, model, rules, Path(folder))
 
 
 def render_cameras(given: Path, cameras: Path, protocol: str | None, folder: Path) -> None:

@@ -223,7 +223,7 @@ def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
         model=of.model, blocks=of.blocks, distances=of.distances, regions=BOXED,
         block_facts=facts, packed=b"12345",
     )  # fmt: skip
-    plain = score_views(scene(), model, PROTOCOL, tmp_path).images
+    plain = score_views(scene(), model, PROTOCOL, tmp_path)
     line = torch.zeros(513, 3).double()
     line[:, 0] = torch.linspace(-2, 2, 513)
     rowed = replace(scene(), points=sparse_points(torch.cat([line, line + 1.0])))
