@@ -211,7 +211,7 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
     fetch_model(model, i + COMING);
-    fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + COMING, with_sh(model, i + COMING, L));
+    fetch_sh(coefficients(model, model.sh, model.sh_rest), i + COMING, with_sh(model, i + COMING, L));
     Lane16 in;
     gather(model, i, count, in);
     alignas(64) float geo[GEO][L], radius[L], dir[3][L], distance[L];
@@ -260,9 +260,10 @@ void project(const Camera& cam, const Model& model, const Projection& out, int64
     const auto colour_of = [&](int l) { return model.colours + (i + l - model.sh_count) * model.channels; };
     if (lit) {
       sh_colour(model, i, lit, dir, geo + COLOUR);
-      for (int l = 0; l < lit; ++l)
-        for (int c = 0; out.drawn[i + l] && c < 3; ++c)
-          if (geo[COLOUR + c][l] > 0) out.drawn[i + l] |= (uint8_t)(LIT << c);
+      for (int c = 0; c < 3; ++c) {
+        const unsigned above = bits(load(geo[COLOUR + c]) > all(0)) & drawn;
+        for (int l = 0; l < lit; ++l) out.drawn[i + l] |= (uint8_t)((above >> l & 1) * (LIT << c));
+      }
     }
     for (int l = lit; l < L; ++l)
       for (int c = 0; c < 3; ++c) geo[COLOUR + c][l] = model.channels == 3 && l < count ? colour_of(l)[c] : 0;

@@ -2,6 +2,7 @@
 
 namespace {
 
+constexpr int64_t SUMS_COMING = 4 * L;  // Gaussians after these whose sums memory is asked for
 constexpr int MOST_SUMS = (S_FEATURES + MAX_CHANNELS + 2 + L - 1) / L * L;
 
 // Fetch the rows of sums that belong to Gaussians [first, last): they lie all over.
@@ -42,15 +43,15 @@ INLINE void put(float* p, vd x) { narrow(p, clamp(x, -3.4e38, 3.4e38)); }
 void backward_project(const Camera& cam, const Model& model, const Projection& drawn, const float* sums,
                       int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
                       const ModelGradients& out, int64_t first, int64_t last) {
-  fetch_sums(sums, sums_stride, slot_start, slots, first, last - first < L ? last : first + L);
+  const auto fetch = [&](int64_t from, int64_t to) {
+    fetch_sums(sums, sums_stride, slot_start, slots, from < last ? from : last, to < last ? to : last);
+  };
+  fetch(first, first + SUMS_COMING);
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    if (i + L < last) fetch_sums(sums, sums_stride, slot_start, slots, i + L, last - i < 2 * L ? last : i + 2 * L);
-    const int coming = with_sh(model, i + COMING, L);
+    fetch(i + SUMS_COMING, i + SUMS_COMING + L);
     fetch_model(model, i + COMING);
-    fetch_sh<false>(coefficients(model, model.sh, model.sh_rest), i + COMING, coming);
     fetch_gradients(out, i + COMING);
-    fetch_sh<true>(coefficients(model, out.sh, out.sh_rest), i + COMING, coming);
     float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[1][L] = {}, screen[4][L] = {};
     const int channels = model.channels, lit = with_sh(model, i, count);
     if (slot_start[i] == slot_start[i + count]) {  // none was drawn
@@ -93,6 +94,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
         fragment[2] = g[S_COUNT][l];
       }
       if (!needs_shapes(out)) continue;
+      fetch_sh(coefficients(model, model.sh, model.sh_rest), i + L, with_sh(model, i + L, L));  // here memory is idle
       for (int l = 0; l < L; l += HALF) {
         Ewa e;
         ewa(cam, model, in, l, e);
@@ -199,6 +201,7 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
     scatter_rows<2>(screen, out.screen, i, count);
     scatter_rows<2>(screen + 2, out.screen_absolute, i, count);
   }
+  stored_past();
 }
 
 }  // namespace

@@ -95,6 +95,25 @@ INLINE void store(T* p, V<T, N> a) {
   else { store(p, a.lo); store(p + N / 2, a.hi); }
 }
 
+// Past the caches, for what is not read soon; `p` lies at the start of a line. Others see it after `stored_past`.
+template <int N>
+INLINE void store_past(float* p, V<float, N> a) {
+  if constexpr (leaf<float, N>) {
+#if defined(__AVX512F__)
+    _mm512_stream_ps(p, (__m512)a.v);
+#elif defined(__AVX2__)
+    _mm256_stream_ps(p, (__m256)a.v);
+#else
+    store(p, a);
+#endif
+  } else { store_past(p, a.lo); store_past(p + N / 2, a.hi); }
+}
+INLINE void stored_past() {
+#if defined(__AVX2__)
+  _mm_sfence();
+#endif
+}
+
 // Doubles from and to floats in memory.
 template <int N = HALF>
 INLINE V<double, N> widen(const float* p) {
