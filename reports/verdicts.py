@@ -23,7 +23,8 @@ Verdict = Literal[
 ]  # fmt: skip
 """undecided: of a claim with a bar, whose interval lies on both sides of it."""
 HALF, DOUBLE = "half", "double"
-"""Variants that are their method with half and with twice the steps: what further steps would still give."""
+"""Variants that are their method with half and with twice the steps, and how the names of those of a variant end: what
+further steps would still give."""
 SETTLED = 0.3
 """dB that further steps may give whatever the difference: a third of the papers' usual effects, and above
 what seeds move."""
@@ -262,8 +263,9 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
-            as its method, and a row whose own depth prior has no row of other length as many as with
-            another.
+            as the variant that its name begins with and that has a row of other length (`m@a-b` as
+            `m@a`, if there is `m@a-double`), else as its method, and a row whose own depth prior has
+            no row of other length as many as with another.
         metric: Name of a value of cases.
         runs: All cases of the suite.
     Returns: Mean over the seeds that both rows have, of sums over steps without what the steps
@@ -277,20 +279,41 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 def _doubling_gain(run: Measured, metric: str, runs: Sequence[Measured], variant: str) -> float:
     """Mean of the longer row less the shorter one, of a method and its variant of other length."""
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    others = [
-        r for r in alike if r.row == r.named(variant) and r.named() == run.named(axes=_axes(r))
-    ]
+    others, stem = [], ""
+    for stem in _stems(run):
+        named = f"{stem}-{variant}" if stem else variant
+        others = [
+            r for r in alike if r.row == r.named(named) and r.named() == run.named(axes=_axes(r))
+        ]
+        if others:
+            break
     others = [r for r in others if _axes(r) == _axes(run)] or others
     before = 2 if metric in TOTALS else 1
     pairs = [
         (whole, other) if variant == DOUBLE else (other, whole)
         for other in others
         for whole in alike
-        if (whole.row, whole.seed) == (other.named(), other.seed)
+        if (whole.row, whole.seed) == (other.named(stem), other.seed)
         and metric in whole.values and metric in other.values
     ]  # fmt: skip
     gains = [longer.values[metric] - before * short.values[metric] for short, longer in pairs]
     return float(np.mean(gains)) if gains else math.nan
+
+
+def other_length(variant: str) -> tuple[str, str]:
+    """The variant that one of other length is of, and HALF or DOUBLE: ("ours", "double") of "ours-double".
+
+    Args:
+        variant: Name of a variant; of one that has its method's length it is itself, and "".
+    """
+    stem, _, last = variant.rpartition("-")
+    return (stem, last) if last in (HALF, DOUBLE) else (variant, "")
+
+
+def _stems(run: Measured) -> list[str]:
+    """Variants that a row's may be one of, the nearest first: a-b, a, and none."""
+    parts = run.row.partition("~")[0].partition("@")[2].split("-")
+    return ["-".join(parts[:count]) for count in range(len(parts), -1, -1)]
 
 
 def _axes(run: Measured) -> str:

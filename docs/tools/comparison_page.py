@@ -14,7 +14,7 @@ from splatproof.reports.claims.claim import Claim
 from splatproof.reports.claims.obstacles import method_of
 from splatproof.reports.measured import Measured
 from splatproof.reports.statistics import summarise
-from splatproof.reports.verdicts import DOUBLE, HALF, SETTLED, Judged, Verdict, judge
+from splatproof.reports.verdicts import SETTLED, Judged, Verdict, judge, other_length
 from splatproof.suites.suite_files import suite_names
 
 Cell = tuple[str, str, int]
@@ -177,8 +177,8 @@ def _place(page: Page, scene: str, protocol: str) -> str:
 
 
 def is_length(row: str) -> bool:
-    """Whether a row is its method with half or twice the steps."""
-    return row.partition("~")[0].endswith((f"@{HALF}", f"@{DOUBLE}"))
+    """Whether a row is its method, or a variant of it, with half or twice the steps."""
+    return bool(other_length(row.partition("~")[0].partition("@")[2])[1])
 
 
 def _table(rows: Sequence[Measured], named: Sequence[str], cells: Sequence[Cell]) -> str:

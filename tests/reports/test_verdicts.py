@@ -11,7 +11,7 @@ from splatproof.base.errors import UsageError
 from splatproof.reports.claims.claim import Claim, load_claims
 from splatproof.reports.measured import Measured
 from splatproof.reports.statistics import POWER, Difference
-from splatproof.reports.verdicts import SETTLED, Judged, judge
+from splatproof.reports.verdicts import SETTLED, Judged, further_gain, judge, other_length
 
 CLAIM = Claim(paper="ours", text="a is better", row="a", other="b", metric="psnr", printed=1.0)
 NAMES = tuple(f"view_{i}" for i in range(6))
@@ -274,6 +274,36 @@ def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
     assert "psnr by about +0.36" in too_short(doubled(0.18))
     without = [one for one in doubled(0.18) if not one.row.endswith("@half")]
     assert "psnr by about +0.36" in too_short(without)
+
+
+@pytest.mark.parametrize(
+    ("row", "told"),
+    [
+        ("a@ours", "+0.1"), ("a@ours-part", "+0.1"), ("a@ours-part-less~noise-L1", "+0.1"),
+        ("a@our", "+2"), ("a@oursome", "+2"), ("a@n2-ours", "+2"), ("a", "+2"),
+    ],
+)  # fmt: skip
+def test_a_variant_of_a_variant_needs_as_many_steps_as_that_where_it_is_known(row, told):
+    """Its name begins with the other's; where no row says how long that takes, as many as the method."""
+    lengths = [
+        run(name, 0, [20.0 + gain] * 6)
+        for name, gain in (("a", 0), ("a@double", 1.0), ("a@ours", 0), ("a@ours-double", 0.05))
+    ]
+    found = further_gain(run(row, 0, [20.0] * 6), "psnr", lengths)
+    assert f"{found:+.2g}" == told
+    assert math.isnan(further_gain(run("c@ours", 0, [20.0] * 6), "psnr", lengths))
+
+
+@pytest.mark.parametrize(
+    ("variant", "of"),
+    [
+        ("double", ("", "double")), ("half", ("", "half")), ("ours-double", ("ours", "double")),
+        ("n2-even-half", ("n2-even", "half")), ("ours", ("ours", "")), ("", ("", "")),
+        ("doubled", ("doubled", "")), ("half-life", ("half-life", "")),
+    ],
+)  # fmt: skip
+def test_the_end_of_a_variant_s_name_says_whether_its_length_is_another(variant, of):
+    assert other_length(variant) == of
 
 
 def test_of_several_scenes_what_the_second_half_gave_is_their_mean():

@@ -10,7 +10,7 @@ from splatproof.cli.claim_sources import CHECKS_NAME, QUICK, read_checked, write
 from splatproof.cli.running import USUAL, USUAL_BLOCKS, Screen, options, prepare
 from splatproof.reports.claims.claim import CheckClaim, Claim
 from splatproof.reports.claims.obstacles import Known, method_of, obstacle
-from splatproof.reports.verdicts import DOUBLE, HALF
+from splatproof.reports.verdicts import other_length
 from splatproof.suites.records import read_finished
 from splatproof.suites.suite_files import Case, Suite
 
@@ -77,7 +77,7 @@ def _wanted(case: Case, claims: Iterable[Claim]) -> bool:
     """Whether a claim is about the case, or needs it to see if the runs were long enough."""
     for claim in claims:
         rows = claim.rows
-        length = case.variant in (HALF, DOUBLE) and case.method in map(method_of, rows)
+        length = other_length(case.variant)[1] and case.method in map(method_of, rows)
         fits = not claim.protocol or claim.protocol == case.protocol.name
         there = not claim.scenes or case.scene_name in claim.scenes
         if (case.row in rows or length) and fits and there:
