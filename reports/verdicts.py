@@ -259,7 +259,7 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 
     That is as much as the second half of its steps gave (against the row method@half), and twice what
     twice the steps give (method@double): the latter is measured where the former is foretold, and counts
-    where both are there.
+    where both are there. Of a row of twice the steps the second half is what it gained on its method.
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
@@ -272,8 +272,10 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
         themselves add; nan where there are no two such rows.
     Source: ours.
     """
-    beyond = 2 * _doubling_gain(run, metric, runs, DOUBLE)
-    return _doubling_gain(run, metric, runs, HALF) if math.isnan(beyond) else beyond
+    doubled = _doubling_gain(run, metric, runs, DOUBLE)
+    if other_length(_variant(run))[1] == DOUBLE:
+        return doubled
+    return _doubling_gain(run, metric, runs, HALF) if math.isnan(doubled) else 2 * doubled
 
 
 def _doubling_gain(run: Measured, metric: str, runs: Sequence[Measured], variant: str) -> float:
@@ -312,8 +314,13 @@ def other_length(variant: str) -> tuple[str, str]:
 
 def _stems(run: Measured) -> list[str]:
     """Variants that a row's may be one of, the nearest first: a-b, a, and none."""
-    parts = run.row.partition("~")[0].partition("@")[2].split("-")
+    parts = _variant(run).split("-")
     return ["-".join(parts[:count]) for count in range(len(parts), -1, -1)]
+
+
+def _variant(run: Measured) -> str:
+    """The variant of a row's method, empty where it has none."""
+    return run.row.partition("~")[0].partition("@")[2]
 
 
 def _axes(run: Measured) -> str:

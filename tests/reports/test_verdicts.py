@@ -281,6 +281,8 @@ def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
     [
         ("a@ours", "+0.1"), ("a@ours-part", "+0.1"), ("a@ours-part-less~noise-L1", "+0.1"),
         ("a@our", "+2"), ("a@oursome", "+2"), ("a@n2-ours", "+2"), ("a", "+2"),
+        # all that is still to come is what the second half of its steps gave
+        ("a@double", "+1"), ("a@ours-double", "+0.05"),
     ],
 )  # fmt: skip
 def test_a_variant_of_a_variant_needs_as_many_steps_as_that_where_it_is_known(row, told):
