@@ -16,6 +16,7 @@ from splatproof.methods.auto.steps import training_seconds
 from splatproof.methods.auto.usual import DROPOUT_FROM, GROWTH, LEAST_SHORT_SIDE
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.resolution import Resolution
+from splatproof.methods.training.schedules import Rates
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +95,8 @@ def rows(made: Made, *, sized: bool) -> Iterator[Choice]:
             because="given; measured on training photos that are kept back",
         )  # fmt: skip
     yield steps(made)
+    if made.base != "pvg":
+        yield rates(made)
     if made.base == "3dgs":
         yield dropout(made)
         yield Choice(
@@ -258,6 +261,24 @@ def steps(made: Made) -> Choice:
     return Choice(
         component="steps", value=f"{made.settings.iterations:,}", because=made.steps,
         expects=f"each photo {made.looks:.0f} times{rest}",
+    )  # fmt: skip
+
+
+def rates(made: Made) -> Choice:
+    """How fast everything but positions and opacities learns.
+
+    Args:
+        made: What the plan came to.
+    """
+    factor, given = made.settings.rates.sh_dc / Rates().sh_dc, made.asked.rates is not None
+    few = made.base == "3dgs" and made.looks < DROPOUT_FROM
+    return Choice(
+        component="rates",
+        value="the release's" if factor == 1 else f"{factor:g} times the release's, falling in the second half",
+        because="given" if given
+        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times" if few
+        else "usual",
+        expects=measured.QUICKER if few and not given else NOT_MEASURED,
     )  # fmt: skip
 
 

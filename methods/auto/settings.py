@@ -7,7 +7,7 @@ from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Pace
 from splatproof.methods.training.schedules import require, require_cell
 
-LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0, "completed": False}
+LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0, "rates": 1.0, "completed": False}
 """Settings that Gaussians that move do not have, and the values that stand for going without."""
 
 
@@ -41,6 +41,9 @@ class AutoSettings:
     """Weight of the mean opacity in the loss. None: planned."""
     dropout: float | None = None
     """Share of Gaussians that a step hides at random, growing to this. None: planned."""
+    rates: float | None = None
+    """Factor on the release's learning rates of everything but positions and opacities; where it is not 1, they fall
+    to a tenth of that in the second half of a training. None: planned."""
     widest: float | None = None
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera; 0: no bound.
     None: planned."""
@@ -66,7 +69,8 @@ class AutoSettings:
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
-            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("widest", 0, math.inf), ("gradient", 0, math.inf),
+            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("rates", 0, math.inf), ("widest", 0, math.inf),
+            ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)
             fine = value is None or low <= value <= high

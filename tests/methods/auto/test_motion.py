@@ -79,7 +79,9 @@ def test_what_is_fixed_is_kept():
         AutoSettings(motion=True, dropout=0.1)
 
 
-WITHOUT = AutoSettings(coarsest=1.0, opacity_weight=0.0, dropout=0.0, completed=False)
+WITHOUT = AutoSettings(
+    coarsest=1.0, opacity_weight=0.0, dropout=0.0, rates=1.0, completed=False
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", sorted(LACKING))

@@ -16,7 +16,8 @@ from splatproof.methods.auto.probe import better
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
-from splatproof.methods.auto.usual import PACE, coarsest, usual
+from splatproof.methods.auto.usual import PACE, QUICKER, SETTLE, coarsest, quicker, usual
+from splatproof.methods.training.schedules import Rates
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
@@ -168,6 +169,33 @@ def test_dropout_that_is_given_stays_and_completed_depths_keep_their_own():
     assert "dropout" not in {one.component for one in few.choices}
 
 
+@pytest.mark.parametrize(("looks", "factor"), [(59, QUICKER), (60, 1.0), (250, 1.0)])
+def test_photos_that_are_looked_at_seldom_are_learnt_by_larger_steps(looks, factor):
+    """All but positions and opacities, whose steps no trial made larger; larger steps end small."""
+    asked = AutoSettings(steps=looks * FACTS.views)
+    found, release = planned(asked), Rates()
+    rates = found.settings.rates
+    for name in ("sh_dc", "sh_rest", "log_scales", "quaternions"):
+        assert getattr(rates, name) == pytest.approx(factor * getattr(release, name))
+    for name in ("means", "means_final", "opacity_logits"):
+        assert getattr(rates, name) == getattr(release, name)
+    assert rates.settle == (1.0 if factor == 1 else SETTLE)
+    (told,) = (one for one in found.choices if one.component == "rates")
+    assert told.value.startswith("the release's" if factor == 1 else f"{factor:g} times")
+    assert ("fewer than 60 times" in told.because) == (factor != 1)
+
+
+def test_rates_that_are_given_stay_and_only_gaussians_that_stand_still_have_others():
+    for looks in (40, 400):
+        found = planned(AutoSettings(steps=looks * FACTS.views, rates=2.0))
+        assert found.settings.rates == quicker(2.0)
+        assert [one.because for one in found.choices if one.component == "rates"] == ["given"]
+    for base in ("pvg", "stratosplat"):
+        asked = AutoSettings(steps=40)
+        few = plan(asked, FACTS, usual(asked, FACTS), (), SPEED, 50.0, base=base)
+        assert few.settings.rates == Rates()
+
+
 def test_exposures_compete_where_photos_differ():
     assert [one.setting for one in candidates(AutoSettings(), FACTS)] == ["exposure"]
     for spread in (0.001, math.nan):
@@ -232,6 +260,7 @@ def test_a_gain_counts_where_it_is_large_and_sure(gains, wins):
         {"probe_share": 0.9},
         {"coarsest": 0.5},
         {"dropout": 2.0},
+        {"rates": -1.0},
         {"megabytes": -1.0},
         {"db": 100.0},
     ],

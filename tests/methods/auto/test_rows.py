@@ -43,7 +43,7 @@ def test_every_choice_has_a_reason_and_says_what_it_brings_or_that_nobody_measur
     found = made()
     assert [one.component for one in found.choices] == [
         "exposure", "blocks", "points", "resolution", "density", "Gaussians", "largest scale", "harmonics",
-        "opacity term", "views a step", "steps", "dropout", "anchors",
+        "opacity term", "views a step", "steps", "rates", "dropout", "anchors",
     ]  # fmt: skip
     assert all(one.because and one.expects for one in found.choices)
     assert told(found)["views a step"].value == "1"
@@ -94,7 +94,8 @@ def test_megabytes_are_those_of_a_file():
 @pytest.mark.parametrize(
     ("asked", "component"),
     [({"coarsest": 1.0}, "resolution"), ({"gradient": math.inf}, "density"), ({"exposure": "gain"}, "exposure"),
-     ({"widest": 0.0}, "largest scale"), ({"opacity_weight": 0.1}, "opacity term"), ({"dropout": 0.5}, "dropout")],
+     ({"widest": 0.0}, "largest scale"), ({"opacity_weight": 0.1}, "opacity term"), ({"dropout": 0.5}, "dropout"),
+     ({"rates": 2.0}, "rates")],
 )  # fmt: skip
 def test_of_what_is_given_nothing_is_promised(asked, component):
     row = told(made(AutoSettings(**asked)))[component]
