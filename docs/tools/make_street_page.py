@@ -36,7 +36,9 @@ mean of the three.
   `@no-lidar` lacks the LiDAR's term and still starts from sweeps, `@no-sweeps` reads none, as `pvg@no-lidar`;
   `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most 24,000 anchors in place of 10,000.
   `@ours`: two layers of at most 36,000 anchors with six Gaussians each, a sky that pixels mostly covered do not teach, other rates of
-  scales and offsets; chosen on a drive that is in no table. All other rows have the papers' sky.
+  scales and offsets; chosen on a drive that is in no table. `@ours-...` are these settings without a part (`-ice-off`, ...), with a prior's ranks
+  (`-gds`), with as many Gaussians shared out by three or four layers (`-n3`, `-n4`), and with twice the steps (`-double`, beside `pvg@double`).
+  All other rows have the papers' sky.
 """,
     printed=(
         Printed(
