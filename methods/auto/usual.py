@@ -105,7 +105,7 @@ def quicker(factor: float) -> Rates:
     """Learning rates of everything but positions and opacities times a factor, which settle in the end.
 
     Args:
-        factor: > 0; 1: the release's rates, which stay as they are.
+        factor: >= 0; 1: the release's rates, which stay as they are.
     """
     if factor == 1:
         return Rates()
