@@ -263,7 +263,7 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
-            as the variant that its name begins with and that has a row of other length (`m@a-b` as
+            as the variant that its name begins with and that has rows of both lengths (`m@a-b` as
             `m@a`, if there is `m@a-double`), else as its method, and a row whose own depth prior has
             no row of other length as many as with another.
         metric: Name of a value of cases.
@@ -281,25 +281,25 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 def _doubling_gain(run: Measured, metric: str, runs: Sequence[Measured], variant: str) -> float:
     """Mean of the longer row less the shorter one, of a method and its variant of other length."""
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    others, stem = [], ""
+    before = 2 if metric in TOTALS else 1
     for stem in _stems(run):
         named = f"{stem}-{variant}" if stem else variant
         others = [
             r for r in alike if r.row == r.named(named) and r.named() == run.named(axes=_axes(r))
         ]
-        if others:
-            break
-    others = [r for r in others if _axes(r) == _axes(run)] or others
-    before = 2 if metric in TOTALS else 1
-    pairs = [
-        (whole, other) if variant == DOUBLE else (other, whole)
-        for other in others
-        for whole in alike
-        if (whole.row, whole.seed) == (other.named(stem), other.seed)
-        and metric in whole.values and metric in other.values
-    ]  # fmt: skip
-    gains = [longer.values[metric] - before * short.values[metric] for short, longer in pairs]
-    return float(np.mean(gains)) if gains else math.nan
+        others = [r for r in others if _axes(r) == _axes(run)] or others
+        pairs = [
+            (whole, other) if variant == DOUBLE else (other, whole)
+            for other in others
+            for whole in alike
+            if (whole.row, whole.seed) == (other.named(stem), other.seed)
+            and metric in whole.values and metric in other.values
+        ]  # fmt: skip
+        if pairs:
+            return float(np.mean([
+                longer.values[metric] - before * short.values[metric] for short, longer in pairs
+            ]))  # fmt: skip
+    return math.nan
 
 
 def other_length(variant: str) -> tuple[str, str]:

@@ -283,14 +283,18 @@ def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
         ("a@our", "+2"), ("a@oursome", "+2"), ("a@n2-ours", "+2"), ("a", "+2"),
         # all that is still to come is what the second half of its steps gave
         ("a@double", "+1"), ("a@ours-double", "+0.05"),
+        # run at twice the steps alone, it is taken to have gained as much as what it is a variant of
+        ("a@ours-part-double", "+0.05"),
     ],
 )  # fmt: skip
 def test_a_variant_of_a_variant_needs_as_many_steps_as_that_where_it_is_known(row, told):
     """Its name begins with the other's; where no row says how long that takes, as many as the method."""
     lengths = [
         run(name, 0, [20.0 + gain] * 6)
-        for name, gain in (("a", 0), ("a@double", 1.0), ("a@ours", 0), ("a@ours-double", 0.05))
-    ]
+        for name, gain in (
+            ("a", 0), ("a@double", 1.0), ("a@ours", 0), ("a@ours-double", 0.05), ("a@ours-part-double", 3.0),
+        )
+    ]  # fmt: skip
     found = further_gain(run(row, 0, [20.0] * 6), "psnr", lengths)
     assert f"{found:+.2g}" == told
     assert math.isnan(further_gain(run("c@ours", 0, [20.0] * 6), "psnr", lengths))
