@@ -276,7 +276,8 @@ def rates(made: Made) -> Choice:
         component="rates",
         value="the release's" if factor == 1 else f"{factor:g} times the release's, falling in the second half",
         because="given" if given
-        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times" if few
+        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times; "
+        "--rates 1 is clearer from where no photo was taken" if few
         else "usual",
         expects=measured.QUICKER if few and not given else NOT_MEASURED,
     )  # fmt: skip
