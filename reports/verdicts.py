@@ -264,42 +264,40 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
             as the variant that its name begins with and that has rows of both lengths (`m@a-b` as
-            `m@a`, if there is `m@a-double`), else as its method, and a row whose own depth prior has
-            no row of other length as many as with another.
+            `m@a`, if there is `m@a-double` or `m@a-half`), else as its method, and a row whose own depth
+            prior has no row of other length as many as with another.
         metric: Name of a value of cases.
         runs: All cases of the suite.
     Returns: Mean over the seeds that both rows have, of sums over steps without what the steps
         themselves add; nan where there are no two such rows.
     Source: ours.
     """
-    doubled = _doubling_gain(run, metric, runs, DOUBLE)
-    if other_length(_variant(run))[1] == DOUBLE:
-        return doubled
-    return _doubling_gain(run, metric, runs, HALF) if math.isnan(doubled) else 2 * doubled
-
-
-def _doubling_gain(run: Measured, metric: str, runs: Sequence[Measured], variant: str) -> float:
-    """Mean of the longer row less the shorter one, of a method and its variant of other length."""
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    before = 2 if metric in TOTALS else 1
+    is_double = other_length(_variant(run))[1] == DOUBLE
     for stem in _stems(run):
-        named = f"{stem}-{variant}" if stem else variant
-        others = [
-            r for r in alike if r.row == r.named(named) and r.named() == run.named(axes=_axes(r))
-        ]
-        others = [r for r in others if _axes(r) == _axes(run)] or others
-        pairs = [
-            (whole, other) if variant == DOUBLE else (other, whole)
-            for other in others
-            for whole in alike
-            if (whole.row, whole.seed) == (other.named(stem), other.seed)
-            and metric in whole.values and metric in other.values
-        ]  # fmt: skip
-        if pairs:
-            return float(np.mean([
-                longer.values[metric] - before * short.values[metric] for short, longer in pairs
-            ]))  # fmt: skip
+        if doubled := _doubling_gains(run, metric, alike, stem, DOUBLE):
+            return (1 if is_double else 2) * float(np.mean(doubled))
+        if not is_double and (second := _doubling_gains(run, metric, alike, stem, HALF)):
+            return float(np.mean(second))
     return math.nan
+
+
+def _doubling_gains(
+    run: Measured, metric: str, alike: Sequence[Measured], stem: str, length: str
+) -> list[float]:
+    """What the longer of two rows has more than the shorter one, by seed: a variant, and the same of other length."""
+    named = f"{stem}-{length}" if stem else length
+    others = [r for r in alike if r.row == r.named(named) and r.named() == run.named(axes=_axes(r))]
+    others = [r for r in others if _axes(r) == _axes(run)] or others
+    before = 2 if metric in TOTALS else 1
+    pairs = [
+        (whole, other) if length == DOUBLE else (other, whole)
+        for other in others
+        for whole in alike
+        if (whole.row, whole.seed) == (other.named(stem), other.seed)
+        and metric in whole.values and metric in other.values
+    ]  # fmt: skip
+    return [longer.values[metric] - before * short.values[metric] for short, longer in pairs]
 
 
 def other_length(variant: str) -> tuple[str, str]:

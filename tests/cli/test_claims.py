@@ -175,6 +175,25 @@ def test_rows_of_other_lengths_are_needed_too():
     assert rows == lengths | set(methods)
 
 
+def test_of_a_variant_its_own_lengths_are_needed_and_of_its_method_no_other_variant_s():
+    wanted = claim(
+        suite="city",
+        row="odbp+stitch@tuned",
+        other="3dgs",
+        protocol="city_400",
+        scenes=("caliterra",),
+    )
+    rows = {case.row for case in load_suite("city").cases if claim_running._wanted(case, [wanted])}
+    lengths = {
+        "odbp+stitch@tuned-half",
+        "odbp+stitch@half",
+        "odbp+stitch@double",
+        "3dgs@half",
+        "3dgs@double",
+    }
+    assert rows == lengths | {"odbp+stitch@tuned", "3dgs"}
+
+
 def test_the_reduced_form_runs_reduced_suites_and_checks_once(tmp_path: Path):
     known = claim_sources.known(["tunnel", "minute", "city"])
     check = CheckClaim(text="t", check="same_seed", better="lower", bar=0.0)

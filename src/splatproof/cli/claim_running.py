@@ -9,7 +9,7 @@ from splatproof.cli import output
 from splatproof.cli.claim_sources import CHECKS_NAME, QUICK, read_checked, write_checked
 from splatproof.cli.running import USUAL, USUAL_BLOCKS, Screen, options, prepare
 from splatproof.reports.claims.claim import CheckClaim, Claim
-from splatproof.reports.claims.obstacles import Known, method_of, obstacle
+from splatproof.reports.claims.obstacles import Known, obstacle
 from splatproof.reports.verdicts import other_length
 from splatproof.suites.records import read_finished
 from splatproof.suites.suite_files import Case, Suite
@@ -77,12 +77,23 @@ def _wanted(case: Case, claims: Iterable[Claim]) -> bool:
     """Whether a claim is about the case, or needs it to see if the runs were long enough."""
     for claim in claims:
         rows = claim.rows
-        length = other_length(case.variant)[1] and case.method in map(method_of, rows)
+        of_a_row = any(_of_other_length(case, row) for row in rows)
         fits = not claim.protocol or claim.protocol == case.protocol.name
         there = not claim.scenes or case.scene_name in claim.scenes
-        if (case.row in rows or length) and fits and there:
+        if (case.row in rows or of_a_row) and fits and there:
             return True
     return False
+
+
+def _of_other_length(case: Case, row: str) -> bool:
+    """Whether a case is a row, or what the row is a variant of, with half or twice the steps."""
+    stem, length = other_length(case.variant)
+    method, _, variant = row.partition("~")[0].partition("@")
+    return (
+        bool(length)
+        and method == case.method
+        and f"{variant}-".startswith(f"{stem}-" if stem else "")
+    )
 
 
 def tell(work: Work, out: Path, *, quick: bool) -> None:
