@@ -277,6 +277,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         views_per_step=settings.views_per_step,
         random_background=settings.random_background,
         widest=settings.widest,
+        thickest=settings.thickest,
         order=_balanced(job),
         held=partial(held_rows, follow=job.follow),
     )

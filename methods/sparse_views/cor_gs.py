@@ -180,6 +180,7 @@ def prepare(scene: Scene, settings: CorGS, run: Run) -> tuple[TwinFields, Plan]:
         views_per_step=2 * settings.views_per_step,
         random_background=settings.random_background,
         widest=settings.widest,
+        thickest=settings.thickest,
         order=Paired(len(scene.train_views)),
     )
 

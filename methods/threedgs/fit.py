@@ -95,6 +95,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         resolution=settings.resolution,
         random_background=settings.random_background,
         widest=settings.widest,
+        thickest=settings.thickest,
     )
 
 

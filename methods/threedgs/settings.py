@@ -62,6 +62,10 @@ class Settings:
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera, looked at every 50
     steps: a wider one is drawn wrongly from beside it and can veil a photo that nobody trained on. 0: no
     bound (the release)."""
+    thickest: float = 0.0
+    """Largest extent of a Gaussian along the ray to the nearest training camera, as a share of its distance to it,
+    looked at every 50 steps: a thicker one is flattened along that ray, which that camera does not see, and who looks
+    from beside sees less fog. 0: no bound (the release)."""
     exposure: Exposure = "off"
     """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
     gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""
@@ -92,7 +96,9 @@ class Settings:
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
-        require(0 <= self.widest < math.inf, "widest", self.widest, "0 (no bound) or more")
+        for name in ("widest", "thickest"):
+            value = getattr(self, name)
+            require(0 <= value < math.inf, name, value, "0 (no bound) or more")
 
 
 @dataclass(frozen=True, kw_only=True)

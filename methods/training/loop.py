@@ -26,7 +26,7 @@ from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution, shrunk
 from splatproof.methods.training.run_keys import what_differs
-from splatproof.methods.training.scale_bound import EVERY, scale_bound
+from splatproof.methods.training.shape_bounds import EVERY, shape_bounds
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled
 from splatproof.reference.rasterizer.screen_gradient import ScreenProbe
@@ -74,7 +74,7 @@ class Trainer:
         self.step = 0
         self.seconds = self.cpu_seconds = 0.0
         self.counts = Counts()
-        self.bound = scale_bound(plan.widest, plan.views, model.parameters)
+        self.bounds = shape_bounds(plan.widest, plan.thickest, plan.views, model.parameters)
         self.native = self._can_be_native()
         self.ahead: Ahead | None = None
 
@@ -174,8 +174,8 @@ class Trainer:
         held = self.plan.held(self.model.parameters) if self.plan.held else {}
         kept = {name: rows[name].detach()[index] for name, index in held.items()}
         self.optimizer.step(self.rates())
-        if self.bound and self.step % EVERY == 0:
-            self.bound.apply(self.model.parameters)
+        for bound in self.bounds if self.step % EVERY == 0 else ():
+            bound.apply(self.model.parameters)
         for name, values in kept.items():
             rows[name].detach()[held[name]] = values
 

@@ -45,5 +45,7 @@ class Plan:
     training from now on, with photos in full size; None: as before. None: it stays."""
     widest: float = 0.0
     """Largest scale as a share of the distance to the nearest of the views' cameras; 0: no bound."""
+    thickest: float = 0.0
+    """Largest extent along the ray to that camera, as a share of the distance; 0: no bound."""
     native: bool = True
     """Whether the kernels' own step may be used; False: always autograd."""

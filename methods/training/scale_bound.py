@@ -1,19 +1,11 @@
 """No Gaussian much wider than the nearest camera is far: a wider one veils photos that do not show it."""
 
-from collections.abc import Sequence
-
 import torch
 from jaxtyping import Float
-from scipy.spatial import KDTree
 from torch import Tensor
 
-from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.parameters import Parameters
-from splatproof.reference.types.scene import View
-
-EVERY = 50
-"""Steps from one look at all scales to the next. With the release's rate of 0.005 a scale grows by 28 % in
-between at most."""
+from splatproof.methods.training.nearest_camera import NearestCamera
 
 
 class ScaleBound:
@@ -26,15 +18,14 @@ class ScaleBound:
     Source: ours; the linear projection: Zwicker et al. 2001, "EWA Volume Splatting".
     """
 
-    def __init__(self, share: float, views: Sequence[View]) -> None:
-        """Remember where the cameras are.
+    def __init__(self, share: float, cameras: NearestCamera) -> None:
+        """Remember the share and where the cameras are.
 
         Args:
             share: Largest standard deviation on any axis as a share of the distance, > 0.
-            views: Training views, at least one.
+            cameras: Those of the training views.
         """
-        self.share = share
-        self.cameras = KDTree(torch.stack([view.camera.centre.double() for view in views]).cpu())
+        self.share, self.cameras = share, cameras
 
     def largest(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Largest scale of a Gaussian at each position, in scene units.
@@ -42,8 +33,8 @@ class ScaleBound:
         Args:
             means: World positions in scene units.
         """
-        distance, _ = self.cameras.query(means.detach().cpu().numpy())
-        return (self.share * torch.as_tensor(distance)).to(means)
+        distance, _ = self.cameras.look(means)
+        return (self.share * distance).to(means)
 
     @torch.no_grad()
     def apply(self, parameters: Parameters) -> None:
@@ -57,22 +48,3 @@ class ScaleBound:
         least = torch.finfo(scales.dtype).tiny
         top = self.largest(parameters.rows["means"]).clamp(min=least).log()
         torch.minimum(scales, top[:, None], out=scales)
-
-
-def scale_bound(share: float, views: Sequence[View], parameters: Parameters) -> ScaleBound | None:
-    """The bound of a training; None where none is asked for.
-
-    Args:
-        share: As for `ScaleBound`; 0: no bound.
-        views: Training views.
-        parameters: The model's.
-
-    Raises: UsageError if the model has no scales of its own that could be bounded.
-    """
-    if not share:
-        return None
-    if not {"means", "log_scales"} <= parameters.rows.keys():
-        raise UsageError(
-            f"setting widest is {share:g}, expected 0: what this method trains has no scales of its own"
-        )
-    return ScaleBound(share, views)

@@ -15,7 +15,9 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
-from splatproof.methods.training.scale_bound import EVERY, ScaleBound, scale_bound
+from splatproof.methods.training.nearest_camera import NearestCamera
+from splatproof.methods.training.scale_bound import ScaleBound
+from splatproof.methods.training.shape_bounds import EVERY, shape_bounds
 from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import camera_view
@@ -41,7 +43,7 @@ def rows(count: int, seed: int, spread: float) -> Parameters:
 def test_no_scale_is_above_its_share_and_no_other_changes(count, seed, share, spread):
     parameters = rows(count, seed, spread)
     before = {name: value.clone() for name, value in parameters.rows.items()}
-    ScaleBound(share, VIEWS).apply(parameters)
+    ScaleBound(share, NearestCamera(VIEWS)).apply(parameters)
     after = parameters.rows["log_scales"]
     nearest = torch.cdist(before["means"].double(), CENTRES).amin(dim=1)
     top = (share * nearest)[:, None]
@@ -50,7 +52,7 @@ def test_no_scale_is_above_its_share_and_no_other_changes(count, seed, share, sp
     assert torch.equal(after[below], before["log_scales"][below])
     assert (after <= before["log_scales"]).all()
     assert torch.equal(parameters.rows["means"], before["means"])
-    ScaleBound(share, VIEWS).apply(parameters)
+    ScaleBound(share, NearestCamera(VIEWS)).apply(parameters)
     assert torch.equal(parameters.rows["log_scales"], after)
 
 
@@ -65,8 +67,8 @@ def test_a_scene_in_other_units_has_the_bound_in_other_units(share, factor, seed
 
     scaled = tuple(camera_view(larger(view.camera)) for view in VIEWS)
     torch.testing.assert_close(
-        ScaleBound(share, scaled).largest(factor * means),
-        factor * ScaleBound(share, VIEWS).largest(means),
+        ScaleBound(share, NearestCamera(scaled)).largest(factor * means),
+        factor * ScaleBound(share, NearestCamera(VIEWS)).largest(means),
         rtol=1e-4, atol=0,
     )  # fmt: skip
 
@@ -74,10 +76,8 @@ def test_a_scene_in_other_units_has_the_bound_in_other_units(share, factor, seed
 def test_a_gaussian_on_a_camera_keeps_finite_parameters():
     """One camera stands exactly where the Gaussian is."""
     parameters = Parameters({"means": torch.zeros(1, 3), "log_scales": torch.zeros(1, 3)})
-    bound = ScaleBound(
-        0.5, (camera_view(replace(camera(0), world_to_camera=torch.eye(4).double())),)
-    )
-    bound.apply(parameters)
+    at = camera_view(replace(camera(0), world_to_camera=torch.eye(4).double()))
+    ScaleBound(0.5, NearestCamera((at,))).apply(parameters)
     assert parameters.rows["log_scales"].isfinite().all()
     assert (parameters.rows["log_scales"].exp() < 1e-30).all()
 
@@ -109,7 +109,7 @@ def test_a_wide_piece_of_ground_veils_a_view_of_the_sky_unless_bounded(degrees):
 
     free = veil(236.0)
     assert free > 0.5
-    largest = ScaleBound(0.5, (camera_view(where),)).largest(mean)
+    largest = ScaleBound(0.5, NearestCamera((camera_view(where),))).largest(mean)
     assert veil(float(largest)) < free / 20
 
 
@@ -156,9 +156,9 @@ def test_what_is_held_keeps_its_scale():
 
 def test_a_model_without_scales_refuses_the_bound():
     colours = Parameters({"means": torch.zeros(2, 3)})
-    assert scale_bound(0.0, VIEWS, colours) is None
+    assert shape_bounds(0.0, 0.0, VIEWS, colours) == ()
     with pytest.raises(UsageError, match="setting widest is 0.5, expected 0"):
-        scale_bound(0.5, VIEWS, colours)
+        shape_bounds(0.5, 0.0, VIEWS, colours)
 
 
 def test_a_negative_share_is_refused():
