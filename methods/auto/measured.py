@@ -83,6 +83,8 @@ NO_DROPOUT = "+0.3 dB on caliterra, +0.5 on seneca (docs/auto.md)"
 """No dropout, where photos are looked at 15 to 50 times: rows of an earlier plan, which had it there (three seeds, and two)."""
 QUICKER = "+0.8 dB on seneca, +0.8 dB on caliterra (docs/minute.md)"
 """Four times the release's rates where a minute looks at photos 13 and 34 times: row `auto@release-rates` of suite minute, three seeds."""
+FLATTENED = "NN"
+"""Gaussians flattened along rays."""
 FULL_SIZE = "+0.6 dB on brighton_beach at 250 px"
 """Full size from the first step against a start at a quarter, where that leaves less than 80 pixels (one seed)."""
 MCMC_SECONDS = (1.4, 1.7)

@@ -82,6 +82,7 @@ def rows(made: Made, *, sized: bool) -> Iterator[Choice]:
     yield density(made)
     yield cap(made)
     yield largest_scale(made)
+    yield thickness(made)
     yield harmonics(made)
     if made.base != "pvg":
         yield opacity_term(made)
@@ -215,6 +216,23 @@ def largest_scale(made: Made) -> Choice:
         because="given" if made.asked.widest is not None
         else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on",
         expects=str(measured.BOUNDED) if made.asked.widest is None else NOT_MEASURED,
+    )  # fmt: skip
+
+
+def thickness(made: Made) -> Choice:
+    """The bound on what reaches along rays.
+
+    Args:
+        made: What the plan came to.
+    """
+    thickest = made.settings.thickest
+    given = made.asked.thickest is not None
+    return Choice(
+        component="thickness",
+        value=f"{thickest:g} of the distance to the nearest camera" if thickest else "no bound",
+        because="given" if given
+        else "how far a Gaussian reaches along a photo's rays that photo does not see, but who looks from beside: as fog",
+        expects=NOT_MEASURED if given else measured.FLATTENED,
     )  # fmt: skip
 
 

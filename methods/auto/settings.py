@@ -48,6 +48,9 @@ class AutoSettings:
     widest: float | None = None
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera; 0: no bound.
     None: planned."""
+    thickest: float | None = None
+    """Largest extent of a Gaussian along the ray to the nearest training camera, as a share of its distance to it; 0:
+    no bound. None: planned."""
     gradient: float | None = None
     """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
     is densified. None: planned."""
@@ -71,7 +74,7 @@ class AutoSettings:
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
             ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("rates", 0, math.inf), ("widest", 0, math.inf),
-            ("gradient", 0, math.inf),
+            ("thickest", 0, math.inf), ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)
             fine = value is None or low <= value <= high

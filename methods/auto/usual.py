@@ -28,6 +28,8 @@ WIDEST = 0.5
 """Largest scale as a share of the distance to the nearest training camera, see `ScaleBound`. Held-out training photos
 of courtyard, three folds: a half gains 0.1 to 0.4 dB, a quarter and one between -0.4 and +0.2; one or two folds of six
 other scenes: a half between -0.3 and +0.3."""
+THICKEST = 0.01
+"""Largest extent along the ray to the nearest training camera as a share of its length, see `ThicknessBound`."""
 DROPOUT = 0.2
 """Share of the Gaussians that a step leaves out, against photos learnt by heart."""
 DROPOUT_FROM = 60
@@ -72,6 +74,7 @@ def usual_for(asked: AutoSettings, width: int, height: int) -> Settings:
         opacity_weight=0.01 if asked.opacity_weight is None else asked.opacity_weight,
         dropout=DROPOUT if asked.dropout is None else asked.dropout,
         widest=WIDEST if asked.widest is None else asked.widest,
+        thickest=THICKEST if asked.thickest is None else asked.thickest,
         exposure=asked.exposure or "off",
         rates=quicker(1.0 if asked.rates is None else asked.rates),
         random_points=RANDOM_POINTS,

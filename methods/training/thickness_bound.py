@@ -71,6 +71,9 @@ def axes(
 ) -> tuple[Float[Tensor, "n 3 3"], Float[Tensor, "n 3"]]:
     """Rotation and scales with R diag(s^2) R^T = H H^T, each axis the one nearest to it of another rotation.
 
+    No mirror: in the order of largest likeness and with signs that agree, the cosines between old and new axes add up to
+    more than 1 (each row's do, and the mean over orders is their sum over three), of a mirror to at most 1.
+
     Args:
         half: Any factor H of each covariance.
         before: The other rotations.
@@ -85,9 +88,7 @@ def axes(
     order: Int[Tensor, "n 3"] = ORDERS[fits.argmax(dim=1)].to(half.device)
     columns = columns.gather(2, order[:, None, :].expand(-1, 3, -1))
     signs = (before * columns).sum(dim=1).sign()
-    columns = columns * torch.where(signs == 0, 1, signs)[:, None, :]
-    columns[:, :, 0] *= torch.linalg.det(columns).sign()[:, None]
-    return columns, scales.gather(1, order)
+    return columns * signs[:, None, :], scales.gather(1, order)
 
 
 def quaternions(rotations: Float[Tensor, "n 3 3"]) -> Float[Tensor, "n 4"]:

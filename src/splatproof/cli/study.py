@@ -124,6 +124,7 @@ def _measure(
         if known["kept"]:
             output.log(f"{len(known['kept'])} rows of a study that was stopped are kept")
     rows: list[Row] = []
+    lines: list[str] = []
     if not known.get("kept"):  # else a kill before the first row would lose them
         write_text(file, "")
     try:
@@ -131,9 +132,7 @@ def _measure(
             task = bar.add_task(name, total=None, values="")
             for row in study.rows(quick=quick, **options, **known):
                 rows.append(row)
-                lines = (
-                    json.dumps(output.finite(held), ensure_ascii=False) + "\n" for held in rows
-                )
+                lines.append(json.dumps(output.finite(row), ensure_ascii=False) + "\n")
                 write_text(file, "".join(lines))
                 bar.update(task, completed=len(rows), values=str(row.get("case", "")))
                 if output.wants_json():

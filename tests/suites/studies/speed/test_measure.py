@@ -108,6 +108,7 @@ def only_line(monkeypatch) -> Iterator[None]:
     monkeypatch.setattr(speed_neural, "CASES", ())
     monkeypatch.setattr(speed, "ROUND_SECONDS", 0.01)
     monkeypatch.setattr(speed, "TURN_SECONDS", 0.01)
+    monkeypatch.setattr(idle, "LOOK_SECONDS", 0.01)
     yield
     COMPONENTS.clear()
     COMPONENTS.update(kept)
