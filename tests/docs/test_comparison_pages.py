@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import fields as fields_of
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -47,14 +48,18 @@ def test_every_picture_of_the_page_is_there_and_small(made):
         assert (DOCS / entry["path"]).stat().st_size < 150_000
 
 
+@cache
+def rows_of(suite: str) -> set[str]:
+    return {row for _, _, row in planned(load_suite(suite).cases)}
+
+
 @BOTH
 def test_claims_and_printed_tables_name_rows_of_the_suite(made):
     rows = {(row, protocol) for _, protocol, row in planned(load_suite(made.suite).cases)}
     named = {row for row, _ in rows}
     for claim in load_claims(made.suite, numbers()):
         if not claim.missing and {method_of(row) for row in claim.rows} <= set(methods()):
-            theirs = {row for _, _, row in planned(load_suite(claim.suite).cases)}
-            assert {claim.row, claim.other} <= theirs, claim.text
+            assert {claim.row, claim.other} <= rows_of(claim.suite), claim.text
             both = {protocol for row, protocol in rows if row in (claim.row, claim.other)}
             assert claim.protocol in both or len(both) == 1, claim.text
     assert {line.row for table in made.printed for line in table.lines} <= named

@@ -92,7 +92,9 @@ def test_a_killed_run_goes_on_to_the_same_model_by_its_plan(planned, tmp_path, m
 
 
 def test_what_is_completed_follows_the_plan():
-    settings = Settings(iterations=123, sh_degree=1, dropout=0.4, widest=0.7, exposure="gain")
+    settings = Settings(
+        iterations=123, sh_degree=1, dropout=0.4, widest=0.7, thickest=0.02, exposure="gain"
+    )
     scene = aerial_scene()
     found = completed(settings, scene)
     for part in fields(Settings):

@@ -125,7 +125,7 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     names = [choice.component for choice in found.plan.choices]
     assert names == [
         "matched points", "completed depths", "exposure", "blocks", "points", "resolution", "density", "Gaussians",
-        "largest scale", "harmonics", "opacity term", "views a step", "steps", "rates", "dropout", "anchors",
+        "largest scale", "thickness", "harmonics", "opacity term", "views a step", "steps", "rates", "dropout", "anchors",
     ]  # fmt: skip
     assert found.plan.choices[2].because.startswith("probe: ")
 

@@ -125,16 +125,16 @@ def test_what_is_fixed_is_neither_planned_nor_tried():
     assert candidates(asked, FACTS) == []
 
 
-def test_the_largest_scale_stands_in_the_plan():
-    for asked, share, why in (
-        (AutoSettings(), 0.5, "veil a photo"),
-        (AutoSettings(widest=0.0), 0.0, "given"),
-        (AutoSettings(widest=2.0), 2.0, "given"),
-    ):
-        found = planned(asked)
-        assert found.settings.widest == share
-        (told,) = (one for one in found.choices if one.component == "largest scale")
-        assert why in told.because
+@pytest.mark.parametrize(
+    ("name", "component", "usual", "why"),
+    [("widest", "largest scale", 0.5, "veil a photo"), ("thickest", "thickness", 0.03, "as fog")],
+)
+def test_bounds_on_shape_stand_in_the_plan(name, component, usual, why):
+    for given, share, because in ((None, usual, why), (0.0, 0.0, "given"), (2.0, 2.0, "given")):
+        found = planned(AutoSettings(**{name: given}))
+        assert getattr(found.settings, name) == share
+        (told,) = (one for one in found.choices if one.component == component)
+        assert because in told.because
         assert (told.value == "no bound") == (share == 0)
 
 

@@ -117,6 +117,7 @@ class Photo:
 """
 
 
+@pytest.mark.slow  # another worker with all imports: 20 s
 @pytest.mark.usefixtures("cluster")
 def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
     (tmp_path / "photo_source.py").write_text(PLUGIN)
