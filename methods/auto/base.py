@@ -115,7 +115,7 @@ def prepare(scene: Scene, settings: Settings, run: Run, base: Base) -> tuple[Mod
     if base == "stratosplat":
         return stratosplat.prepare_from(scene, completed(settings, scene), run)
     model, plan = pvg.prepare(scene, moving(settings, scene), run)
-    return model, replace(plan, widest=settings.widest, thickest=settings.thickest)
+    return model, replace(plan, shapes=settings.shapes)
 
 
 def finished(model: Model, scene: Scene, backend: str, base: Base) -> Reconstruction:

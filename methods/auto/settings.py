@@ -48,6 +48,9 @@ class AutoSettings:
     widest: float | None = None
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera; 0: no bound.
     None: planned."""
+    widest_at_points: float | None = None
+    """The same on points that training starts from; further away a Gaussian may be as wide as it is far from the nearest
+    of them. 0: as elsewhere. None: planned."""
     thickest: float | None = None
     """Largest extent of a Gaussian along the ray to the nearest training camera, as a share of its distance to it; 0:
     no bound. None: planned."""
@@ -73,7 +76,7 @@ class AutoSettings:
         require(0 <= self.probe_share <= 0.5, "probe_share", self.probe_share, "0 to 0.5")
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
-            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("rates", 0, math.inf), ("widest", 0, math.inf),
+            ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("rates", 0, math.inf), ("widest", 0, math.inf), ("widest_at_points", 0, math.inf),
             ("thickest", 0, math.inf), ("gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)

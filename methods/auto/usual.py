@@ -76,6 +76,7 @@ def usual_for(asked: AutoSettings, width: int, height: int) -> Settings:
         opacity_weight=0.01 if asked.opacity_weight is None else asked.opacity_weight,
         dropout=DROPOUT if asked.dropout is None else asked.dropout,
         widest=WIDEST if asked.widest is None else asked.widest,
+        widest_at_points=asked.widest_at_points or 0.0,
         thickest=THICKEST if asked.thickest is None else asked.thickest,
         exposure=asked.exposure or "off",
         rates=quicker(1.0 if asked.rates is None else asked.rates),

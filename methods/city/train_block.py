@@ -276,8 +276,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         key=run_key(scene, settings, run, job.key),
         views_per_step=settings.views_per_step,
         random_background=settings.random_background,
-        widest=settings.widest,
-        thickest=settings.thickest,
+        shapes=settings.shapes,
         order=_balanced(job),
         held=partial(held_rows, follow=job.follow),
     )

@@ -179,8 +179,7 @@ def prepare(scene: Scene, settings: CorGS, run: Run) -> tuple[TwinFields, Plan]:
         key=run_key(scene, settings, run),
         views_per_step=2 * settings.views_per_step,
         random_background=settings.random_background,
-        widest=settings.widest,
-        thickest=settings.thickest,
+        shapes=settings.shapes,
         order=Paired(len(scene.train_views)),
     )
 

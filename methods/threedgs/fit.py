@@ -94,8 +94,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         views_per_step=settings.views_per_step,
         resolution=settings.resolution,
         random_background=settings.random_background,
-        widest=settings.widest,
-        thickest=settings.thickest,
+        shapes=settings.shapes,
     )
 
 

@@ -8,6 +8,7 @@ from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import Rates, require, require_cell
+from splatproof.methods.training.shape_bounds import Shapes
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.supervision.dense_initialisation import DenseSettings
 
@@ -62,6 +63,9 @@ class Settings:
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera, looked at every 50
     steps: a wider one is drawn wrongly from beside it and can veil a photo that nobody trained on. 0: no
     bound (the release)."""
+    widest_at_points: float = 0.0
+    """The same for a Gaussian on a point that training starts from; one further away may be as wide as it is far from
+    the nearest of them, up to `widest`. Against faint wide Gaussians over what is known in detail. 0: as elsewhere."""
     thickest: float = 0.0
     """Largest extent of a Gaussian along the ray to the nearest training camera, as a share of its distance to it,
     looked at every 50 steps: a thicker one is flattened along that ray, which that camera does not see, and who looks
@@ -75,6 +79,13 @@ class Settings:
     """Learning rates of the Gaussians' parameters."""
     density: Density = field(default_factory=Density)
     """When and where Gaussians are added and removed."""
+
+    @property
+    def shapes(self) -> Shapes:
+        """Which shapes Gaussians may have."""
+        return Shapes(
+            widest=self.widest, widest_at_points=self.widest_at_points, thickest=self.thickest
+        )
 
     @property
     def mode(self) -> Mode:
@@ -96,7 +107,7 @@ class Settings:
         require(0 <= self.dssim <= 1, "dssim", self.dssim, "0 to 1")
         require(0 <= self.dropout < 1, "dropout", self.dropout, "0 to below 1")
         require(0 <= self.opacity_weight < math.inf, "opacity_weight", self.opacity_weight, ">= 0")
-        for name in ("widest", "thickest"):
+        for name in ("widest", "widest_at_points", "thickest"):
             value = getattr(self, name)
             require(0 <= value < math.inf, name, value, "0 (no bound) or more")
 

@@ -74,7 +74,7 @@ class Trainer:
         self.step = 0
         self.seconds = self.cpu_seconds = 0.0
         self.counts = Counts()
-        self.bounds = shape_bounds(plan.widest, plan.thickest, plan.views, model.parameters)
+        self.bounds = shape_bounds(plan.shapes, plan.views, model.parameters)
         self.native = self._can_be_native()
         self.ahead: Ahead | None = None
 

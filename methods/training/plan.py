@@ -10,6 +10,7 @@ from splatproof.methods.contracts.density_strategy import DensityStrategy
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.training.optimizer import Adam
 from splatproof.methods.training.resolution import Resolution
+from splatproof.methods.training.shape_bounds import Shapes
 from splatproof.methods.training.terms import ImageTerm, ParameterTerm
 from splatproof.methods.training.view_order import ViewOrder
 from splatproof.reference.types.scene import View
@@ -43,9 +44,7 @@ class Plan:
     recount: Callable[[int, float], int | None] | None = None
     """recount(step, seconds of training so far), asked after each step: the number of steps of the whole
     training from now on, with photos in full size; None: as before. None: it stays."""
-    widest: float = 0.0
-    """Largest scale as a share of the distance to the nearest of the views' cameras; 0: no bound."""
-    thickest: float = 0.0
-    """Largest extent along the ray to that camera, as a share of the distance; 0: no bound."""
+    shapes: Shapes = field(default_factory=Shapes)
+    """Which shapes Gaussians may have."""
     native: bool = True
     """Whether the kernels' own step may be used; False: always autograd."""

@@ -1,7 +1,10 @@
 """No Gaussian much wider than the nearest camera is far: a wider one veils photos that do not show it."""
 
+import math
+
 import torch
 from jaxtyping import Float
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from splatproof.methods.contracts.parameters import Parameters
@@ -9,23 +12,38 @@ from splatproof.methods.training.nearest_camera import NearestCamera
 
 
 class ScaleBound:
-    """Scales that are at most a share of the distance to the nearest training camera.
+    """Scales that are at most a share of the distance to the nearest training camera, a smaller one near points.
 
     A projection that is linear around a Gaussian's centre is right where the Gaussian is narrow against its depth.
     A wide one well outside of an image gets a footprint that covers all of it, so that a single Gaussian of
     the far ground costs a photo that nobody trains on 10 dB, while training photos never showed it.
 
+    Where points to start from lie close together, what is there is known in detail, and faint wide Gaussians before and behind
+    it are fog to whoever does not look along the photos' rays; where there are none, wide ones have to fill the gap. So a Gaussian
+    that is wider than the smaller share is at most as wide as it is far from the nearest such point.
+
     Source: ours; the linear projection: Zwicker et al. 2001, "EWA Volume Splatting".
     """
 
-    def __init__(self, share: float, cameras: NearestCamera) -> None:
-        """Remember the share and where the cameras are.
+    def __init__(
+        self,
+        share: float,
+        cameras: NearestCamera,
+        near: float = math.inf,
+        points: Float[Tensor, "p 3"] | None = None,
+    ) -> None:
+        """Remember the shares, where the cameras are and where the points are.
 
         Args:
-            share: Largest standard deviation on any axis as a share of the distance, > 0.
+            share: Largest standard deviation on any axis as a share of the distance, > 0; inf: no bound.
             cameras: Those of the training views.
+            near: The same on points, > 0; inf: no smaller one there.
+            points: Where training starts from, in scene units, at least one where `near` is finite.
         """
-        self.share, self.cameras = share, cameras
+        self.share, self.cameras, self.near = share, cameras, near
+        self.points = (
+            None if math.isinf(near) or points is None else KDTree(points.detach().cpu().numpy())
+        )
 
     def largest(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
         """Largest scale of a Gaussian at each position, in scene units.
@@ -34,7 +52,12 @@ class ScaleBound:
             means: World positions in scene units.
         """
         distance, _ = self.cameras.look(means)
-        return (self.share * distance).to(means)
+        # a Gaussian on a camera: 0 times infinity
+        top = torch.where(distance > 0, self.share * distance, 0)
+        if self.points is not None:
+            bare, _ = self.points.query(means.detach().cpu().numpy())
+            top = torch.minimum(top, torch.maximum(self.near * distance, torch.as_tensor(bare)))
+        return top.to(means)
 
     @torch.no_grad()
     def apply(self, parameters: Parameters) -> None:

@@ -130,8 +130,8 @@ def test_what_is_fixed_is_neither_planned_nor_tried():
     [("widest", "largest scale", 0.5, "veil a photo"), ("thickest", "thickness", 0.03, "as fog")],
 )
 def test_bounds_on_shape_stand_in_the_plan(name, component, usual, why):
-    for given, share, because in ((None, usual, why), (0.0, 0.0, "given"), (2.0, 2.0, "given")):
-        found = planned(AutoSettings(**{name: given}))
+    for asked, share, because in ((None, usual, why), (0.0, 0.0, "given"), (2.0, 2.0, "given")):
+        found = planned(AutoSettings(**{name: asked}))
         assert getattr(found.settings, name) == share
         (told,) = (one for one in found.choices if one.component == component)
         assert because in told.because

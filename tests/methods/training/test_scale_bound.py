@@ -17,7 +17,7 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.nearest_camera import NearestCamera
 from splatproof.methods.training.scale_bound import ScaleBound
-from splatproof.methods.training.shape_bounds import EVERY, shape_bounds
+from splatproof.methods.training.shape_bounds import EVERY, Shapes, shape_bounds
 from splatproof.reference.rasterizer.rasterize import rasterize
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import camera_view
@@ -54,6 +54,41 @@ def test_no_scale_is_above_its_share_and_no_other_changes(count, seed, share, sp
     assert torch.equal(parameters.rows["means"], before["means"])
     ScaleBound(share, NearestCamera(VIEWS)).apply(parameters)
     assert torch.equal(parameters.rows["log_scales"], after)
+
+
+@given(
+    seed=st.integers(0, 999),
+    spread=st.floats(0, 4),
+    near=st.floats(0.01, 0.5),
+    share=st.floats(0.5, 3),
+)
+def test_near_points_the_bound_is_narrower_and_in_a_gap_as_wide_as_the_gap(
+    seed, spread, near, share
+):
+    parameters = rows(30, seed, spread)
+    points = 4 * random_gaussians(12, seed=seed + 7).means
+    means = parameters.rows["means"].detach().double()
+    before = parameters.rows["log_scales"].detach().double().exp()
+    ScaleBound(share, NearestCamera(VIEWS), near, points).apply(parameters)
+    after = parameters.rows["log_scales"].detach().double().exp()
+    for was, now, mean in zip(before, after, means, strict=True):
+        far = (CENTRES - mean).norm(dim=1).min()
+        gap = (points.double() - mean).norm(dim=1).min()
+        top = min(share * far, max(near * far, gap))
+        torch.testing.assert_close(now, was.clamp(max=float(top)), rtol=1e-4, atol=0)
+
+
+def test_a_bound_at_points_alone_leaves_a_gap_unbounded():
+    """Cameras 4 units from the cube; two Gaussians, one on the only point."""
+    parameters = Parameters({
+        "means": torch.tensor([[0.0, 0, 0], [0.0, 0, 50]]), "log_scales": torch.full((2, 3), 3.0),
+    })  # fmt: skip
+    bound = ScaleBound(math.inf, NearestCamera(VIEWS), 0.1, torch.zeros(1, 3))
+    bound.apply(parameters)
+    on, away = parameters.rows["log_scales"].detach().exp()
+    nearest = float(CENTRES.norm(dim=1).min())
+    torch.testing.assert_close(on, torch.full((3,), 0.1 * nearest), rtol=1e-4, atol=0)
+    assert torch.equal(away, torch.full((3,), 3.0).exp())  # 20 wide, 50 from the point
 
 
 @given(share=st.floats(0.05, 3), factor=st.floats(0.01, 100), seed=st.integers(0, 99))
@@ -156,11 +191,12 @@ def test_what_is_held_keeps_its_scale():
 
 def test_a_model_without_scales_refuses_the_bound():
     colours = Parameters({"means": torch.zeros(2, 3)})
-    assert shape_bounds(0.0, 0.0, VIEWS, colours) == ()
+    assert shape_bounds(Shapes(), VIEWS, colours) == ()
     with pytest.raises(UsageError, match="setting widest is 0.5, expected 0"):
-        shape_bounds(0.5, 0.0, VIEWS, colours)
+        shape_bounds(Shapes(widest=0.5), VIEWS, colours)
 
 
 def test_a_negative_share_is_refused():
-    with pytest.raises(UsageError, match="widest"):
-        Settings(widest=-0.1)
+    for name in ("widest", "widest_at_points"):
+        with pytest.raises(UsageError, match=name):
+            Settings(**{name: -0.1})

@@ -16,7 +16,8 @@ from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.nearest_camera import NearestCamera
-from splatproof.methods.training.shape_bounds import EVERY, shape_bounds
+from splatproof.methods.training.scale_bound import ScaleBound
+from splatproof.methods.training.shape_bounds import EVERY, Shapes, shape_bounds
 from splatproof.methods.training.thickness_bound import ThicknessBound, axes, quaternions
 from splatproof.reference.rasterizer.projection import jacobian
 from splatproof.reference.rasterizer.rasterize import rasterize
@@ -242,15 +243,22 @@ def test_training_keeps_to_the_bound_and_without_one_nothing_is_flattened():
 
 def test_both_bounds_come_one_after_the_other_and_ask_the_same_cameras():
     parameters = rows(3, 0, 1.0)
-    wide, thick = shape_bounds(0.5, 0.01, VIEWS, parameters)
+    wide, thick = shape_bounds(Shapes(widest=0.5, thickest=0.01), VIEWS, parameters)
     assert (wide.share, thick.share) == (0.5, 0.01)
     assert wide.cameras is thick.cameras
-    assert shape_bounds(0.0, 0.0, VIEWS, parameters) == ()
+    (wide,) = shape_bounds(Shapes(widest_at_points=0.2), VIEWS, parameters)
+    assert isinstance(wide, ScaleBound)
+    assert (wide.share, wide.near) == (math.inf, 0.2)
+    # its points are where the Gaussians are at first: no gap there
+    torch.testing.assert_close(
+        wide.largest(parameters.rows["means"]),
+        ScaleBound(0.2, wide.cameras).largest(parameters.rows["means"]),
+    )
 
 
 def test_a_model_without_shapes_and_a_negative_share_are_refused():
     colours = Parameters({"means": torch.zeros(2, 3)})
     with pytest.raises(UsageError, match="setting thickest is 0.01, expected 0"):
-        shape_bounds(0.0, 0.01, VIEWS, colours)
+        shape_bounds(Shapes(thickest=0.01), VIEWS, colours)
     with pytest.raises(UsageError, match="thickest"):
         Settings(thickest=-0.1)
