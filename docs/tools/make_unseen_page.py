@@ -24,6 +24,9 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
   the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
   alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
   `@di-true` is `@di` with the true depth for matches: a bound on all matchers; `@di-own` has those of our own network.
+- `@di-tuned` is `@di` with method auto's bound on scales and opacity term, `@di-quick` learns everything but positions and opacities four
+  times as fast as well, as method auto does where photos are looked at seldom; `@di-quick-flat` flattens what is thick along photos' rays
+  (`thickest`), `@di-quick-bounded` also bounds scales more narrowly on start points (`widest_at_points`), which is auto's plan.
 - `citygaussian`, `vastgaussian`, `blockgaussian` and `dpgs-partition` (blocks of equal load): four blocks after a coarse model;
   `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block. They were recorded before the processes of
   blocks were counted, and have no processor seconds or peak memory.

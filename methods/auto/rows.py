@@ -209,12 +209,18 @@ def largest_scale(made: Made) -> Choice:
     Args:
         made: What the plan came to.
     """
-    widest = made.settings.widest
+    widest, near = made.settings.widest, made.settings.widest_at_points
+    bounds = [
+        f"{share:g} of the distance to the nearest camera{where}"
+        for share, where in ((widest, ""), (near, " on start points"))
+        if share
+    ]
     return Choice(
         component="largest scale",
-        value=f"{widest:g} of the distance to the nearest camera" if widest else "no bound",
+        value="; ".join(bounds) or "no bound",
         because="given" if made.asked.widest is not None
-        else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on",
+        else "a wider Gaussian is drawn wrongly from beside it: one can veil a photo that nobody trained on"
+        + (", and faint ones over what is known in detail are fog from beside" if near else ""),
         expects=str(measured.BOUNDED) if made.asked.widest is None else NOT_MEASURED,
     )  # fmt: skip
 
@@ -294,8 +300,7 @@ def rates(made: Made) -> Choice:
         component="rates",
         value="the release's" if factor == 1 else f"{factor:g} times the release's, falling in the second half",
         because="given" if given
-        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times; "
-        "--rates 1 is clearer from where no photo was taken" if few
+        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times" if few
         else "usual",
         expects=measured.QUICKER if few and not given else NOT_MEASURED,
     )  # fmt: skip

@@ -43,8 +43,7 @@ class AutoSettings:
     """Share of Gaussians that a step hides at random, growing to this. None: planned."""
     rates: float | None = None
     """Factor on the release's learning rates of everything but positions and opacities; where it is not 1, they fall
-    to a tenth of that in the second half of a training. Larger ones are for views close to the photos': 1 is clearer
-    from elsewhere (docs/auto.md). None: planned."""
+    to a tenth of that in the second half of a training. None: planned."""
     widest: float | None = None
     """Largest scale of a Gaussian as a share of its distance to the nearest training camera; 0: no bound.
     None: planned."""

@@ -52,8 +52,8 @@ class ScaleBound:
             means: World positions in scene units.
         """
         distance, _ = self.cameras.look(means)
-        # a Gaussian on a camera: 0 times infinity
-        top = torch.where(distance > 0, self.share * distance, 0)
+        # no bound is none on a camera either
+        top = torch.nan_to_num(self.share * distance, nan=math.inf, posinf=math.inf)
         if self.points is not None:
             bare, _ = self.points.query(means.detach().cpu().numpy())
             top = torch.minimum(top, torch.maximum(self.near * distance, torch.as_tensor(bare)))

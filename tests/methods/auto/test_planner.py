@@ -135,7 +135,8 @@ def test_bounds_on_shape_stand_in_the_plan(name, component, usual, why):
         assert getattr(found.settings, name) == share
         (told,) = (one for one in found.choices if one.component == component)
         assert because in told.because
-        assert (told.value == "no bound") == (share == 0)
+        held = f"{share:g} of the distance to the nearest camera"
+        assert (held in told.value) == bool(share)
 
 
 def test_the_pace_stands_in_the_plan_and_needs_a_cap_that_only_the_plan_knows():
@@ -268,3 +269,16 @@ def test_a_gain_counts_where_it_is_large_and_sure(gains, wins):
 def test_impossible_wishes_are_refused(values):
     with pytest.raises(UsageError, match=next(iter(values))):
         AutoSettings(**values)
+
+
+def test_what_larger_steps_learn_is_narrower_on_points():
+    """Few looks have the larger steps; rates that are given say whether it needs the bound, which can be given too."""
+    for looks, asked, share in (
+        (59, {}, 0.2), (60, {}, 0.0), (59, {"rates": 1.0}, 0.0), (59, {"rates": 2.0}, 0.2),
+        (59, {"widest_at_points": 0.0}, 0.0), (59, {"widest_at_points": 0.4}, 0.4),
+        (60, {"widest_at_points": 0.4}, 0.4),
+    ):  # fmt: skip
+        found = planned(AutoSettings(steps=looks * FACTS.views, **asked))
+        assert found.settings.widest_at_points == share
+        (told,) = (one for one in found.choices if one.component == "largest scale")
+        assert ("on start points" in told.value) == ("fog" in told.because) == bool(share)

@@ -79,14 +79,14 @@ def test_near_points_the_bound_is_narrower_and_in_a_gap_as_wide_as_the_gap(
 
 
 def test_a_bound_at_points_alone_leaves_a_gap_unbounded():
-    """Cameras 4 units from the cube; two Gaussians, one on the only point."""
-    parameters = Parameters({
-        "means": torch.tensor([[0.0, 0, 0], [0.0, 0, 50]]), "log_scales": torch.full((2, 3), 3.0),
-    })  # fmt: skip
+    """Cameras 4 units from the cube; Gaussians on the only point, far away from it, and on a camera."""
+    means = torch.stack([torch.zeros(3), torch.tensor([0.0, 0, 50]), CENTRES[0].float()])
+    parameters = Parameters({"means": means, "log_scales": torch.full((3, 3), 3.0)})
     bound = ScaleBound(math.inf, NearestCamera(VIEWS), 0.1, torch.zeros(1, 3))
     bound.apply(parameters)
-    on, away = parameters.rows["log_scales"].detach().exp()
+    on, away, camera_one = parameters.rows["log_scales"].detach().exp()
     nearest = float(CENTRES.norm(dim=1).min())
+    torch.testing.assert_close(camera_one, CENTRES[0].norm().float().expand(3), rtol=1e-4, atol=0)
     torch.testing.assert_close(on, torch.full((3,), 0.1 * nearest), rtol=1e-4, atol=0)
     assert torch.equal(away, torch.full((3,), 3.0).exp())  # 20 wide, 50 from the point
 
@@ -187,6 +187,23 @@ def test_what_is_held_keeps_its_scale():
     before = trainer.model.parameters.rows["log_scales"].detach()[0].clone()
     trainer.advance()
     assert torch.equal(trainer.model.parameters.rows["log_scales"].detach()[0], before)
+
+
+def test_a_continued_training_has_the_points_that_it_began_with(tmp_path):
+    run, ends = Run(threads=1, folder=tmp_path), []
+    for _ in range(2):
+        settings = Settings(iterations=4 * EVERY, widest_at_points=0.2)
+        trainer = Trainer(*prepare(tiny_scene(), settings, run), run)
+        trainer.resume()
+        (bound,) = trainer.bounds
+        assert isinstance(bound, ScaleBound)
+        assert bound.points is not None
+        ends.append((torch.tensor(bound.points.data), trainer.model.parameters.rows["means"]))
+        trainer.advance()
+        trainer.save()
+    (points, _), (again, moved) = ends
+    assert torch.equal(points, again)
+    assert not torch.equal(again.float(), moved.detach())
 
 
 def test_a_model_without_scales_refuses_the_bound():
