@@ -1,8 +1,8 @@
 """Make docs/minute.md: python docs/tools/make_minute_page.py RUNS
 
 Reads the records of `bench run minute --out RUNS` and writes docs/minute.json, docs/images/minute/ and the
-page, with docs/minute_findings.md in it, which is written by hand. Without RUNS the page is made again from
-the committed files.
+page, with docs/minute_findings.md in it, which is written by hand. Rows that RUNS lack are kept as they were
+committed; without RUNS the page is made again from the committed files.
 """
 
 import itertools
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from kept_rows import committed, joined
 from matplotlib.ticker import NullFormatter
 from strips import crops, save_strips
 
@@ -77,7 +78,7 @@ def row_of(result: Result) -> Row:
 
 
 def collect(runs: Path, docs: Path) -> None:
-    """Write minute.json and the pictures from the records of a suite's runs.
+    """Write minute.json and the pictures from the records of a suite's runs; rows that the runs lack are kept, see `joined`.
 
     Args:
         runs: Folder that `bench run minute --out` was given.
@@ -88,13 +89,15 @@ def collect(runs: Path, docs: Path) -> None:
         for case in load_suite(SUITE).cases
         if (runs / SUITE / case.folder / "record.json").exists()
     ]
-    rows = [
-        row_of(result)
+    new = [
+        asdict(row_of(result))
         for _, folder in cases
         if not (result := read_record(folder)).error and result.timed
     ]
-    lines = ",\n".join(json.dumps(asdict(row)) for row in rows)
-    (docs / f"{SUITE}.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    kept = docs / f"{SUITE}.json"
+    held, _ = joined(new, committed(kept), load_suite(SUITE).cases)
+    kept.write_text("[\n" + ",\n".join(map(json.dumps, held)) + "\n]\n", encoding="utf-8")
+    rows = [Row(**row) for row in held]
     for scene, protocol in places(rows):
         curves([row for row in rows if (row.scene, row.protocol) == (scene, protocol)], docs)
         strips(

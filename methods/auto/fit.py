@@ -45,7 +45,7 @@ from splatproof.methods.auto.recount import Recount
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed, measure
 from splatproof.methods.auto.steps import most_steps, steps_in, training_seconds
-from splatproof.methods.auto.usual import usual
+from splatproof.methods.auto.usual import WIDEST_AT_POINTS, usual
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.methods.contracts.run import Run
@@ -263,8 +263,12 @@ def _probed(
     if probe is None:
         return usual, ()
     most = max(1000, facts.views * PIXELS // PIXELS_A_GAUSSIAN)
+    # so short a training looks seldom: without the bound of few looks fog is what a gain makes up for
     tried = replace(
         usual, iterations=PROBE_STEPS, dense_cell=0.0, density=replace(usual.density, most=most),
+        widest_at_points=WIDEST_AT_POINTS
+        if asked.widest_at_points is None
+        else asked.widest_at_points,
     )  # fmt: skip
     factor = max(1.0, math.sqrt(facts.width * facts.height / PIXELS))
     small = replace(tried, resolution=Resolution(coarsest=factor, full_from=1.0))
@@ -274,8 +278,9 @@ def _probed(
     )  # fmt: skip
     won, choices = compete(tried, competing, probe.score, better, left)
     return replace(
-        won, iterations=usual.iterations, dense_cell=usual.dense_cell, density=usual.density
-    ), choices
+        won, iterations=usual.iterations, dense_cell=usual.dense_cell, density=usual.density,
+        widest_at_points=usual.widest_at_points,
+    ), choices  # fmt: skip
 
 
 def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:

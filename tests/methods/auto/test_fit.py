@@ -130,6 +130,23 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     assert found.plan.choices[2].because.startswith("probe: ")
 
 
+@pytest.mark.parametrize(("asked", "share"), [(None, 0.2), (0.0, 0.0), (0.4, 0.4)])
+def test_a_probe_has_the_bound_of_few_looks_whatever_the_plan_has(asked, share, monkeypatch):
+    """One photo is looked at 100 times in the plan, where that bound is not usual."""
+    seen: list[Settings] = []
+
+    def competing(usual, *_):
+        seen.append(usual)
+        return usual, ()
+
+    monkeypatch.setattr(auto, "facts_of", lambda *_: replace(facts_of(*_), exposure=0.1))
+    monkeypatch.setattr(auto, "compete", competing)
+    wishes = AutoSettings(seconds=20.0, steps=500, probe_share=0.5, widest_at_points=asked)
+    found = planned(tiny_scene(), wishes, Run(threads=1))
+    assert [one.widest_at_points for one in seen] == [share]
+    assert found.plan.settings.widest_at_points == (asked or 0.0)
+
+
 def test_a_model_is_no_larger_than_was_asked_for_however_many_points_it_starts_from(tmp_path):
     asked = AutoSettings(megabytes=0.02, seconds=20.0, steps=40, probe_share=0.0, exposure="gain")
     save_model(fit(tiny_scene(points=400), asked, Run(threads=1)), tmp_path / "model", Origin())
