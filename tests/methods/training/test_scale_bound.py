@@ -214,6 +214,7 @@ def test_a_model_without_scales_refuses_the_bound():
 
 
 def test_a_negative_share_is_refused():
-    for name in ("widest", "widest_at_points"):
-        with pytest.raises(UsageError, match=name):
-            Settings(**{name: -0.1})
+    with pytest.raises(UsageError, match="widest"):
+        Settings(widest=-0.1)
+    with pytest.raises(UsageError, match="widest_at_points"):
+        Settings(widest_at_points=-0.1)
