@@ -34,8 +34,9 @@ WIDEST_AT_POINTS = 0.2
 20.5 dB of what photos show, FLIP 0.330, 0.398 and 0.327. Test photos of a minute lose 0.2 dB on seneca and 0.3 on caliterra."""
 THICKEST = 0.03
 """Largest extent along the ray to the nearest training camera as a share of its length, see `ThicknessBound`. Held-out
-training photos, as many steps: +0.1, -0.3 and +0.5 dB on seneca, -0.2 and 0.0 on caliterra, +0.2 and +0.2 on courtyard,
-+0.1 and +0.2 on brighton_beach at 250 px, +0.2 in the tunnel (a seed each); a third of it gains between -0.4 and +0.4."""
+training photos, as many steps: +0.1, -0.3 and +0.5 dB on seneca, -0.2, 0.0 and +0.1 on caliterra, +0.2 and +0.2 on
+courtyard, +0.1 and +0.2 on brighton_beach at 250 px, +0.2 and +0.6 in the tunnel, +0.2 on city, -0.4 on street without motion (a
+seed each); a third of it gains between -0.4 and +0.4."""
 DROPOUT = 0.2
 """Share of the Gaussians that a step leaves out, against photos learnt by heart."""
 DROPOUT_FROM = 60
