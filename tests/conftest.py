@@ -3,10 +3,12 @@
 import os
 import signal
 
-# Read by torch when it is imported, and by the processes that tests start. Threads that wait in a
+from splatproof.base.idle_threads import wait_asleep
+
+# Before torch and numpy are imported, for these and for the processes that tests start. Threads that wait in a
 # loop for each other burn the cores that others need: beside other work three tests of the kernels
 # took 109 s that way and take 14 s when threads sleep. Under pytest-xdist a worker has one thread.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+wait_asleep()
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = "1"
 
@@ -44,6 +46,12 @@ LONGEST = (
     "regression/test_regression.py",
 )
 """Files of minutes: begun last, they would leave the other workers idle at the end."""
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """A worker more than cores: some tests wait for a clock or for a process of theirs."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -134,6 +134,7 @@ def test_children_as_large_as_their_parent_are_called_worse(tmp_path, monkeypatc
     assert verdicts(found)["ssim_3dgs"] == "worse", told(found)
 
 
+@pytest.mark.slow
 def test_one_percent_of_the_rates_is_seen_and_not_called_worse(now, tmp_path, monkeypatch):
     """Real, and far below what three seeds can tell from chance.
 
