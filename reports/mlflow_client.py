@@ -5,8 +5,10 @@ import os
 import sys
 import urllib.parse
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from sqlite3 import Connection
 from typing import TYPE_CHECKING
 
 from splatproof.base.errors import MissingError, UsageError, without_passwords
@@ -176,10 +178,32 @@ def _make_tables(file: Path) -> None:
         for left in (making, making.with_name(f"{making.name}-journal")):
             left.unlink(missing_ok=True)
         try:
-            MlflowClient(sqlite_uri(making)).search_experiments(max_results=1)
+            with _unsynced():
+                MlflowClient(sqlite_uri(making)).search_experiments(max_results=1)
+            with making.open("rb+") as made:
+                os.fsync(made.fileno())
             making.replace(file)
         finally:
             making.unlink(missing_ok=True)
+
+
+@contextmanager
+def _unsynced() -> Iterator[None]:
+    """Let SQLite leave it to the system when what is written reaches the disk.
+
+    The dozens of steps that make a store wait for the disk after each, several seconds in all, and what is
+    half made is thrown away after a crash in any case.
+    """
+    from sqlalchemy import Engine, event
+
+    def connected(connection: Connection, _record: object) -> None:
+        connection.execute("PRAGMA synchronous = OFF")
+
+    event.listen(Engine, "connect", connected)
+    try:
+        yield
+    finally:
+        event.remove(Engine, "connect", connected)
 
 
 def _prepare() -> None:

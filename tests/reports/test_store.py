@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from mlflow.exceptions import MlflowException
 from mlflow.tracking import MlflowClient
+from sqlalchemy import Connection, Engine, event
 
 from helpers import case_folders
 from splatproof.base.errors import DataError, MissingError, UsageError
@@ -505,6 +506,26 @@ def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
     open_client(uri)
     assert not list(tmp_path.glob("*.making*"))
     assert read_results(uri) == []
+
+
+def test_only_the_making_of_a_store_leaves_the_disk_to_the_system(tmp_path: Path):
+    """What is logged later waits for the disk, as SQLite does by itself."""
+    levels: set[tuple[str, int]] = set()
+
+    def begun(connection: Connection) -> None:
+        cursor = connection.connection.cursor()
+        (_, _, file), (level,) = (
+            cursor.execute(f"PRAGMA {name}").fetchone() for name in ("database_list", "synchronous")
+        )
+        levels.add((Path(file).name, level))
+
+    event.listen(Engine, "begin", begun)
+    try:
+        open_client(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    finally:
+        event.remove(Engine, "begin", begun)
+    off, full = 0, 2
+    assert levels == {("mlflow.db.making", off), ("mlflow.db", full)}
 
 
 def test_a_store_is_made_quietly_where_mlflow_was_imported_before(tmp_path: Path):
