@@ -50,6 +50,8 @@ MERGES = {
     },
 }
 """Rows from the hard cut to the last way to mend it, by the ending of their pictures' names."""
+ONE, BLOCKS = "3dgs@tuned-double", "odbp+stitch@tuned-double"
+"""Rows that are shown beside each other: one model and blocks of as many visible updates."""
 PARTITIONS = ("citygaussian", "vastgaussian", "blockgaussian", "dpgs-partition")
 
 
@@ -156,15 +158,38 @@ def pictures(runs: Path) -> list[Picture]:
                 shown += seam_pictures(
                     scene, f"{name}{ending}", {r: found[scene, r][1] for r in rows}
                 )
+        if (scene, ONE) in found and (scene, BLOCKS) in found:
+            shown.append(beside(scene, found[scene, ONE][1], found[scene, BLOCKS][1]))
     return shown
+
+
+def beside(scene: str, one: Path, blocks: Path) -> Picture:
+    """The view with most seam pixels, by one model and by blocks."""
+    best = most_seam(blocks)
+    view = picture_name(best)
+    tiles = [labelled(load(blocks / "truth" / view), "photo")]
+    for folder, text in ((one, ONE), (blocks, BLOCKS)):
+        tiles += [
+            labelled(load(folder / "renders" / view), text),
+            labelled(load(folder / "errors" / view), "its FLIP error"),
+        ]
+    tiles.append(labelled(load(blocks / "seams" / view), "seam mask"))
+    return Picture(
+        path=save(f"{scene.replace('/', '_')}_beside.jpg", tiles),
+        caption=f"{scene}, test view {best}: photo, {ONE} and its error, {BLOCKS} and its error, seam mask.",
+    )
+
+
+def most_seam(folder: Path) -> str:
+    """The view of a row that shows most seam pixels."""
+    return max(read_record(folder).images, key=lambda image: image.metrics["seam_coverage"]).name
 
 
 def seam_pictures(scene: str, name: str, rows: dict[str, Path]) -> list[Picture]:
     """The view with most seam pixels: whole as the last row shows it, and each row enlarged at the seam."""
     folders = list(rows.values())
     hard, last = folders[0], folders[-1]
-    scores = read_record(hard).images
-    best = max(scores, key=lambda image: image.metrics["seam_coverage"]).name
+    best = most_seam(hard)
     view = picture_name(best)
     tiles = [
         labelled(load(last / kind / view), text)
