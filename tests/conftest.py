@@ -50,7 +50,9 @@ LONGEST = (
 
 def pytest_xdist_auto_num_workers() -> int:
     """A worker more than cores: some tests wait for a clock or for a process of theirs."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     return cores + 1
 
 
