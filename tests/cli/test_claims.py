@@ -186,6 +186,7 @@ def test_of_a_variant_its_own_lengths_are_needed_and_of_its_method_no_other_vari
     rows = {case.row for case in load_suite("city").cases if claim_running._wanted(case, [wanted])}
     lengths = {
         "odbp+stitch@tuned-half",
+        "odbp+stitch@tuned-double",
         "odbp+stitch@half",
         "odbp+stitch@double",
         "3dgs@half",
