@@ -19,6 +19,8 @@ WEIGHTS = "weights of "
 """How the environment names the file of a metric's network, which has to be the same one, too."""
 OF_METHODS = ("gradients by",)
 """What a method tells that times of one row depend on, and that may differ between rows."""
+PLAN = "plan: "
+"""How the environment names what a method chose by itself: a plan of another seed may take another path."""
 MIN_SEEDS = 3
 """A row with fewer seeds is shown but not ranked."""
 
@@ -89,7 +91,11 @@ def environment_notes(cases: pd.DataFrame) -> list[str]:
 def _differs(cases: pd.DataFrame, name: str) -> bool:
     """Whether a value of the environment differs where methods do not bring the difference."""
     if name in OF_METHODS:
-        return any(count_distinct(own, ENVIRONMENT + name) > 1 for _, own in groups(cases, "row"))
+        chosen = [str(c) for c in cases if str(c).startswith(ENVIRONMENT + PLAN)]
+        unplanned = cases.loc[cases[chosen].isna().all(axis=1), :]
+        return any(
+            count_distinct(own, ENVIRONMENT + name) > 1 for _, own in groups(unplanned, "row")
+        )
     return count_distinct(cases, ENVIRONMENT + name) > 1
 
 

@@ -235,6 +235,16 @@ def test_a_path_of_gradients_that_the_method_decides_is_no_other_machine():
     assert any("gradients by" in warning for warning in only_table([*mixed, *other]).warnings)
 
 
+def test_a_path_of_gradients_that_a_plan_takes_in_one_seed_is_no_other_machine():
+    """Method auto takes the slower one where its probe asks for exposures."""
+    kernels, autograd = (
+        {"gradients by": path, "plan: exposure": "one"} for path in ("kernels", "autograd")
+    )
+    planned = [*of(seeds()[:2], environment=kernels), *of(seeds()[2:], environment=autograd)]
+    other = of(seeds(method="b", psnr=20.0), environment={"gradients by": "autograd"})
+    assert not only_table([*planned, *other]).warnings
+
+
 def test_what_methods_tell_of_their_work_is_no_other_machine():
     """A plan's facts differ from seed to seed."""
     planned = [
