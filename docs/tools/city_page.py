@@ -190,6 +190,7 @@ below are. A dash among costs: the row was recorded before what the processes of
 - `@coarse` rows start their blocks from a coarse model, as `citygaussian` and all of `stitchgs` and `odbp+stitch` do.
 - `3dgs@tuned` and `odbp+stitch@tuned` have method auto's settings for a short flight (a bound on scales, the opacity term, rates four times as
   large that settle) and as many visible updates: one model visits each of its photos as often as a block visits each of its own.
+  The coarse model's steps, which blocks have besides, are not counted. `-double` rows have twice the steps, `@tuned-k8-double` eight blocks.
 - `blockgaussian@sideways` is `@coarse` that also compares views from beside a photo, `@terms` (`~depth-sweep`: depth of matched
   photos) that also has inverse depth and volume; `vastgaussian@appearance` is `@coarse` with a network of each photo's
   appearance, `@gain` with three gains a photo.
