@@ -18,7 +18,8 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
 	@echo "site: build/site/index.html"
 
-# a worker a core and one more (tests/conftest.py); a file's tests share what its fixtures made, so they stay on one worker; the longest files come
+# a worker a core and one more (tests/conftest.py); a file's tests share what its fixtures made, so they stay on
+# one worker; the longest files come
 # first (tests/conftest.py), not those with most tests
 test: setup-dev
 	$(BIN)/pytest -q -n auto --maxprocesses 8 --dist loadfile --no-loadscope-reorder --durations 40 --durations-min 5

@@ -212,7 +212,8 @@ def main() -> None:
     if len(sys.argv) > 1:
         runs = Path(sys.argv[1])
         every, kept = joined(records(runs), committed(ROWS), load_suite("city").cases)
-        ROWS.write_text(json.dumps(every, indent=1) + "\n", encoding="utf-8")
+        lines = ",\n".join(map(json.dumps, every))
+        ROWS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
         before = [Picture(**entry) for entry in committed(LIST)] if kept else []
         drawn = [vars(picture) for picture in pictures_of(pictures(runs), before, every)]
         LIST.write_text(json.dumps(drawn, indent=1) + "\n", encoding="utf-8")

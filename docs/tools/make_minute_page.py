@@ -138,9 +138,7 @@ def curves(rows: Sequence[Row], docs: Path) -> None:
     axes.set_title(f"{rows[0].scene}, {rows[0].protocol}: a line a seed", fontsize=9)
     axes.grid(alpha=0.3)
     axes.tick_params(labelsize=7)
-    axes.legend(
-        fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0)
-    )  # beside the lines, over none of them
+    axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     save(figure, docs / "images" / SUITE / f"{rows[0].scene}.png")
 
 

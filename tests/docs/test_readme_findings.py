@@ -43,7 +43,7 @@ def test_the_readme_counts_the_claims_of_the_page():
     assert int(asked[1]) == counted
 
 
-def test_a_changed_number_is_seen():
+def test_cells_are_read_without_asterisks_and_the_head_is_no_row():
     claims = rows("| holds | **a is above b**<br>paper<br>suite | +1 | +2 [+1, +3] | 3 |")[0]
     assert claims[:4] == ["holds", "a is above b<br>paper<br>suite", "+1", "+2 [+1, +3]"]
     stale = findings(

@@ -4,8 +4,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-
 SCRIPT = """
 import hashlib
 from splatproof.datasets.procedural import aerial, ray_images, worlds
@@ -24,7 +22,6 @@ MODES = ({}, {"MKL_CBWR": "COMPATIBLE"}, {"MKL_CBWR": "AVX2", "OPENBLAS_CORETYPE
 """What the libraries take on another processor: without and with fused multiplications, and without AVX-512."""
 
 
-@pytest.mark.slow  # three processes that make four worlds; test_golden.py has this processor's pixels
 def test_pixels_do_not_depend_on_the_libraries_kernels():
     runs = [
         subprocess.Popen(
