@@ -58,7 +58,8 @@ class Density:
     """Steps between opacity resets, which leave no Gaussian more opaque than 0.01; 0: never."""
     most: int | None = None
     """Most Gaussians that densification may lead to: those with the largest gradients are densified
-    first. None: no bound."""
+    first, with `split_gradient` those whose gradient is the largest multiple of its threshold. None: no
+    bound."""
     pace: Pace = "free"
     """How fast. free: any densification may lead to `most`; even: each may add an equal share of the room that is
     left up to `most`, one part for it and one for each densification to come, so that what is pulled at
@@ -132,12 +133,14 @@ def densify(
     size = gaussians.scales.amax(dim=1)
     fixed = torch.zeros_like(size, dtype=torch.bool) if fixed is None else fixed
     small = size <= settings.split_size * extent
-    pulled = gradient >= settings.gradient
+    pulled, pull = gradient >= settings.gradient, gradient
     if absolute is not None:
         pulled = torch.where(small, pulled, absolute >= settings.split_gradient)
+        least = max(settings.gradient, torch.finfo(gradient.dtype).tiny)
+        pull = torch.where(small, gradient / least, absolute / settings.split_gradient)
     chosen = pulled & ~fixed
     if settings.most is not None:
-        chosen &= _largest(gradient.where(chosen, -1), max(0, settings.most - len(gaussians)))
+        chosen &= _largest(pull.where(chosen, -1), max(0, settings.most - len(gaussians)))
     split = torch.where(chosen & ~small)[0].repeat(2)
     clone = torch.where(chosen & small)[0]
     keep = torch.where(~(chosen & ~small))[0]

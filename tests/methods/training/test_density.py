@@ -186,6 +186,41 @@ def test_large_gaussians_are_split_by_the_absolute_gradient_and_small_ones_clone
     assert rows.parents.tolist() == [0, 1, 2, 0, 3, 3]  # 0 is cloned, 3 is split
 
 
+@pytest.mark.parametrize("room, grown", [(1, {3}), (2, {1, 3}), (3, {0, 1, 3})])
+def test_under_a_cap_those_go_first_whose_pull_is_the_largest_multiple_of_its_own_threshold(
+    room, grown
+):
+    model, _ = drawn(5, 3)
+    size = torch.tensor([0.001, 0.001, 0.001, 0.5, 0.5])
+    model = replace(model, log_scales=size.log()[:, None].repeat(1, 3),
+                    opacity_logits=torch.zeros(5))  # fmt: skip
+    signed = torch.tensor([1.5, 2.5, 0.5, 9.0, 9.0])  # cloned from 1 on
+    absolute = torch.tensor([9.0, 9.0, 9.0, 12.0, 3.5])  # split from 4 on
+    settings = Density(gradient=1.0, split_gradient=4.0, most=5 + room, largest_size=10.0)
+    rows = densify(
+        model, signed, settings, extent=1.0, prune_large=False,
+        generator=torch.Generator().manual_seed(0), absolute=absolute,
+    )  # fmt: skip
+    assert set(rows.parents[rows.fresh].tolist()) == grown
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sums_of_absolute_gradients_are_those_of_their_definition(seed):
+    draw = torch.Generator().manual_seed(seed)
+    control = DensityControl(Density(split_gradient=4e-4), iterations=30_000, extent=1.0)
+    want = torch.zeros(50)
+    for _ in range(3):
+        seen = Observation(
+            camera=camera(0, width=20, height=10), opacities=None, rows=None, slots=None, count=50,
+            radii=torch.rand(50, generator=draw).sub(0.5).clamp(min=0),
+            signed=torch.randn(50, 2, generator=draw), absolute=torch.rand(50, 2, generator=draw),
+        )  # fmt: skip
+        control.observe(seen)
+        want += torch.where(seen.radii > 0, seen.gradient_norm("absolute"), 0)
+    assert torch.allclose(control.absolute_sum, want, rtol=1e-6)
+    assert 0 < control.seen.max() <= 3
+
+
 def test_absolute_statistics_are_taken_and_restored_beside_the_signed():
     control = DensityControl(Density(split_gradient=4e-4), iterations=30_000, extent=1.0)
     assert control.needs == {"signed", "absolute"}
