@@ -43,8 +43,9 @@ def without_what_is_lacking(settings: Settings) -> Settings:
         settings: As they would be of method 3dgs.
     """
     return replace(
-        settings, resolution=Resolution(), opacity_weight=0.0, dropout=0.0, random_background=False
-    )
+        settings, resolution=Resolution(), opacity_weight=0.0, dropout=0.0, random_background=False,
+        density=replace(settings.density, split_gradient=0.0),
+    )  # fmt: skip
 
 
 def moving(settings: Settings, scene: Scene) -> MovingSettings:

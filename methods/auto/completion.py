@@ -141,5 +141,7 @@ def completing(settings: Settings, asked: AutoSettings) -> Settings:
         opacity_weight=asked.opacity_weight or 0.0,
         dropout=DROPOUT if asked.dropout is None else asked.dropout,
         resolution=Resolution() if asked.coarsest is None else settings.resolution,
-        density=Density() if asked.gradient is None else Density(gradient=asked.gradient),
+        density=Density(**{
+            name: value for name in ("gradient", "split_gradient") if (value := getattr(asked, name)) is not None
+        }),
     )  # fmt: skip

@@ -84,6 +84,8 @@ NO_DROPOUT = "+0.3 dB on caliterra, +0.5 on seneca (docs/auto.md)"
 QUICKER = "+0.6 dB on seneca, +0.6 dB on caliterra (docs/minute.md)"
 """Four times the release's rates, and the bounds on shape that these need, where a minute looks at photos 13 and 34 times: row
 `auto@release-rates` of suite minute, three seeds."""
+SPLIT = "TABLE"
+"""Large Gaussians that are split by absolute gradients (held-out training photos)."""
 FLATTENED = "-0.4 to +0.4 dB on 7 scenes, and less fog from beside (docs/auto.md)"
 """Gaussians that are flattened along rays (held-out training photos, one to three seeds)."""
 FULL_SIZE = "+0.6 dB on brighton_beach at 250 px"

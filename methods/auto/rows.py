@@ -80,6 +80,8 @@ def rows(made: Made, *, sized: bool) -> Iterator[Choice]:
     if not sized:
         yield resolution(made)
     yield density(made)
+    if made.base == "3dgs" and not math.isinf(made.settings.density.gradient):
+        yield splitting(made)
     yield cap(made)
     yield largest_scale(made)
     yield thickness(made)
@@ -172,7 +174,7 @@ def density(made: Made) -> Choice:
         made: What the plan came to.
     """
     pull = made.settings.density.gradient
-    if math.isinf(pull):
+    if math.isinf(pull) and not made.settings.density.split_gradient:
         return Choice(
             component="density", value="none: Gaussians do not become more", because="given"
         )
@@ -183,6 +185,24 @@ def density(made: Made) -> Choice:
         because="strategy mcmc gained 0.2 dB by the step and next to nothing by the second (docs/minute.md)"
         if made.asked.gradient is None else "given",
         expects=f"{low:.0f} to {high:.0f} s less than mcmc takes{gained}",
+    )  # fmt: skip
+
+
+def splitting(made: Made) -> Choice:
+    """From which pull on large Gaussians are split.
+
+    Args:
+        made: What the plan came to.
+    """
+    split, given = made.settings.density.split_gradient, made.asked.split_gradient is not None
+    return Choice(
+        component="splitting",
+        value=f"large ones from {split:g} of absolute gradients" if split else "large ones as small ones are cloned",
+        because="given" if given
+        else "what is drawn too wide is pulled to and fro, and these pulls cancel where they are added"
+        if split
+        else "usual",
+        expects=measured.SPLIT if split and not given else NOT_MEASURED,
     )  # fmt: skip
 
 

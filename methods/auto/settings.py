@@ -7,7 +7,14 @@ from splatproof.methods.models.exposure import Exposure
 from splatproof.methods.training.density import Pace
 from splatproof.methods.training.schedules import require, require_cell
 
-LACKING = {"coarsest": 1.0, "opacity_weight": 0.0, "dropout": 0.0, "rates": 1.0, "completed": False}
+LACKING = {
+    "coarsest": 1.0,
+    "opacity_weight": 0.0,
+    "dropout": 0.0,
+    "rates": 1.0,
+    "split_gradient": 0.0,
+    "completed": False,
+}
 """Settings that Gaussians that move do not have, and the values that stand for going without."""
 
 
@@ -56,6 +63,9 @@ class AutoSettings:
     gradient: float | None = None
     """Pull from which a Gaussian is cloned or split; smaller values give more Gaussians; inf: nothing
     is densified. None: planned."""
+    split_gradient: float | None = None
+    """Sum of absolute gradients from which a large Gaussian is split; 0: `gradient` decides on large ones as on small ones.
+    None: planned."""
     pace: Pace | None = None
     """How fast the number of Gaussians may come to its cap: free: at once; even: by equal shares of the room that
     is left. None: planned."""
@@ -76,7 +86,7 @@ class AutoSettings:
         for name, low, high in (
             ("steps", 1, math.inf), ("coarsest", 1, math.inf), ("most_points", 1, math.inf), ("sh_degree", 0, 3),
             ("opacity_weight", 0, math.inf), ("dropout", 0, 1), ("rates", 0, math.inf), ("widest", 0, math.inf), ("widest_at_points", 0, math.inf),
-            ("thickest", 0, math.inf), ("gradient", 0, math.inf),
+            ("thickest", 0, math.inf), ("gradient", 0, math.inf), ("split_gradient", 0, math.inf),
         ):  # fmt: skip
             value = getattr(self, name)
             fine = value is None or low <= value <= high

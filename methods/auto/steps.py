@@ -91,7 +91,7 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     most = max(density.most or points, points)
     passes = max(0.0, (stop - start) / interval)
     reached = float(min(most, points * GROWTH_A_PASS ** min(passes, 40.0)))
-    if math.isinf(density.gradient):
+    if math.isinf(density.gradient) and not density.split_gradient:
         reached = float(points)
     parts = 60
     total = 0.0

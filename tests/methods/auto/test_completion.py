@@ -121,11 +121,18 @@ def test_what_is_fixed_of_the_settings_stays():
     plain = usual(ASKED, FACTS)
     assert completing(plain, ASKED).dropout == DROPOUT
     asked = replace(
-        ASKED, dropout=0.1, opacity_weight=0.3, coarsest=4.0, gradient=1e-3, most_points=77
+        ASKED,
+        dropout=0.1,
+        opacity_weight=0.3,
+        coarsest=4.0,
+        gradient=1e-3,
+        most_points=77,
+        split_gradient=5e-3,
     )
     found = completing(usual(asked, FACTS), asked)
     assert (found.dropout, found.opacity_weight, found.resolution.coarsest) == (0.1, 0.3, 4.0)
-    assert (found.density.gradient, found.most_points) == (1e-3, 77)
+    assert (found.density.gradient, found.density.split_gradient) == (1e-3, 5e-3)
+    assert found.most_points == 77
 
 
 def test_completed_points_are_as_many_as_asked_for_at_most():

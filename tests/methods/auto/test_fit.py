@@ -124,7 +124,7 @@ def test_a_probe_decides_within_its_share(monkeypatch):
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
     assert names == [
-        "matched points", "completed depths", "exposure", "blocks", "points", "resolution", "density", "Gaussians",
+        "matched points", "completed depths", "exposure", "blocks", "points", "resolution", "density", "splitting", "Gaussians",
         "largest scale", "thickness", "harmonics", "opacity term", "views a step", "steps", "rates", "dropout", "anchors",
     ]  # fmt: skip
     assert found.plan.choices[2].because.startswith("probe: ")

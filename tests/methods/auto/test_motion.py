@@ -80,7 +80,7 @@ def test_what_is_fixed_is_kept():
 
 
 WITHOUT = AutoSettings(
-    coarsest=1.0, opacity_weight=0.0, dropout=0.0, rates=1.0, completed=False
+    coarsest=1.0, opacity_weight=0.0, dropout=0.0, rates=1.0, split_gradient=0.0, completed=False
 )  # fmt: skip
 
 

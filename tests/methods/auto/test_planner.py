@@ -16,7 +16,16 @@ from splatproof.methods.auto.probe import better
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
-from splatproof.methods.auto.usual import PACE, QUICKER, SETTLE, coarsest, quicker, usual
+from splatproof.methods.auto.usual import (
+    PACE,
+    QUICKER,
+    SETTLE,
+    SPLITTING,
+    coarsest,
+    growth,
+    quicker,
+    usual,
+)
 from splatproof.methods.training.schedules import Rates
 
 FACTS = SceneFacts(
@@ -282,3 +291,15 @@ def test_what_larger_steps_learn_is_narrower_on_points():
         assert found.settings.widest_at_points == share
         (told,) = (one for one in found.choices if one.component == "largest scale")
         assert ("on start points" in told.value) == ("fog" in told.because) == bool(share)
+
+
+@pytest.mark.parametrize(
+    ("asked", "pull", "split"),
+    [({}, 4e-4, SPLITTING * 4e-4), ({"gradient": 1e-3}, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 4e-4, 0.0),
+     ({"gradient": 1e-3, "split_gradient": 5e-3}, 1e-3, 5e-3), ({"gradient": math.inf}, math.inf, 0.0)],
+)  # fmt: skip
+def test_large_gaussians_are_split_by_absolute_gradients_unless_all_is_asked_otherwise(
+    asked, pull, split
+):
+    found = growth(AutoSettings(**asked))
+    assert (found.gradient, found.split_gradient) == (pull, split)

@@ -42,7 +42,7 @@ def told(found: AutoPlan) -> dict[str, Choice]:
 def test_every_choice_has_a_reason_and_says_what_it_brings_or_that_nobody_measured():
     found = made()
     assert [one.component for one in found.choices] == [
-        "exposure", "blocks", "points", "resolution", "density", "Gaussians", "largest scale", "thickness", "harmonics",
+        "exposure", "blocks", "points", "resolution", "density", "splitting", "Gaussians", "largest scale", "thickness", "harmonics",
         "opacity term", "views a step", "steps", "rates", "dropout", "anchors",
     ]  # fmt: skip
     assert all(one.because and one.expects for one in found.choices)
@@ -95,7 +95,7 @@ def test_megabytes_are_those_of_a_file():
     ("asked", "component"),
     [({"coarsest": 1.0}, "resolution"), ({"gradient": math.inf}, "density"), ({"exposure": "gain"}, "exposure"),
      ({"widest": 0.0}, "largest scale"), ({"thickest": 0.0}, "thickness"), ({"opacity_weight": 0.1}, "opacity term"), ({"dropout": 0.5}, "dropout"),
-     ({"rates": 2.0}, "rates")],
+     ({"rates": 2.0}, "rates"), ({"split_gradient": 0.0}, "splitting"), ({"split_gradient": 1e-3}, "splitting")],
 )  # fmt: skip
 def test_of_what_is_given_nothing_is_promised(asked, component):
     row = told(made(AutoSettings(**asked)))[component]

@@ -186,7 +186,7 @@ def test_large_gaussians_are_split_by_the_absolute_gradient_and_small_ones_clone
     assert rows.parents.tolist() == [0, 1, 2, 0, 3, 3]  # 0 is cloned, 3 is split
 
 
-@pytest.mark.parametrize("room, grown", [(1, {3}), (2, {1, 3}), (3, {0, 1, 3})])
+@pytest.mark.parametrize(("room", "grown"), [(1, {3}), (2, {1, 3}), (3, {0, 1, 3})])
 def test_under_a_cap_those_go_first_whose_pull_is_the_largest_multiple_of_its_own_threshold(
     room, grown
 ):
