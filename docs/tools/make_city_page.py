@@ -42,7 +42,9 @@ MERGES = {
     "": ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs"),
     "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@parts", "odbp+stitch@small"),
     "_k8": ("odbp+stitch@k8-hard", "odbp+stitch@k8-small"),
-    "_tuned": tuple(f"stitchgs@tuned{merge}-double" for merge in ("-hard", "-merge", "-hard-gcr", "-gcr", "")),
+    "_tuned": tuple(
+        f"stitchgs@tuned{merge}-double" for merge in ("-hard", "-merge", "-hard-gcr", "-gcr", "")
+    ),
     **{
         f"_{plant}": tuple(
             f"stitchgs@{plant}-{merge}" for merge in ("hard", "hard-gcr", "gcr", "fade", *last)

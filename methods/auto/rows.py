@@ -13,7 +13,7 @@ from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import training_seconds
-from splatproof.methods.auto.usual import DROPOUT_FROM, GROWTH, LEAST_SHORT_SIDE
+from splatproof.methods.auto.usual import DROPOUT_FROM, GROWTH, LEAST_SHORT_SIDE, ONE_LIGHT
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import Rates
@@ -195,13 +195,14 @@ def splitting(made: Made) -> Choice:
         made: What the plan came to.
     """
     split, given = made.settings.density.split_gradient, made.asked.split_gradient is not None
+    differ = f"photos differ by {100 * math.expm1(made.facts.exposure):.1f} % in brightness"
     return Choice(
         component="splitting",
         value=f"large ones from {split:g} of absolute gradients" if split else "large ones as small ones are cloned",
         because="given" if given
-        else "what is drawn too wide is pulled to and fro, and these pulls cancel where they are added"
-        if split
-        else "usual",
+        else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light" if split
+        else "whether photos are of one light is not known" if math.isnan(made.facts.exposure)
+        else f"{differ}, which pulls to and fro, too; {100 * math.expm1(ONE_LIGHT):.0f} % count as one light",
         expects=measured.SPLIT if split and not given else NOT_MEASURED,
     )  # fmt: skip
 

@@ -17,6 +17,7 @@ from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
 from splatproof.methods.auto.usual import (
+    ONE_LIGHT,
     PACE,
     QUICKER,
     SETTLE,
@@ -294,12 +295,15 @@ def test_what_larger_steps_learn_is_narrower_on_points():
 
 
 @pytest.mark.parametrize(
-    ("asked", "pull", "split"),
-    [({}, 4e-4, SPLITTING * 4e-4), ({"gradient": 1e-3}, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 4e-4, 0.0),
-     ({"gradient": 1e-3, "split_gradient": 5e-3}, 1e-3, 5e-3), ({"gradient": math.inf}, math.inf, 0.0)],
+    ("asked", "exposure", "pull", "split"),
+    [({}, 0.01, 4e-4, SPLITTING * 4e-4), ({}, ONE_LIGHT, 4e-4, SPLITTING * 4e-4), ({}, 0.1, 4e-4, 0.0), ({}, math.nan, 4e-4, 0.0),
+     ({"gradient": 1e-3}, 0.01, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 0.01, 4e-4, 0.0),
+     ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.1, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
 )  # fmt: skip
-def test_large_gaussians_are_split_by_absolute_gradients_unless_all_is_asked_otherwise(
-    asked, pull, split
+def test_large_gaussians_are_split_by_absolute_gradients_where_photos_are_of_one_light(
+    asked, exposure, pull, split
 ):
-    found = growth(AutoSettings(**asked))
+    asked = AutoSettings(**asked)
+    found = growth(asked, exposure)
     assert (found.gradient, found.split_gradient) == (pull, split)
+    assert usual(asked, replace(FACTS, exposure=exposure)).density == found
