@@ -66,7 +66,7 @@ def plan(
         cap=cap, steps=reason,
     )  # fmt: skip
     if base == "3dgs" and made.looks < DROPOUT_FROM:
-        settings = for_few_looks(settings, asked)
+        settings = for_few_looks(settings, asked, facts.exposure)
         made = replace(made, settings=settings)
     told = list(choices)
     components = {choice.component for choice in choices}

@@ -200,7 +200,8 @@ def splitting(made: Made) -> Choice:
         component="splitting",
         value=f"large ones from {split:g} of absolute gradients" if split else "large ones as small ones are cloned",
         because="given" if given
-        else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light" if split
+        else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light, and looked at seldom" if split
+        else f"pays only where each photo is looked at fewer than {DROPOUT_FROM} times" if made.looks >= DROPOUT_FROM
         else "whether photos are of one light is not known" if math.isnan(made.facts.exposure)
         else f"{differ}, which pulls to and fro, too; {100 * math.expm1(ONE_LIGHT):.0f} % count as one light",
         expects=measured.SPLIT if split and not given else NOT_MEASURED,

@@ -17,13 +17,13 @@ from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
 from splatproof.methods.auto.usual import (
+    DROPOUT_FROM,
     ONE_LIGHT,
     PACE,
     QUICKER,
     SETTLE,
     SPLITTING,
     coarsest,
-    growth,
     quicker,
     usual,
 )
@@ -300,10 +300,12 @@ def test_what_larger_steps_learn_is_narrower_on_points():
      ({"gradient": 1e-3}, 0.01, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 0.01, 4e-4, 0.0),
      ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.1, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
 )  # fmt: skip
-def test_large_gaussians_are_split_by_absolute_gradients_where_photos_are_of_one_light(
-    asked, exposure, pull, split
+@pytest.mark.parametrize("looks", [10, DROPOUT_FROM])
+def test_large_gaussians_are_split_by_absolute_gradients_where_photos_of_one_light_are_looked_at_seldom(
+    asked, exposure, pull, split, looks
 ):
-    asked = AutoSettings(**asked)
-    found = growth(asked, exposure)
-    assert (found.gradient, found.split_gradient) == (pull, split)
-    assert usual(asked, replace(FACTS, exposure=exposure)).density == found
+    asked = AutoSettings(**asked, steps=looks * FACTS.views)
+    facts = replace(FACTS, exposure=exposure)
+    found = plan(asked, facts, usual(asked, facts), (), SPEED, 50.0).settings.density
+    assert found.gradient == pull
+    assert found.split_gradient == (split if looks < DROPOUT_FROM else asked.split_gradient or 0.0)
