@@ -27,11 +27,11 @@ class Contest:
 
 
 MATCHED = Contest(row="auto@sparse-points", gains={
-    ("brighton_beach", "brighton_250"): 1.45, ("city", "default"): 0.70,
+    ("brighton_beach", "brighton_250"): 1.45, ("city", "default"): 0.72,
 })  # fmt: skip
 """Points of matched photos, where the plan has them."""
 UNMATCHED = Contest(row="auto@matched", gains={
-    ("courtyard", "default"): -0.48, ("tunnel", "default"): 0.24,
+    ("courtyard", "default"): -0.57, ("tunnel", "default"): 0.24,
 })  # fmt: skip
 """No matched points, where the plan has none."""
 COMPLETED = Contest(row="auto@explicit", gains={
@@ -46,32 +46,32 @@ EXPLICIT = Contest(row="auto@completed", gains={
 MOVING = Contest(row="auto@still", gains={("street", "default"): 0.70})
 """Gaussians that move."""
 SHRUNK = Contest(row="auto@full-size", gains={
-    ("caliterra", "city_400"): 0.09, ("courtyard", "default"): 0.13, ("city", "default"): 0.01,
+    ("caliterra", "city_400"): 0.09, ("courtyard", "default"): 0.04, ("city", "default"): 0.03,
 })  # fmt: skip
 """Photos that are small at first, where the plan has them so."""
 GROWING = Contest(row="auto@fewer", gains={
     ("brighton_beach", "brighton_250"): -0.17, ("caliterra", "city_400"): 0.56,
-    ("courtyard", "default"): 1.32, ("tunnel", "default"): 3.42,
+    ("courtyard", "default"): 1.24, ("tunnel", "default"): 3.42,
 })  # fmt: skip
 """Gaussians that are split from a pull of 4e-4 on, not 8e-4."""
 BOUNDED = Contest(row="auto@unbounded", gains={
     ("brighton_beach", "brighton_250"): -0.04, ("caliterra", "city_400"): -0.37,
-    ("courtyard", "default"): -0.07, ("city", "default"): 0.65, ("tunnel", "default"): 1.31,
+    ("courtyard", "default"): -0.16, ("city", "default"): 0.67, ("tunnel", "default"): 1.31,
 })  # fmt: skip
 """A bound on scales."""
 FADING = Contest(row="auto@no-opacity-term", gains={
     ("brighton_beach", "brighton_250"): 0.34, ("caliterra", "city_400"): 0.06,
-    ("courtyard", "default"): 0.44, ("city", "default"): 0.45, ("tunnel", "default"): 0.78,
+    ("courtyard", "default"): 0.36, ("city", "default"): 0.46, ("tunnel", "default"): 0.78,
 })  # fmt: skip
 """The opacity term."""
 UNEXPOSED = Contest(row="auto@gains", gains={
     ("brighton_beach", "brighton_250"): -0.42, ("caliterra", "city_400"): 0.82,
-    ("courtyard", "default"): 0.25, ("tunnel", "default"): 3.22,
+    ("courtyard", "default"): 0.16, ("tunnel", "default"): 3.22,
 })  # fmt: skip
 """No gain for each photo."""
 DROPPING = Contest(row="auto@no-dropout", gains={
     ("brighton_beach", "brighton_250"): 0.84, ("brighton_beach", "brighton_500"): 0.64,
-    ("courtyard", "default"): 0.65, ("tunnel", "default"): -0.10,
+    ("courtyard", "default"): 0.57, ("tunnel", "default"): -0.10,
 })  # fmt: skip
 """Dropout, where photos are looked at 110 to 250 times."""
 CONTESTS = (
@@ -84,8 +84,9 @@ NO_DROPOUT = "+0.3 dB on caliterra, +0.5 on seneca (docs/auto.md)"
 QUICKER = "+0.6 dB on seneca, +0.6 dB on caliterra (docs/minute.md)"
 """Four times the release's rates, and the bounds on shape that these need, where a minute looks at photos 13 and 34 times: row
 `auto@release-rates` of suite minute, three seeds."""
-SPLIT = "TABLE"
-"""Large Gaussians that are split by absolute gradients (held-out training photos)."""
+SPLIT = "+0.3 dB on caliterra (docs/minute.md)"
+"""Large Gaussians that are split by absolute gradients, where a minute looks at photos 34 times: row `auto@signed-split` of suite
+minute, three seeds."""
 FLATTENED = "-0.4 to +0.4 dB on 7 scenes, and less fog from beside (docs/auto.md)"
 """Gaussians that are flattened along rays (held-out training photos, one to three seeds)."""
 FULL_SIZE = "+0.6 dB on brighton_beach at 250 px"

@@ -11,7 +11,7 @@ from splatproof.methods.auto.bounds import file_mb, gaussian_bytes
 from splatproof.methods.auto.candidates import unopposed
 from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.measured import CONTESTS, MOVING, QUICKER, UNEXPOSED, Contest
+from splatproof.methods.auto.measured import CONTESTS, MOVING, QUICKER, SPLIT, UNEXPOSED, Contest
 from splatproof.methods.auto.planner import AutoPlan, plan
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
@@ -133,13 +133,17 @@ def test_figures_are_those_of_the_committed_rows(contest):
         assert sum(paired) / len(paired) == pytest.approx(gain, abs=0.0055)
 
 
-def test_what_larger_steps_gain_is_in_the_committed_rows_of_suite_minute():
+def test_what_larger_steps_and_absolute_gradients_gain_is_in_the_committed_rows_of_suite_minute():
     rows = json.loads((DOCS / "minute.json").read_text(encoding="utf-8"))
 
     def mean(scene: str, name: str) -> float:
         found = [r["final"]["psnr"] for r in rows if (r["scene"], r["row"]) == (scene, name)]
         return sum(found) / len(found)
 
-    gains = {s: mean(s, "auto") - mean(s, "auto@release-rates") for s in ("seneca", "caliterra")}
+    # larger steps came before absolute gradients, which seneca does without
+    alike = {"seneca": "auto", "caliterra": "auto@signed-split"}
+    gains = {s: mean(s, row) - mean(s, "auto@release-rates") for s, row in alike.items()}
     told = ", ".join(f"{gain:+.1f} dB on {s}" for s, gain in gains.items())
     assert f"{told} (docs/minute.md)" == QUICKER
+    split = mean("caliterra", "auto") - mean("caliterra", "auto@signed-split")
+    assert f"{split:+.1f} dB on caliterra (docs/minute.md)" == SPLIT
