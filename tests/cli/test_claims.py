@@ -79,12 +79,15 @@ def test_an_installed_package_says_what_is_missing(monkeypatch, tmp_path, capsys
     assert "an installed package has no docs folder" in capsys.readouterr().err
 
 
+HARD, REFINED = "stitchgs@tuned-hard-double", "stitchgs@tuned-gcr-double"
+
+
 def city(row: str, seed: int):
     """A result of the suite city: its names, and a seam."""
-    psnr = {"stitchgs@hard": 20.0, "stitchgs@gcr": 22.0}[row] + 0.01 * seed
+    psnr = {HARD: 20.0, REFINED: 22.0}[row] + 0.01 * seed
     method, _, variant = row.partition("@")
     return replace(
-        case_folders.result(scene="seneca", method=method, seed=seed),
+        case_folders.result(scene="caliterra", method=method, seed=seed),
         suite="city", variant=variant, protocol="city_400",
         metrics={"psnr": psnr, "seam_psnr": psnr}, settings={"iterations": 400, "blocks": 4},
         curve=tuple((step, {"gaussians": float(step), "loss": 1.0}) for step in range(1, 30)),
@@ -93,9 +96,9 @@ def city(row: str, seed: int):
 
 @pytest.fixture
 def city_runs(tmp_path: Path) -> Path:
-    for row in ("stitchgs@hard", "stitchgs@gcr"):
+    for row in (HARD, REFINED):
         for seed in range(3):
-            write_record(tmp_path / "city" / "seneca" / row / f"seed{seed}", city(row, seed))
+            write_record(tmp_path / "city" / "caliterra" / row / f"seed{seed}", city(row, seed))
     return tmp_path
 
 
@@ -107,7 +110,7 @@ def test_other_runs_are_judged(city_runs: Path, capsys):
     assert one["effect"] == pytest.approx(2.0)
     other = verdicts["refinement (GCR) gains over merging alone"]
     assert (other["verdict"], other["reason"]) == (
-        "not testable here", "stitchgs@merge has not been run"
+        "not testable here", "stitchgs@tuned-merge-double has not been run"
     )  # fmt: skip
 
 

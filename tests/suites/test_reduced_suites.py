@@ -20,7 +20,7 @@ def test_city_compares_every_row_on_a_real_scene(tmp_path, capsys, monkeypatch):
             assert min(row[f"{stage}_peak_mb"] for stage in ("blocks", "stitch", "score")) > 50
             assert row["over_hard_cut"] >= 1  # a hard cut, or sis, which drops nothing of it
     reasons = judged_in_reduced_form("city", tmp_path, capsys)
-    assert reasons["refinement (GCR) gains over merging alone"].startswith("1 seed; 3 are needed")
+    assert reasons["refinement (GCR) raises SSIM"].startswith("1 seed; 3 are needed")
 
 
 @pytest.mark.slow  # both methods run whole in street's reduced form
