@@ -80,7 +80,8 @@ def rows(made: Made, *, sized: bool) -> Iterator[Choice]:
     if not sized:
         yield resolution(made)
     yield density(made)
-    if made.base == "3dgs" and not math.isinf(made.settings.density.gradient):
+    grows = made.settings.density
+    if made.base == "3dgs" and (math.isfinite(grows.gradient) or grows.split_gradient):
         yield splitting(made)
     yield cap(made)
     yield largest_scale(made)

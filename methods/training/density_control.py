@@ -144,18 +144,17 @@ class DensityControl:
             self._clear(seen.count, seen.radii.device)
         gradient = seen.signed if self.statistic == "signed" else seen.absolute
         assert gradient is not None
-        native = seen.rows is None and gradient.device.type == "cpu"
-        visible = seen.radii > 0
-        if self.settings.split_gradient and native:
-            assert seen.absolute is not None
-            again = torch.zeros_like(self.seen)  # how many saw them is counted below
-            kernels.observe(seen.absolute, seen.radii, seen.camera, self.absolute_sum, again)
-        elif self.settings.split_gradient:
-            norm = torch.where(visible, seen.gradient_norm("absolute"), 0)
-            self.absolute_sum += seen.by_row(norm)
-        if native:
+        if seen.rows is None and gradient.device.type == "cpu":
+            if self.settings.split_gradient:
+                assert seen.absolute is not None
+                again = torch.zeros_like(self.seen)  # how many saw them is counted below
+                kernels.observe(seen.absolute, seen.radii, seen.camera, self.absolute_sum, again)
             kernels.observe(gradient, seen.radii, seen.camera, self.gradient_sum, self.seen)
             return
+        visible = seen.radii > 0
+        if self.settings.split_gradient:
+            norm = torch.where(visible, seen.gradient_norm("absolute"), 0)
+            self.absolute_sum += seen.by_row(norm)
         norm = torch.where(visible, seen.gradient_norm(self.statistic), 0)
         self.gradient_sum += seen.by_row(norm)
         self.seen += seen.by_row(visible.to(norm))
