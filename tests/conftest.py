@@ -22,7 +22,7 @@ settings.register_profile(
     "splatproof",
     deadline=None,
     derandomize=bool(os.environ.get("CI")),
-    max_examples=40 if os.environ.get("CI") else 100,
+    max_examples=30 if os.environ.get("CI") else 100,
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("splatproof")

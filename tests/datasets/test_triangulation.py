@@ -1,6 +1,7 @@
 """Points under given poses lie on the true surface, and know nothing of held-out views."""
 
 from dataclasses import replace
+from functools import cache
 from unittest import mock
 
 import numpy as np
@@ -40,9 +41,14 @@ def folder(tmp_path_factory):
     return exporting.make_scene(plan, tmp_path_factory.mktemp("aerial") / "scene") / KIND
 
 
+@cache
+def surface():
+    return truth.surface_cloud(aerial.SCENES[KIND](0), 6.0, 0)
+
+
 def surface_error(scene: Scene) -> np.ndarray:
     """Distance of each point from the true surface, in pixels of its nearest view's footprint."""
-    cloud = truth.surface_cloud(aerial.SCENES[KIND](0), 6.0, 0)
+    cloud = surface()
     points = (scene.points.positions + scene.shift).numpy()
     near, rows = KDTree(cloud.points).query(points, k=8)
     offsets = points[:, None] - cloud.points[rows]

@@ -103,6 +103,7 @@ def test_other_seeds_are_not_called_worse(baseline: Side, tmp_path: Path):
     assert {one.verdict for one in found.counters} == {"not compared"}
 
 
+@pytest.mark.slow  # the next is a fault that is called in the same way
 def test_a_dropped_ssim_term_is_called_worse(baseline, tmp_path, monkeypatch):
     """Measured, three seeds: -0.8 dB, -0.096 SSIM."""
     monkeypatch.setattr(fit, "terms", lambda settings: (Photometric(dssim=0.0),))

@@ -152,7 +152,13 @@ KILLED = """
 """
 
 
-@pytest.mark.parametrize("moment", ["log_batch", "log_artifacts", "set_tag"])
+SLOW = pytest.mark.slow  # a process that imports mlflow: seconds
+
+
+@pytest.mark.parametrize(
+    "moment",
+    [pytest.param("log_batch", marks=SLOW), "log_artifacts", pytest.param("set_tag", marks=SLOW)],
+)
 def test_a_case_half_logged_by_a_killed_process_is_replaced(moment: str, tmp_path: Path, uri: str):
     folder = write(tmp_path)
     died = subprocess.run(
@@ -171,6 +177,7 @@ def test_a_case_half_logged_by_a_killed_process_is_replaced(moment: str, tmp_pat
     assert [one.result.seed for one in read_results(uri)] == [0]
 
 
+@pytest.mark.slow  # tests/reports/test_mlflow_pages.py has two processes that log four cases
 def test_a_case_that_another_process_logs_is_waited_for(tmp_path: Path, uri: str):
     folder = write(tmp_path)
     command = "import sys, pathlib; from splatproof.reports.store import sync; "
@@ -528,6 +535,7 @@ def test_only_the_making_of_a_store_leaves_the_disk_to_the_system(tmp_path: Path
     assert levels == {("mlflow.db.making", off), ("mlflow.db", full)}
 
 
+@SLOW
 def test_a_store_is_made_quietly_where_mlflow_was_imported_before(tmp_path: Path):
     code = (
         "import mlflow, sys\n"

@@ -428,7 +428,7 @@ def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_eac
     assert whole.refine_alone == {}
 
 
-@pytest.mark.parametrize("share", [0.9, 0.97])
+@pytest.mark.parametrize("share", [0.9, pytest.param(0.97, marks=pytest.mark.slow)])
 def test_a_kill_in_a_part_of_the_refinement_is_continued(tmp_path, share):
     at = run(tmp_path, checkpoint_seconds=0.0)
     with pytest.raises(Killed):
