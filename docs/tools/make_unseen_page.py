@@ -35,10 +35,10 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
         Printed(
             paper="DPGS", table="7", title="ablation", metrics=("psnr",), protocol="unseen",
             lines=(
-                Line(method="DPGS", variant="w/o DI, w/o DS", row="dpgs@none"),
-                Line(method="DPGS", variant="DI only", row="dpgs@di"),
-                Line(method="DPGS", variant="DS only", row="dpgs@ds"),
-                Line(method="DPGS", variant="DI+DS (full)", row="dpgs"),
+                Line(method="DPGS", variant="w/o DI, w/o DS", row="dpgs@none-double"),
+                Line(method="DPGS", variant="DI only", row="dpgs@di-double"),
+                Line(method="DPGS", variant="DS only", row="dpgs@ds-double"),
+                Line(method="DPGS", variant="DI+DS (full)", row="dpgs@double"),
             ),
         ),
     ),
