@@ -27,6 +27,7 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
 - `@di-tuned` is `@di` with method auto's bound on scales and opacity term, `@di-quick` learns everything but positions and opacities four
   times as fast as well, as method auto does where photos are looked at seldom; `@di-quick-flat` flattens what is thick along photos' rays
   (`thickest`), `@di-quick-bounded` also bounds scales more narrowly on start points (`widest_at_points`), which is auto's plan.
+- Rows whose names end in `double` have twice the steps, `half` half of them (in blocks, of the coarse model too).
 - `citygaussian`, `vastgaussian`, `blockgaussian` and `dpgs-partition` (blocks of equal load): four blocks after a coarse model;
   `dpgs-partition@whole` is DPGS whole, with matched points and side views of each block. They were recorded before the processes of
   blocks were counted, and have no processor seconds or peak memory.
