@@ -46,11 +46,6 @@ def means(job: BlockJob):
     return baked(load_reconstruction(job.model)).means
 
 
-SLOW = pytest.mark.slow
-"""What starts a cluster: its daemons and workers import all, half a minute. Processes of our own
-(tests/methods/city/test_executor.py) take the same jobs in every run of the tests."""
-
-
 @pytest.fixture(scope="module")
 def cluster():
     """Two CPUs: two workers of a thread each."""
@@ -85,7 +80,7 @@ def busy_workers() -> list[int]:
     return sorted(found)
 
 
-@SLOW
+@pytest.mark.slow  # tests/methods/city/test_executor.py kills those of our own processes
 def test_a_block_whose_worker_is_killed_goes_on_elsewhere_from_its_checkpoint(tmp_path, cluster):
     straight, killed = jobs(tmp_path / "straight"), jobs(tmp_path / "killed")
     run_blocks(straight, engine="inline", threads=1, report=nothing)
@@ -122,7 +117,7 @@ class Photo:
 """
 
 
-@SLOW
+@pytest.mark.slow  # another worker with all imports: 20 s
 @pytest.mark.usefixtures("cluster")
 def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
     (tmp_path / "photo_source.py").write_text(PLUGIN)
@@ -134,7 +129,6 @@ def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
     assert facts.block == 0
 
 
-@SLOW
 @pytest.mark.usefixtures("cluster")
 def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
     scene, model, owners = small_scene(40), random_gaussians(40), torch.arange(40) % 2
@@ -154,7 +148,6 @@ def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
     assert not torch.equal(ends[0].sh, model.sh)
 
 
-@SLOW
 def test_a_blocks_own_error_names_it(tmp_path, cluster):
     spoilt = jobs(tmp_path, replace(SETTINGS, iterations=10))
     checkpoint = spoilt[1].folder / "checkpoint" / "training.safetensors"
