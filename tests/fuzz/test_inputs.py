@@ -11,7 +11,7 @@ from fuzz.serving import made_targets
 from fuzz.target import CORPUS, slug
 from fuzz.targets import TARGETS
 
-INPUTS = 8_000
+INPUTS = 20_000
 """Of the million of `make fuzz-inputs`: its first numbers."""
 
 
