@@ -1,5 +1,6 @@
 """Global refinement: only the appearance moves, towards the photos, through the stored 8 bits."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -149,6 +150,18 @@ def test_cleaning_drops_the_transparent_and_keeps_the_largest_unless_told():
     assert not kept[:5].any()
     assert kept[5:].all()
     assert not clean(model, CleanSettings(volume_quantile=0.999))[5]
+
+
+@pytest.mark.parametrize("unit", [1.0, 10.0])
+def test_what_is_cleaned_does_not_depend_on_the_unit_of_length(unit):
+    """In a world in metres a river is longer than the 50 scene units at which the paper's bound lies."""
+    model = random_gaussians(40)
+    model.log_scales[5] = 3.0  # a hundred times as long as the others
+    model.opacity_logits[7] = -6.0
+    model = replace(model, log_scales=model.log_scales + math.log(unit))
+    assert (~clean(model, RefineSettings().clean)).nonzero()[:, 0].tolist() == [7]
+    paper = clean(model, CleanSettings(volume_quantile=1.0))
+    assert bool(paper[5]) == (unit == 1.0)
 
 
 def test_steps_follow_the_blocks_and_visit_every_view_unless_given():
