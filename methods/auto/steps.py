@@ -6,7 +6,7 @@ from splatproof.methods.auto.base import Base
 from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.schedules import shrunk_interval
+from splatproof.methods.training.density_control import shrunk
 
 GROWTH_A_PASS = 1.25
 """Largest factor by which a densification is taken to raise the number of Gaussians."""
@@ -68,7 +68,7 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     """Wall seconds of a training of so many steps, photos read before.
 
     The number of Gaussians is taken to grow evenly from the points to the cap, or as far as
-    `GROWTH_A_PASS` in each densification gets it, between the first and the last densification.
+    `GROWTH_A_PASS` in each densification gets it, between the first and the last densification of each round.
 
     Args:
         settings: Schedules, cap and sizes.
@@ -76,20 +76,12 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
         speed: How fast steps are.
         count: Number of steps.
     """
-    shrunken = min(1.0, count / 30_000)
-    density = settings.density
-    start, stop = density.start * shrunken, density.stop * shrunken
-    interval = shrunk_interval(
-        density.interval,
-        density.least_interval,
-        density.fewest,
-        start=round(start),
-        stop=round(stop),
-        iterations=count,
-    )
+    density = shrunk(settings.density, count)
+    start, stop, again = density.start, density.stop, density.again or count
+    rounds = math.ceil(count / again)
     points = min(facts.points, settings.most_points or facts.points)
     most = max(density.most or points, points)
-    passes = max(0.0, (stop - start) / interval)
+    passes = rounds * max(0.0, (stop - start) / density.interval)
     reached = float(min(most, points * GROWTH_A_PASS ** min(passes, 40.0)))
     if math.isinf(density.gradient) and not density.split_gradient:
         reached = float(points)
@@ -97,8 +89,9 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     total = 0.0
     for part in range(parts):
         step = (part + 0.5) / parts * count
-        grown = min(1.0, max(0.0, (step - start) / max(stop - start, 1.0)))
-        gaussians = points + grown * (reached - points)
+        before, here = divmod(step, again)
+        grown = before + min(1.0, max(0.0, (here - start) / max(stop - start, 1.0)))
+        gaussians = points + grown / rounds * (reached - points)
         factor = settings.resolution.factor(int(step) + 1, count)
         total += speed.step(gaussians, factor) * count / parts
     return total * settings.views_per_step

@@ -53,6 +53,26 @@ def shrunk_interval(
     return max(1, between // fewest)
 
 
+def round_steps(again: int, iterations: int) -> int:
+    """Steps of a round in a run of some length, rounded up so that no run ends with the first steps of another.
+
+    Args:
+        again: Steps of a round in a run of 30,000 steps; 0: the run is one round.
+        iterations: Steps of the run, >= 1.
+    """
+    return -(-again * min(iterations, FULL_LENGTH) // FULL_LENGTH)
+
+
+def since(step: int, again: int) -> int:
+    """Number of a step in the round that it belongs to, from 1.
+
+    Args:
+        step: Number of the step in the run, from 1.
+        again: Steps of a round, >= 1; 0: the run is one round.
+    """
+    return (step - 1) % again + 1 if again else step
+
+
 def require_cell(cell: float) -> None:
     """Refuse voxels of added points that would hold a match each, at the price of all of them.
 
@@ -87,6 +107,10 @@ class Rates:
     """Factor on all rates but that of positions at the last step, reached log-linearly from the
     middle of the run on; 1: constant, as in the release. Single views pull on colours, opacities
     and scales until the end; smaller last steps average their pulls."""
+    again: int = 0
+    """Step after which all rates begin again as at the first, for a round of as many steps, and so on; steps of a
+    30,000 step run, which a shorter one shrinks in proportion. 0: one round (the release). What
+    `density.again` adds late has to learn as fast as what was there from the start."""
 
     def __post_init__(self) -> None:
         """Refuse rates that are not finite and >= 0."""
@@ -107,6 +131,23 @@ def require(holds: bool, setting: str, value: object, expected: str) -> None:
     """
     if not holds:
         raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
+
+
+def in_rounds(rate: Schedule, again: int) -> Schedule:
+    """A rate that begins again after so many steps, and runs in each such round as in a run of its length.
+
+    Args:
+        rate: Of a whole run.
+        again: Steps of a round in a run of 30,000 steps, shrunk in a shorter one; 0: the rate as it is.
+
+    Source: Loshchilov and Hutter 2017, "SGDR", Sec. 3, for warm restarts; with rounds of one length.
+    """
+    return partial(_in_rounds, rate, again) if again else rate
+
+
+def _in_rounds(rate: Schedule, again: int, step: int, total: int) -> float:
+    length = round_steps(again, total)
+    return rate(since(step, length), length)
 
 
 def log_linear(first: float, last: float, *, factor: float = 1.0) -> Schedule:
