@@ -28,7 +28,7 @@ from splatproof.methods.threedgs.cost import cost as plain_cost
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
 from splatproof.methods.training.plan import Plan
-from splatproof.methods.training.schedules import require, shrink
+from splatproof.methods.training.schedules import require, shrink, since
 from splatproof.methods.training.session import run_key, train
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -102,7 +102,7 @@ class CoControl(SparseControl):
             generator: Source of the children's positions.
         """
         yield from super().edits(step, parameters, generator)
-        every = self.prune_interval
+        every, step = self.prune_interval, since(step, self.settings.again)
         if every and step > every and step % every == 0 and step < self.settings.stop:
             yield self.co_prune(parameters)
 
