@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from splatproof.methods.auto.steps import LEAST_STEPS
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.density_control import grown_at, shrunk
+from splatproof.methods.training.schedules import restarts, shrink
 
 MEASURED = 30
 """Steps over which a speed is measured."""
@@ -34,7 +34,8 @@ class Recount:
             tell: Told the new number of steps.
         """
         self.planned = steps = settings.iterations
-        grown = grown_at(shrunk(settings.density, steps), steps)
+        begun = max((0, *restarts(steps, settings.rounds)))
+        grown = begun + round(settings.density.stop * shrink(settings.round_steps))
         factors = [settings.resolution.factor(step, steps) for step in range(1, steps + 1)]
         whole = factors.index(factors[-1])
         self.first = min(max(grown, whole) + 1, steps)

@@ -7,6 +7,7 @@ from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density_control import shrunk
+from splatproof.methods.training.schedules import restarts
 
 GROWTH_A_PASS = 1.25
 """Largest factor by which a densification is taken to raise the number of Gaussians."""
@@ -76,12 +77,12 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
         speed: How fast steps are.
         count: Number of steps.
     """
-    density = shrunk(settings.density, count)
-    start, stop, again = density.start, density.stop, density.again or count
-    rounds = math.ceil(count / again)
+    after = (0, *restarts(count, settings.rounds))
+    density = shrunk(settings.density, math.ceil(count / settings.rounds))
+    start, stop = density.start, density.stop
     points = min(facts.points, settings.most_points or facts.points)
     most = max(density.most or points, points)
-    passes = rounds * max(0.0, (stop - start) / density.interval)
+    passes = len(after) * max(0.0, (stop - start) / density.interval)
     reached = float(min(most, points * GROWTH_A_PASS ** min(passes, 40.0)))
     if math.isinf(density.gradient) and not density.split_gradient:
         reached = float(points)
@@ -89,9 +90,9 @@ def training_seconds(settings: Settings, facts: SceneFacts, speed: Speed, count:
     total = 0.0
     for part in range(parts):
         step = (part + 0.5) / parts * count
-        before, here = divmod(step, again)
-        grown = before + min(1.0, max(0.0, (here - start) / max(stop - start, 1.0)))
-        gaussians = points + grown / rounds * (reached - points)
+        rounds = (step - begun for begun in after if begun <= step)
+        grown = sum(min(1.0, max(0.0, (s - start) / max(stop - start, 1))) for s in rounds)
+        gaussians = points + grown / len(after) * (reached - points)
         factor = settings.resolution.factor(int(step) + 1, count)
         total += speed.step(gaussians, factor) * count / parts
     return total * settings.views_per_step

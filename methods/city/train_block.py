@@ -40,7 +40,7 @@ from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.initialise import extent, from_points
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.plan import Plan
-from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.schedules import restarts, shrink
 from splatproof.methods.training.session import run_key, scene_digest
 from splatproof.methods.training.view_order import Drawn, ViewOrder
 from splatproof.reference.partition.view_sampling import (
@@ -254,7 +254,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         run: Seed, background, backend and device are part of the plan's key.
     """
     settings, scene = job.settings, job.scene
-    sh_every = settings.sh_interval * shrink(settings.iterations) if start is None else 0.0
+    sh_every = settings.sh_interval * shrink(settings.round_steps) if start is None else 0.0
     if start is None:
         start = from_points(scene, degree=settings.sh_degree, opacity=settings.initial_opacity)
     start, roles = select(start, job.roles != LEFT_OUT), job.roles[job.roles != LEFT_OUT]
@@ -265,7 +265,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         labels={ROLE: roles},
     )  # fmt: skip
     density = DensityControl(
-        settings.density, iterations=settings.iterations, extent=size,
+        settings.density, iterations=settings.round_steps, extent=size,
         rules=role_rules(follow=job.follow),
     )  # fmt: skip
     return model, Plan(
@@ -274,6 +274,7 @@ def prepare(job: BlockJob, start: Gaussians | None, run: Run) -> tuple[GaussianM
         terms=(*terms(settings), *block_terms(job.block_terms, run, size)),
         density=density,
         key=run_key(scene, settings, run, job.key),
+        restarts=restarts(settings.iterations, settings.rounds),
         views_per_step=settings.views_per_step,
         random_background=settings.random_background,
         shapes=settings.shapes,

@@ -9,13 +9,7 @@ from torch import Tensor
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.training.regularisers import draw_shown, thinned
-from splatproof.methods.training.schedules import (
-    Rates,
-    active_degree,
-    in_rounds,
-    log_linear,
-    settling,
-)
+from splatproof.methods.training.schedules import Rates, active_degree, log_linear, settling
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import View
@@ -57,10 +51,11 @@ class GaussianModel(Model):
             name: settling(getattr(rates, name), rates.settle)
             for name in ("sh_dc", "sh_rest", "opacity_logits", "log_scales", "quaternions")
         }
-        trained = {
-            n: in_rounds(rate, rates.again) for n, rate in moving.items() if getattr(rates, n)
-        }
-        super().__init__(Parameters(rows, labels=labels), trained)
+        frozen = {name for name in moving if getattr(rates, name) == 0}
+        super().__init__(
+            Parameters(rows, labels=labels),
+            {name: schedule for name, schedule in moving.items() if name not in frozen},
+        )
         self.mode: Mode = mode
         self.degree, self.sh_every, self.dropout = start.degree, sh_every, dropout
 

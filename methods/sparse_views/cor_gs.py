@@ -28,7 +28,7 @@ from splatproof.methods.threedgs.cost import cost as plain_cost
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training import initialise
 from splatproof.methods.training.plan import Plan
-from splatproof.methods.training.schedules import require, shrink, since
+from splatproof.methods.training.schedules import require, restarts, shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.render import RenderOutput
@@ -84,7 +84,7 @@ class CoControl(SparseControl):
             settings: All of the method; its steps are shrunk to this run's.
             extent: Size of the scene in scene units.
         """
-        steps = settings.iterations
+        steps = settings.round_steps
         super().__init__(settings.density, iterations=steps, extent=extent)
         self.prune_interval = max(
             round(settings.prune_interval * shrink(steps)), min(1, settings.prune_interval)
@@ -102,7 +102,7 @@ class CoControl(SparseControl):
             generator: Source of the children's positions.
         """
         yield from super().edits(step, parameters, generator)
-        every, step = self.prune_interval, since(step, self.settings.again)
+        every = self.prune_interval
         if every and step > every and step % every == 0 and step < self.settings.stop:
             yield self.co_prune(parameters)
 
@@ -160,7 +160,7 @@ def prepare(scene: Scene, settings: CorGS, run: Run) -> tuple[TwinFields, Plan]:
     size, factor = initialise.extent(scene), shrink(settings.iterations)
     model = TwinFields(
         start, settings.rates, extent=size, mode=settings.mode,
-        sh_every=settings.sh_interval * factor, dropout=settings.dropout, labels={FIELD: fields},
+        sh_every=settings.sh_interval * shrink(settings.round_steps), dropout=settings.dropout, labels={FIELD: fields},
     )  # fmt: skip
     terms = threedgs.terms(settings)
     if settings.agreement_weight:
@@ -177,6 +177,7 @@ def prepare(scene: Scene, settings: CorGS, run: Run) -> tuple[TwinFields, Plan]:
         terms=terms,
         density=CoControl(settings, extent=size),
         key=run_key(scene, settings, run),
+        restarts=restarts(settings.iterations, settings.rounds),
         views_per_step=2 * settings.views_per_step,
         random_background=settings.random_background,
         shapes=settings.shapes,

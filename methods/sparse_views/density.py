@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.training.density import Density, reset_opacity
 from splatproof.methods.training.density_control import DensityControl
-from splatproof.methods.training.schedules import require, shrink, since
+from splatproof.methods.training.schedules import require, shrink
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +61,8 @@ class SparseControl(DensityControl):
         Args:
             step: Number of the step, from 1.
         """
-        every, step = self.settings.reset_interval, since(step, self.settings.again)
-        later = step - self.first_reset
-        return every > 0 and 0 <= later and step < self.settings.stop and later % every == 0
+        every, since = self.settings.reset_interval, step - self.first_reset
+        return every > 0 and 0 <= since and step < self.settings.stop and since % every == 0
 
     def reset(self, parameters: Parameters) -> Edit:
         """Make everything at most as opaque as the settings say.

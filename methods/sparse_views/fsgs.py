@@ -198,7 +198,7 @@ def prepare(scene: Scene, settings: Fsgs, run: Run) -> tuple[GaussianModel, Plan
     if settings.depth_weight and any(view.load_prior for view in scene.train_views):
         terms = (*terms, depth_term(settings.depth_weight))
     density = FsgsControl(
-        settings.density, iterations=settings.iterations, extent=initialise.extent(scene)
+        settings.density, iterations=settings.round_steps, extent=initialise.extent(scene)
     )
     key = run_key(scene, settings, run, scene.facts.get("depth_prior_sha256", ""))
     return model, replace(plan, terms=terms, density=density, key=key)

@@ -92,7 +92,7 @@ def prepare_from(start: Scene, settings: StratoSplat, run: Run) -> tuple[Model, 
         explicits.gaussians(), settings.rates, extent=initialise.extent(start),
         stack=stack_of(start.points.positions.double(), start.up, planes.count), planes=planes,
         field=drawn_field(planes, torch.Generator().manual_seed(run.seed)), mode=settings.mode,
-        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+        sh_every=settings.sh_interval * shrink(settings.round_steps), dropout=settings.dropout,
     ), replace(plan, native=False)  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from splatproof.methods.threedgs.scored_views import ViewScorer
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.threedgs.spread_control import SpreadControl
 from splatproof.methods.training.density_control import DensityControl
-from splatproof.methods.training.schedules import in_rounds, log_linear
+from splatproof.methods.training.schedules import log_linear
 from splatproof.reference.types.scene import View
 
 
@@ -26,13 +26,12 @@ def control(settings: Settings, views: Sequence[View], extent: float, run: Run) 
         extent: Size of the scene in scene units.
         run: Backend and background.
     """
-    density, iterations = settings.density, settings.iterations
+    density, iterations = settings.density, settings.round_steps
     if not isinstance(density, StrategicDensity):
         return DensityControl(density, iterations=iterations, extent=extent)
     if density.strategy == "mcmc":
         rates = settings.rates
-        falling = log_linear(rates.means, rates.means_final, factor=extent)
-        rate = in_rounds(falling, rates.again)
+        rate = log_linear(rates.means, rates.means_final, factor=extent)
         return McmcControl(density, iterations=iterations, extent=extent, rate=rate)
     if not density.looks:
         return DensityControl(density, iterations=iterations, extent=extent)

@@ -14,7 +14,7 @@ from splatproof.methods.training.fewer_points import with_at_most
 from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.remembering import remembering
-from splatproof.methods.training.schedules import shrink
+from splatproof.methods.training.schedules import restarts, shrink
 from splatproof.methods.training.session import run_key, train
 from splatproof.methods.training.terms import (
     ImageTerm,
@@ -81,7 +81,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
     size = initialise.extent(scene)
     model = GaussianModel(
         start, settings.rates, extent=size, mode=settings.mode,
-        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+        sh_every=settings.sh_interval * shrink(settings.round_steps), dropout=settings.dropout,
     )  # fmt: skip
     if isinstance(settings.density, StrategicDensity) and settings.density.looks:
         scene = remembering(scene, image_room(run.image_bytes, scene.train_views).kept)
@@ -91,6 +91,7 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[GaussianModel, 
         terms=(*terms(settings), *moving_terms(settings.density, size)),
         density=control(settings, scene.train_views, size, run),
         key=run_key(scene, settings, run),
+        restarts=restarts(settings.iterations, settings.rounds),
         views_per_step=settings.views_per_step,
         resolution=settings.resolution,
         random_background=settings.random_background,

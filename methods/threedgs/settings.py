@@ -22,6 +22,10 @@ class Settings:
     """Number of training steps, each on `views_per_step` views (the paper: 30,000, and 7,000). In
     shorter runs the release's density control, squeezed, adds more Gaussians than few photos bear: suite
     brighton has settings for 2,000 steps."""
+    rounds: int = 1
+    """Number of trainings that follow each other in these steps, each as long, from what the one before has made: learning
+    rates and density control begin again, and moments are forgotten. Gaussians that come in a second round come
+    where the first has left errors: as good with fewer of them than one round that grows more. The release: 1."""
     views_per_step: int = 1
     """Number of views whose mean gradient one step follows (the release: 1)."""
     sh_degree: int = 3
@@ -88,6 +92,11 @@ class Settings:
         )
 
     @property
+    def round_steps(self) -> int:
+        """Steps of a round; the last one may have fewer."""
+        return -(-self.iterations // self.rounds)
+
+    @property
     def mode(self) -> Mode:
         """How the model is rasterized."""
         return "antialiased" if self.antialiased else "classic"
@@ -95,6 +104,7 @@ class Settings:
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
         require(self.iterations >= 1, "iterations", self.iterations, ">= 1")
+        require(self.rounds >= 1, "rounds", self.rounds, ">= 1")
         require(self.views_per_step >= 1, "views_per_step", self.views_per_step, ">= 1")
         require(0 <= self.sh_degree <= 3, "sh_degree", self.sh_degree, "0 to 3")
         require(self.sh_interval >= 0, "sh_interval", self.sh_interval, ">= 0")
@@ -124,6 +134,8 @@ class ThreeDGS(Settings):
         """Refuse settings that no run can follow."""
         super().__post_init__()
         self.density.require_in_place()
+        alone = not self.density.looks or self.rounds == 1
+        require(alone, "rounds", self.rounds, "1 where density control looks at errors of views")
         seen = not self.density.looks or self.exposure == "off"
         require(seen, "exposure", self.exposure, "off where density control looks at errors of views, which "
                 "it renders without exposures")  # fmt: skip

@@ -30,10 +30,6 @@ class Density:
     """Last step without densification: Gaussians are cloned, split and removed after it."""
     stop: int = 15_000
     """Step from which on nothing is densified and no opacity is reset."""
-    again: int = 0
-    """Steps after which all of this begins again, its steps counted from there: `start`, `stop`, densifications and
-    resets. What is missing shows best in pictures that have learnt what they could, so a second round places
-    Gaussians better than more of them in the first. 0: one round (the release)."""
     interval: int = 100
     """Steps between densifications; a short run shrinks it to no less than `least_interval`, unless
     `fewest` asks for more densifications."""
@@ -72,7 +68,7 @@ class Density:
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
         for name in (
-            "start", "stop", "again", "fewest", "reset_interval", "gradient", "split_gradient", "split_size",
+            "start", "stop", "fewest", "reset_interval", "gradient", "split_gradient", "split_size",
             "largest_size",
         ):  # fmt: skip
             value = getattr(self, name)
@@ -88,12 +84,6 @@ class Density:
             "density.pace",
             self.pace,
             "free where density.most is None: there is no room to share out",
-        )
-        require(
-            self.pace == "free" or not self.again,
-            "density.pace",
-            self.pace,
-            "free where density.again is not 0: all room would be shared out in the first round",
         )
 
 

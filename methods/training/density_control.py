@@ -12,7 +12,7 @@ from splatproof.methods.contracts.density_strategy import Observation, Statistic
 from splatproof.methods.contracts.parameters import Edit, Parameters
 from splatproof.methods.kernels import step as kernels
 from splatproof.methods.training.density import Density, densify, reset_opacity
-from splatproof.methods.training.schedules import round_steps, shrink, shrunk_interval, since
+from splatproof.methods.training.schedules import shrink, shrunk_interval
 from splatproof.reference.types.gaussians import Gaussians
 
 D = TypeVar("D", bound=Density)
@@ -52,19 +52,7 @@ def shrunk(settings: D, iterations: int) -> D:
             iterations=iterations,
         ),
         reset_interval=round(settings.reset_interval * factor),
-        again=round_steps(settings.again, iterations),
     )
-
-
-def grown_at(settings: Density, iterations: int) -> int:
-    """Step from which on a run neither densifies nor resets opacities any more.
-
-    Args:
-        settings: Density control whose steps are the run's own.
-        iterations: Steps of the run.
-    """
-    before = (iterations - 1) // settings.again * settings.again if settings.again else 0
-    return before + settings.stop
 
 
 def densifies(settings: Density, step: int) -> bool:
@@ -74,7 +62,6 @@ def densifies(settings: Density, step: int) -> bool:
         settings: Density control whose steps are the run's own.
         step: Number of the step, from 1.
     """
-    step = since(step, settings.again)
     return settings.start < step < settings.stop and step % settings.interval == 0
 
 
@@ -145,7 +132,7 @@ class DensityControl:
         Args:
             step: Number of the step, from 1.
         """
-        return since(step, self.settings.again) < self.settings.stop
+        return step < self.settings.stop
 
     def observe(self, seen: Observation) -> None:
         """Add one view: the norm of the 2D gradient where a Gaussian was seen.
@@ -202,7 +189,7 @@ class DensityControl:
 
     def resets(self, step: int) -> bool:
         """Whether a step ends with an opacity reset."""
-        every, step = self.settings.reset_interval, since(step, self.settings.again)
+        every = self.settings.reset_interval
         return every > 0 and step < self.settings.stop and step % every == 0
 
     def densify(

@@ -26,6 +26,7 @@ from splatproof.methods.training.optimizer import GradientMean
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution, shrunk
 from splatproof.methods.training.run_keys import what_differs
+from splatproof.methods.training.schedules import round_of
 from splatproof.methods.training.shape_bounds import EVERY, shape_bounds
 from splatproof.methods.training.terms import Frame, ParameterTerm, Photometric
 from splatproof.methods.training.view_order import Shuffled
@@ -160,7 +161,7 @@ class Trainer:
                 mean.take(self.model.parameters.trained)
         mean.leave(self.model.parameters.trained)
         self.update()
-        edits = self.plan.density.edits(self.step, self.model.parameters, self.generator)
+        edits = self.plan.density.edits(self.turn[0], self.model.parameters, self.generator)
         self.counts = self.counts.after_step(self.backend.pairs() - before)
         for edit in edits:
             self.counts = self.counts.after_edit(edit, len(self.model.parameters))
@@ -168,11 +169,18 @@ class Trainer:
             self.optimizer.edit(edit)
         return {name: sum(each[name] for each in told) / len(told) for name in told[0]}
 
+    @property
+    def turn(self) -> tuple[int, int]:
+        """Number of this step in its round, from 1, and steps of the round."""
+        return round_of(self.step, self.plan.steps, self.plan.restarts)
+
     def update(self) -> None:
         """Follow the gradients that `backward` left; what is held keeps its values."""
         rows = self.model.parameters.rows
         held = self.plan.held(self.model.parameters) if self.plan.held else {}
         kept = {name: rows[name].detach()[index] for name, index in held.items()}
+        if self.step - 1 in self.plan.restarts:
+            self.optimizer.restart()
         self.optimizer.step(self.rates())
         for bound in self.bounds if self.step % EVERY == 0 else ():
             bound.apply(self.model.parameters)
@@ -181,8 +189,8 @@ class Trainer:
 
     def rates(self) -> dict[str, float]:
         """Rate of each tensor that is not frozen, at this step."""
-        total = self.plan.steps
-        return {name: rate(self.step, total) for name, rate in self.model.schedules.items()}
+        step, total = self.turn
+        return {name: rate(step, total) for name, rate in self.model.schedules.items()}
 
     def backward(self, view: View) -> tuple[dict[str, float], Observation | None]:
         """Render one view and leave its loss's gradients in the parameters.
@@ -247,7 +255,7 @@ class Trainer:
         """
         (term,) = self.image_terms
         assert isinstance(term, Photometric)
-        watched = self.plan.density.watches(self.step)
+        watched = self.plan.density.watches(self.turn[0])
         step = self.gradients.of(
             view.camera, native.tensors, truth, degree=native.degree, background=self.behind(),
             mask=mask, dssim=term.dssim, mode=self.model.mode,
@@ -277,7 +285,7 @@ class Trainer:
             value.requires_grad_(name in self.model.schedules)
         splats = self.model.splats(view.without_truth(), moment)
         probe, density = None, self.plan.density
-        if density.watches(self.step):
+        if density.watches(self.turn[0]):
             wanted = "absolute" in density.needs
             probe = ScreenProbe.zeros(len(splats), splats.means, absolute=wanted)
         output = self.backend.draw(

@@ -64,6 +64,13 @@ class Adam:
                 if name in edit.forget:
                     moments[name].zero_()
 
+    def restart(self) -> None:
+        """Forget all moments, as before the first update."""
+        for moments in (self.first, self.second):
+            for value in moments.values():
+                value.zero_()
+        self.steps = 0
+
     def state(self) -> dict[str, Tensor]:
         """Everything beside the parameters that the next step depends on, as named tensors."""
         groups = {"first": self.first, "second": self.second}

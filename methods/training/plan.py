@@ -29,6 +29,8 @@ class Plan:
     density: DensityStrategy
     key: str
     """Everything that the result depends on, as text: a checkpoint of another key is refused."""
+    restarts: tuple[int, ...] = ()
+    """Steps after which rates and density control begin again and moments are forgotten, see `restarts`."""
     views_per_step: int = 1
     """Views whose mean gradient one step follows."""
     resolution: Resolution = field(default_factory=Resolution)

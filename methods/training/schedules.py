@@ -1,6 +1,7 @@
 """What changes with the step: learning rates, the SH degree, and how schedules shrink."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -53,24 +54,33 @@ def shrunk_interval(
     return max(1, between // fewest)
 
 
-def round_steps(again: int, iterations: int) -> int:
-    """Steps of a round in a run of some length, rounded up so that no run ends with the first steps of another.
+def restarts(iterations: int, rounds: int) -> tuple[int, ...]:
+    """Steps after which a round of a training begins, but for the first, which begins with it.
+
+    Rounds are of one length, the last of what is left.
 
     Args:
-        again: Steps of a round in a run of 30,000 steps; 0: the run is one round.
-        iterations: Steps of the run, >= 1.
+        iterations: Steps of the training, >= 1.
+        rounds: Number of rounds, >= 1; where that leaves no step for the last ones there are fewer.
+
+    Source: Loshchilov and Hutter 2017, "SGDR: Stochastic Gradient Descent with Warm Restarts", Sec. 3, with rounds of
+    one length.
     """
-    return -(-again * min(iterations, FULL_LENGTH) // FULL_LENGTH)
+    length = -(-iterations // rounds)
+    return tuple(range(length, iterations, length))
 
 
-def since(step: int, again: int) -> int:
-    """Number of a step in the round that it belongs to, from 1.
+def round_of(step: int, total: int, restarts: Sequence[int]) -> tuple[int, int]:
+    """Number of a step in its round, from 1, and steps of that round.
 
     Args:
-        step: Number of the step in the run, from 1.
-        again: Steps of a round, >= 1; 0: the run is one round.
+        step: Number of the step in the training, from 1.
+        total: Steps of the training; one that is told another number on the way has a longer or shorter last round.
+        restarts: Steps after which rounds begin, rising.
     """
-    return (step - 1) % again + 1 if again else step
+    begun = max((after for after in restarts if after < step), default=0)
+    end = min((after for after in restarts if step <= after < total), default=total)
+    return step - begun, end - begun
 
 
 def require_cell(cell: float) -> None:
@@ -107,10 +117,6 @@ class Rates:
     """Factor on all rates but that of positions at the last step, reached log-linearly from the
     middle of the run on; 1: constant, as in the release. Single views pull on colours, opacities
     and scales until the end; smaller last steps average their pulls."""
-    again: int = 0
-    """Step after which all rates begin again as at the first, for a round of as many steps, and so on; steps of a
-    30,000 step run, which a shorter one shrinks in proportion. 0: one round (the release). What
-    `density.again` adds late has to learn as fast as what was there from the start."""
 
     def __post_init__(self) -> None:
         """Refuse rates that are not finite and >= 0."""
@@ -131,23 +137,6 @@ def require(holds: bool, setting: str, value: object, expected: str) -> None:
     """
     if not holds:
         raise UsageError(f"setting {setting} is {value!r}, expected {expected}")
-
-
-def in_rounds(rate: Schedule, again: int) -> Schedule:
-    """A rate that begins again after so many steps, and runs in each such round as in a run of its length.
-
-    Args:
-        rate: Of a whole run.
-        again: Steps of a round in a run of 30,000 steps, shrunk in a shorter one; 0: the rate as it is.
-
-    Source: Loshchilov and Hutter 2017, "SGDR", Sec. 3, for warm restarts; with rounds of one length.
-    """
-    return partial(_in_rounds, rate, again) if again else rate
-
-
-def _in_rounds(rate: Schedule, again: int, step: int, total: int) -> float:
-    length = round_steps(again, total)
-    return rate(since(step, length), length)
 
 
 def log_linear(first: float, last: float, *, factor: float = 1.0) -> Schedule:

@@ -81,7 +81,7 @@ def test_the_work_of_a_continued_run_is_that_of_an_undisturbed_one(tmp_path):
 
 def test_pairs_are_those_of_every_view_of_every_step():
     """Nothing moves, so each view has the pairs that a picture of the start has."""
-    held = Rates(**dict.fromkeys(vars(Rates()).keys() - {"settle", "again"}, 0.0))
+    held = Rates(**dict.fromkeys(vars(Rates()), 0.0))
     still = replace(GROWS, iterations=10, views_per_step=2, rates=held)
     model, plan = prepare(tiny_scene(views=2), still, RUN)
     trainer = Trainer(model, replace(plan, density=Frozen()), RUN)

@@ -1,4 +1,4 @@
-"""Rates and density control that begin again: rounds of one length, each as a run of that length."""
+"""Trainings that follow each other in one run: rounds of one length, each as a run of that length."""
 
 from dataclasses import replace
 
@@ -11,163 +11,152 @@ from helpers.killed_run import assert_continues
 from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import UsageError
 from splatproof.methods.auto.recount import Recount
+from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.gaussian_model import GaussianModel
-from splatproof.methods.sparse_views.cor_gs import CoControl, CorGS
-from splatproof.methods.sparse_views.density import SparseControl, SparseDensity
-from splatproof.methods.sparse_views.twin_fields import FIELD, twice
-from splatproof.methods.threedgs.density import Mcmc, StrategicDensity
-from splatproof.methods.threedgs.fit import prepare
-from splatproof.methods.threedgs.mcmc import McmcControl
+from splatproof.methods.sparse_views import cor_gs, fsgs
+from splatproof.methods.stratosplat import fit as stratosplat
+from splatproof.methods.stratosplat.settings import Planes, StratoSplat
+from splatproof.methods.threedgs.density import StrategicDensity
+from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings, ThreeDGS
 from splatproof.methods.training.density import Density
-from splatproof.methods.training.density_control import DensityControl, grown_at, shrunk
 from splatproof.methods.training.loop import Trainer
-from splatproof.methods.training.schedules import (
-    Rates,
-    in_rounds,
-    log_linear,
-    round_steps,
-    settling,
-    since,
-)
+from splatproof.methods.training.optimizer import Adam
+from splatproof.methods.training.schedules import Rates, restarts, round_of
 
 RUN = Run(threads=1, seed=3)
-SCHEDULES = st.builds(
-    Density, start=st.integers(0, 7000), stop=st.integers(0, 9000), interval=st.integers(1, 400),
-    least_interval=st.integers(1, 100), fewest=st.integers(0, 5), reset_interval=st.integers(0, 4000),
-    again=st.integers(9000, 20_000),
-)  # fmt: skip
 GROWS = Settings(
-    iterations=60, sh_degree=1,
-    density=Density(start=0, interval=1, least_interval=5, stop=7500, reset_interval=0, again=15_000,
-    gradient=0.0, least_opacity=0.0),
-    rates=Rates(again=15_000, settle=0.1),
+    iterations=60, rounds=2, sh_degree=1, rates=Rates(settle=0.1),
+    density=Density(start=0, interval=1, least_interval=5, reset_interval=0, gradient=0.0, least_opacity=0.0),
 )  # fmt: skip
+"""Densified at 5 and 10, and at 35 and 40."""
 
 
-@given(rounds=st.sampled_from([1, 2, 3, 4, 5, 6, 10]), iterations=st.integers(10, 30_000))
-def test_a_run_does_not_end_with_the_first_steps_of_another_round(rounds, iterations):
-    steps = round_steps(30_000 // rounds, iterations)
-    assert steps * rounds >= iterations
-    assert since(iterations, steps) > steps - rounds
+def trainer_of(settings: Settings) -> Trainer:
+    model, plan = prepare(tiny_scene(), settings, RUN)
+    return Trainer(model, plan, RUN)
 
 
-@given(step=st.integers(1, 10_000), again=st.integers(1, 3000), rounds=st.integers(0, 3))
-def test_a_step_is_that_of_each_round(step, again, rounds):
-    assert since(step, 0) == step
-    assert 1 <= since(step, again) <= again
-    assert since(step + rounds * again, again) == since(step, again)
-    assert step > again or since(step, again) == step
+@given(iterations=st.integers(1, 60_000), rounds=st.integers(1, 9))
+def test_rounds_fill_a_run_and_only_the_last_is_shorter(iterations, rounds):
+    begun = (0, *restarts(iterations, rounds))
+    lengths = [b - a for a, b in zip(begun, (*begun[1:], iterations), strict=True)]
+    assert sum(lengths) == iterations
+    assert len(lengths) <= rounds
+    assert len(set(lengths[:-1])) <= 1
+    assert 0 < lengths[-1] <= lengths[0]
+    assert lengths[0] == Settings(iterations=iterations, rounds=rounds).round_steps
 
 
-@given(again=st.integers(1000, 30_000), iterations=st.integers(1, 30_000), share=st.floats(0, 1))
-def test_each_round_has_the_rates_of_a_run_of_its_length(again, iterations, share):
-    steps = round_steps(again, iterations)
-    step = max(1, round(share * iterations))
-    for rate in (log_linear(1e-2, 1e-4, factor=3.0), settling(0.05, 0.1)):
-        assert in_rounds(rate, 0) is rate
-        assert in_rounds(rate, again)(step, iterations) == rate(since(step, steps), steps)
-
-
-def test_rates_rise_where_a_round_begins_and_end_low():
-    rate = in_rounds(settling(1.0, 0.1), 15_000)
-    assert [round(rate(step, 60), 2) for step in (1, 15, 30, 31, 45, 60)] == [1, 1, 0.1, 1, 1, 0.1]
-    odd = in_rounds(settling(1.0, 0.1), 15_000)  # 61 steps: a round of 31 and one of 30
-    assert odd(61, 61) < 0.13 < odd(32, 61)
-
-
-def test_every_rate_of_a_model_begins_again_and_what_is_held_stays_held():
-    model = GaussianModel(
-        random_gaussians(3), Rates(again=15_000, settle=0.1, quaternions=0.0), extent=2.0
+@given(iterations=st.integers(1, 300), rounds=st.integers(1, 9), data=st.data())
+def test_each_step_has_its_number_in_its_round(iterations, rounds, data):
+    after = restarts(iterations, rounds)
+    assert [round_of(s, iterations, ()) for s in (1, iterations)] == [
+        (1, iterations),
+        (iterations,) * 2,
+    ]
+    turns = [round_of(step, iterations, after) for step in range(1, iterations + 1)]
+    assert [step for step, (number, _) in enumerate(turns) if number == 1] == [0, *after]
+    assert all(1 <= number <= length for number, length in turns)
+    assert turns[-1][0] == turns[-1][1]
+    told = data.draw(
+        st.integers(max((0, *after)) + 1, 600)
+    )  # another number of steps, told in the last round
+    assert all(
+        round_of(step, told, after)[0] == turns[step - 1][0]
+        for step in range(1, min(told, iterations) + 1)
     )
-    assert "quaternions" not in model.schedules
-    for name, rate in model.schedules.items():
-        assert rate(31, 60) == pytest.approx(rate(1, 60)), name
-        assert rate(30, 60) < rate(31, 60), name
+    assert round_of(told, told, after) == (told - max((0, *after)),) * 2
 
 
-@given(settings=SCHEDULES, iterations=st.integers(100, 400))
-def test_densifications_and_resets_come_at_the_same_steps_of_every_round(settings, iterations):
-    control = DensityControl(settings, iterations=iterations, extent=1.0)
-    steps, again = range(1, iterations + 1), control.settings.again
-    assert again == round_steps(settings.again, iterations)
-    for happens in (control.densifies, control.resets, control.watches):
-        assert all(happens(step) == happens(since(step, again)) for step in steps)
-    last = grown_at(control.settings, iterations)
-    assert not any(
-        control.densifies(step) or control.resets(step) for step in steps if step >= last
-    )
-    alone = DensityControl(replace(settings, again=0), iterations=iterations, extent=1.0)
-    early = range(1, min(again, iterations) + 1)
-    assert [*map(control.densifies, early)] == [*map(alone.densifies, early)]
+def test_rates_begin_again_and_settle_in_each_round():
+    trainer = trainer_of(GROWS)
+    found = []
+    for step in (1, 30, 31, 60):
+        trainer.step = step
+        found.append(trainer.rates())
+    assert found[0] == found[2]
+    assert found[1] == found[3]
+    assert all(found[1][name] < 0.11 * found[0][name] for name in found[0])
 
 
-def test_a_run_without_rounds_is_grown_when_density_control_stops():
-    assert grown_at(shrunk(Density(), 3000), 3000) == 1500
-    assert grown_at(shrunk(Density(stop=7500, again=15_000), 3000), 3000) == 2250
-
-
-def test_relatives_of_density_control_begin_again_too():
-    sparse = SparseDensity(stop=7500, again=15_000, reset_interval=2500, first_reset=1250)
-    control = SparseControl(sparse, iterations=60, extent=1.0)
-    resets = [step for step in range(1, 61) if control.resets(step)]
-    assert resets == [2, 7, 12, 32, 37, 42]
-    moving = StrategicDensity(
-        strategy="mcmc", mcmc=Mcmc(), most=50, stop=7500, again=15_000, reset_interval=0
-    )
-    model, plan = prepare(
-        tiny_scene(), ThreeDGS(iterations=60, density=moving, rates=Rates(again=15_000)), RUN
-    )
-    del model
-    assert isinstance(plan.density, McmcControl)
-    assert plan.density.rate(31, 60) == plan.density.rate(1, 60) > plan.density.rate(30, 60)
-
-
-def test_a_second_round_grows_again():
-    model, plan = prepare(tiny_scene(), GROWS, RUN)
-    trainer, counts = Trainer(model, plan, RUN), []
-    while trainer.step < plan.steps:
+def test_a_round_is_a_run_of_its_length_up_to_where_it_ends():
+    """The first half of two rounds has the bits of a run of half as many steps."""
+    trainer = trainer_of(GROWS)
+    while trainer.step < 30:
         trainer.advance()
-        counts.append(len(model.parameters))
-    first, between, second = counts[14], counts[29], counts[-1]
-    assert counts[0] < first == between < second
+    alone = fit(tiny_scene(), replace(GROWS, iterations=30, rounds=1), RUN).bake()
+    assert torch.equal(trainer.model.parameters.rows["means"].detach(), alone.means)
 
 
-def test_a_run_killed_in_its_second_round_goes_on_the_same(tmp_path):
-    assert_continues(GROWS, RUN, 40, tmp_path)
+def test_a_second_round_grows_again_and_has_all_harmonics():
+    trainer, counts = trainer_of(replace(GROWS, sh_interval=30_000)), []
+    while trainer.step < trainer.plan.steps:
+        trainer.advance()
+        counts.append(len(trainer.model.parameters))
+    assert counts[0] < counts[9] == counts[33] < counts[34] < counts[39] == counts[-1]
+    moments = [Moment(step=s, total=60, generator=trainer.generator) for s in (1, 29, 30, 31, 60)]
+    assert [trainer.model.drawn_degree(moment) for moment in moments] == [0, 0, 1, 1, 1]
+
+
+def test_moments_are_forgotten_where_a_round_begins():
+    trainer = trainer_of(GROWS)
+    while trainer.step < 30:
+        trainer.advance()
+    assert trainer.optimizer.steps == 30
+    trainer.advance()
+    assert trainer.optimizer.steps == 1
+
+
+def test_a_restarted_optimizer_moves_as_a_fresh_one():
+    before, moves = torch.tensor([[1.0, 2.0, 3.0]]), []
+    for used in (False, True):
+        parameters = GaussianModel(random_gaussians(1), Rates(), extent=1.0).parameters
+        optimizer = Adam(parameters)
+        value = parameters.trained["means"]
+        if used:
+            value.grad = torch.tensor([[5.0, -1.0, 0.1]])
+            optimizer.step({"means": 0.1})
+            optimizer.restart()
+        value.detach().copy_(before)
+        value.grad = torch.tensor([[0.3, 0.0, -2.0]])
+        optimizer.step({"means": 0.1})
+        moves.append(value.detach() - before)
+    assert torch.equal(*moves)
+    assert moves[0].abs().max() > 0
+
+
+@pytest.mark.parametrize("step", [20, 30, 40])
+def test_a_killed_run_goes_on_the_same_in_either_round(tmp_path, step):
+    assert_continues(GROWS, RUN, step, tmp_path)
 
 
 def test_steps_are_recounted_when_the_last_round_has_grown():
-    told = []
-    settings = replace(
-        GROWS, iterations=6000, density=replace(GROWS.density, start=0, interval=100)
-    )
-    assert Recount(settings, 60.0, 9000, told.append).first == 4501
-    once = replace(settings, density=replace(settings.density, again=0))
-    assert Recount(once, 60.0, 9000, told.append).first == 1501
+    settings = replace(GROWS, iterations=6000)
+    assert Recount(settings, 60.0, 9000, print).first == 3000 + 1500 + 1
+    assert Recount(replace(settings, rounds=1), 60.0, 9000, print).first == 3000 + 1
 
 
-@pytest.mark.parametrize(
-    "settings", [{"again": -1}, {"again": 15_000, "most": 100, "pace": "even"}]
-)
-def test_what_cannot_begin_again_is_refused(settings):
-    with pytest.raises(UsageError, match=r"density\.(again|pace) is"):
-        Density(**settings)
+def test_relatives_of_3dgs_have_rounds():
+    density = fsgs.FsgsDensity(start=0, interval=1)
+    for made in (
+        fsgs.prepare(tiny_scene(), fsgs.Fsgs(iterations=60, rounds=2, density=density), RUN),
+        cor_gs.prepare(tiny_scene(), cor_gs.CorGS(iterations=60, rounds=2), RUN),
+        stratosplat.prepare_from(
+            tiny_scene(), StratoSplat(iterations=60, rounds=2, planes=Planes(field="table")), RUN
+        ),
+    ):
+        _, plan = made
+        assert plan.restarts == (30,)
+        settings = plan.density.settings
+        assert settings.stop == round(type(settings)().stop / 1000)
 
 
-def test_rates_that_begin_again_before_they_began_are_refused():
-    with pytest.raises(UsageError, match=r"rates\.again is -1"):
-        Rates(again=-1)
-
-
-def test_co_pruning_begins_again():
-    density = SparseDensity(start=0, stop=7500, again=15_000, interval=30_000, reset_interval=0)
-    settings = CorGS(iterations=600, density=density, prune_interval=2500)
-    control = CoControl(settings, extent=1.0)
-    start, fields = twice(random_gaussians(20))
-    parameters = GaussianModel(start, Rates(), extent=1.0, labels={FIELD: fields}).parameters
-    generator = torch.Generator().manual_seed(0)
-    steps = range(1, 601)
-    pruned = [step for step in steps if [*control.edits(step, parameters, generator)]]
-    assert pruned == [100, 400]
+def test_rounds_below_one_and_views_looked_at_in_rounds_are_refused():
+    with pytest.raises(UsageError, match="setting rounds is 0"):
+        Settings(rounds=0)
+    with pytest.raises(
+        UsageError, match="setting rounds is 2, expected 1 where density control looks"
+    ):
+        ThreeDGS(rounds=2, density=StrategicDensity(strategy="error"))
