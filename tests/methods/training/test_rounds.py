@@ -21,6 +21,7 @@ from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.threedgs.fit import fit, prepare
 from splatproof.methods.threedgs.settings import Settings, ThreeDGS
 from splatproof.methods.training.density import Density
+from splatproof.methods.training.density_control import DensityControl
 from splatproof.methods.training.loop import Trainer
 from splatproof.methods.training.optimizer import Adam
 from splatproof.methods.training.schedules import Rates, restarts, round_of
@@ -96,6 +97,7 @@ def test_a_second_round_grows_again_and_has_all_harmonics():
         trainer.advance()
         counts.append(len(trainer.model.parameters))
     assert counts[0] < counts[9] == counts[33] < counts[34] < counts[39] == counts[-1]
+    assert isinstance(trainer.model, GaussianModel)
     moments = [Moment(step=s, total=60, generator=trainer.generator) for s in (1, 29, 30, 31, 60)]
     assert [trainer.model.drawn_degree(moment) for moment in moments] == [0, 0, 1, 1, 1]
 
@@ -149,6 +151,7 @@ def test_relatives_of_3dgs_have_rounds():
     ):
         _, plan = made
         assert plan.restarts == (30,)
+        assert isinstance(plan.density, DensityControl)
         settings = plan.density.settings
         assert settings.stop == round(type(settings)().stop / 1000)
 
