@@ -25,7 +25,8 @@ class Settings:
     rounds: int = 1
     """Number of trainings that follow each other in these steps, each as long, from what the one before has made: learning
     rates and density control begin again, and moments are forgotten. Gaussians that come in a second round come
-    where the first has left errors: as good with fewer of them than one round that grows more. The release: 1."""
+    where the first has left errors; they cost time, and pay where photos are looked at often (docs/city.md). The
+    release: 1."""
     views_per_step: int = 1
     """Number of views whose mean gradient one step follows (the release: 1)."""
     sh_degree: int = 3
