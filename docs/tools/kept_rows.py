@@ -27,7 +27,10 @@ def committed(path: Path) -> list[dict[str, Any]]:
 
 
 def joined(
-    new: Sequence[Mapping[str, Any]], old: Sequence[Mapping[str, Any]], cases: Sequence[Case]
+    new: Sequence[Mapping[str, Any]],
+    old: Sequence[Mapping[str, Any]],
+    cases: Sequence[Case],
+    earlier: Mapping[str, Any] | None = None,
 ) -> tuple[list[Mapping[str, Any]], int]:
     """Rows of runs, and those committed before of planned rows that were not run again; in the suite's order.
 
@@ -39,6 +42,7 @@ def joined(
         new: Rows of the runs at hand.
         old: Rows that are committed.
         cases: What the suite plans.
+        earlier: Defaults of before, by dotted names, that are no reason either: the page says what they cost.
 
     Returns: The rows, and how many of them are old.
     """
@@ -48,7 +52,7 @@ def joined(
     kept = {
         (_place(row), row["seed"]): row for row in old
         if _place(row) in order and (_place(row), row["seed"]) not in by_seed
-        and not contradicts(row.get("settings", {}), planned[_place(row)])
+        and not contradicts(row.get("settings", {}), planned[_place(row)], earlier)
     }  # fmt: skip
     every = sorted((by_seed | kept).items(), key=lambda item: (order[item[0][0]], item[0][1]))
     return [row for _, row in every], len(kept)
@@ -59,16 +63,23 @@ def plain(case: Case) -> dict[str, Any]:
     return json.loads(json.dumps(dataclasses.asdict(case.settings)))
 
 
-def contradicts(old: Any, new: Any) -> bool:
+def contradicts(
+    old: Any, new: Any, earlier: Mapping[str, Any] | None = None, name: str = ""
+) -> bool:
     """Whether two settings differ in what both know.
 
     Args:
         old: A mapping, of mappings at any depth, or one value.
         new: The same.
+        earlier: Values by dotted names that `old` may have, whatever `new` has.
+        name: Dotted name of the two.
     """
     if isinstance(old, Mapping) and isinstance(new, Mapping):
-        return any(contradicts(old[name], new[name]) for name in old.keys() & new.keys())
-    return bool(old != new)
+        return any(
+            contradicts(old[key], new[key], earlier, f"{name}.{key}".lstrip("."))
+            for key in old.keys() & new.keys()
+        )
+    return bool(old != new) and (earlier or {}).get(name, new) != old
 
 
 def pictures_of(

@@ -38,6 +38,8 @@ HEIGHT = 300
 """Pixels that pictures are enlarged to."""
 ZOOM = 72
 """Side of the part of a view that is shown enlarged at a seam, in pixels."""
+EARLIER = {"refine.clean.largest_scale": 50.0}
+"""A default of before that committed rows may have. The findings say what it took from city/medium and seneca."""
 MERGES = {
     "": ("stitchgs@hard", "stitchgs@merge", "stitchgs@gcr", "stitchgs@walls", "stitchgs"),
     "_odbp": ("odbp+stitch@hard", "odbp+stitch", "odbp+stitch@parts", "odbp+stitch@small"),
@@ -214,7 +216,8 @@ def main() -> None:
     """Write rows, pictures and page."""
     if len(sys.argv) > 1:
         runs = Path(sys.argv[1])
-        every, kept = joined(records(runs), committed(ROWS), load_suite("city").cases)
+        planned = load_suite("city").cases
+        every, kept = joined(records(runs), committed(ROWS), planned, EARLIER)
         lines = ",\n".join(map(json.dumps, every))
         ROWS.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
         before = [Picture(**entry) for entry in committed(LIST)] if kept else []

@@ -121,6 +121,14 @@ def test_settings_differ_in_what_both_know():
     assert contradicts({"b": {"c": 2}}, {"b": None})
 
 
+def test_a_default_of_before_that_is_known_is_no_difference():
+    old, new = {"a": 1, "b": {"c": 2}}, {"a": 1, "b": {"c": 3}}
+    assert not contradicts(old, new, {"b.c": 2})
+    assert contradicts({"b": {"c": 4}}, new, {"b.c": 2})  # neither of before nor of now
+    assert contradicts({"b": {"c": 2}, "a": 2}, new, {"b.c": 2})
+    assert contradicts({"c": 2}, {"c": 3}, {"b.c": 2})  # another setting of that name
+
+
 def test_pictures_at_hand_take_the_places_of_those_before():
     a, b, c = (Picture(path=f"{name}.jpg", caption=name) for name in "abc")
     later = Picture(path="a.jpg", caption="later")
