@@ -13,7 +13,7 @@ from splatproof.methods.auto.rows import Made, blocks, rows
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, steps_in
-from splatproof.methods.auto.usual import DROPOUT_FROM, PACE, for_few_looks
+from splatproof.methods.auto.usual import PACE, by_larger_steps
 from splatproof.methods.threedgs.settings import Settings
 
 
@@ -65,8 +65,8 @@ def plan(
         asked=asked, facts=facts, settings=settings, base=base, speed=speed, seconds=seconds,
         cap=cap, steps=reason,
     )  # fmt: skip
-    if base == "3dgs" and made.looks < DROPOUT_FROM:
-        settings = for_few_looks(settings, asked, facts.exposure)
+    if base == "3dgs" and not made.by_heart:
+        settings = by_larger_steps(settings, asked, facts.exposure)
         made = replace(made, settings=settings)
     told = list(choices)
     components = {choice.component for choice in choices}

@@ -13,10 +13,20 @@ from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import training_seconds
-from splatproof.methods.auto.usual import DROPOUT_FROM, GROWTH, LEAST_SHORT_SIDE, ONE_LIGHT
+from splatproof.methods.auto.usual import (
+    DROPOUT_FROM,
+    GROWTH,
+    LEAST_SHORT_SIDE,
+    MANY_PHOTOS,
+    ONE_LIGHT,
+    learnt_by_heart,
+)
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import Rates
+
+BY_HEART = f"fewer than {MANY_PHOTOS} are looked at {DROPOUT_FROM} times or more each"
+"""When photos are learnt by heart, in words."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +60,11 @@ class Made:
     def looks(self) -> float:
         """How often a photo is looked at."""
         return self.settings.iterations * self.settings.views_per_step / self.facts.views
+
+    @property
+    def by_heart(self) -> bool:
+        """Whether photos are learnt by heart."""
+        return learnt_by_heart(self.looks, self.facts.views)
 
     def takes(self, **otherwise: Any) -> float:
         """Wall seconds of the training, by the speed that was measured.
@@ -202,7 +217,7 @@ def splitting(made: Made) -> Choice:
         value=f"large ones from {split:g} of absolute gradients" if split else "large ones as small ones are cloned",
         because="given" if given
         else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light, and looked at seldom" if split
-        else f"pays only where each photo is looked at fewer than {DROPOUT_FROM} times" if made.looks >= DROPOUT_FROM
+        else f"does not pay where {BY_HEART}" if made.by_heart
         else "whether photos are of one light is not known" if math.isnan(made.facts.exposure)
         else f"{differ}, which pulls to and fro, too; {100 * math.expm1(ONE_LIGHT):.0f} % count as one light",
         expects=measured.SPLIT if split and not given else NOT_MEASURED,
@@ -318,14 +333,14 @@ def rates(made: Made) -> Choice:
         made: What the plan came to.
     """
     factor, given = made.settings.rates.sh_dc / Rates().sh_dc, made.asked.rates is not None
-    few = made.base == "3dgs" and made.looks < DROPOUT_FROM
+    larger = made.base == "3dgs" and not made.by_heart
     return Choice(
         component="rates",
         value="the release's" if factor == 1 else f"{factor:g} times the release's, falling in the second half",
         because="given" if given
-        else f"small steps do not get there where each photo is looked at fewer than {DROPOUT_FROM} times" if few
+        else "small steps do not get as far" if larger
         else "usual",
-        expects=measured.QUICKER if few and not given else NOT_MEASURED,
+        expects=measured.QUICKER if larger and not given else NOT_MEASURED,
     )  # fmt: skip
 
 
@@ -340,6 +355,6 @@ def dropout(made: Made) -> Choice:
     return Choice(
         component="dropout", value=f"{share:g}" if share else "off",
         because="given" if given
-        else f"photos are learnt by heart where each is looked at {DROPOUT_FROM} times or more",
+        else f"photos are learnt by heart where {BY_HEART}",
         expects=NOT_MEASURED if given else expects,
     )  # fmt: skip

@@ -18,6 +18,7 @@ from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, training_seconds
 from splatproof.methods.auto.usual import (
     DROPOUT_FROM,
+    MANY_PHOTOS,
     ONE_LIGHT,
     PACE,
     QUICKER,
@@ -34,12 +35,16 @@ FACTS = SceneFacts(
     angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, swept=False, moving=0.0,
     image_bytes=1,
 )  # fmt: skip
+FEW = replace(FACTS, views=MANY_PHOTOS - 1)
+"""The same scene in so few photos that they can be learnt by heart."""
 SPEED = Speed(pixels=0.02, gaussian=3e-7)
 SPEEDS = st.builds(Speed, pixels=st.floats(1e-4, 0.1), gaussian=st.floats(1e-9, 1e-6))
 
 
-def planned(asked: AutoSettings, *, speed: Speed = SPEED, seconds: float = 50.0):
-    return plan(asked, FACTS, usual(asked, FACTS), (), speed, seconds)
+def planned(
+    asked: AutoSettings, *, speed: Speed = SPEED, seconds: float = 50.0, facts: SceneFacts = FACTS
+):
+    return plan(asked, facts, usual(asked, facts), (), speed, seconds)
 
 
 @given(speed=SPEEDS, seconds=st.floats(5, 600))
@@ -161,8 +166,8 @@ def test_the_pace_stands_in_the_plan_and_needs_a_cap_that_only_the_plan_knows():
 
 
 @pytest.mark.parametrize(("looks", "dropout"), [(59, 0.0), (60, 0.2), (250, 0.2)])
-def test_dropout_is_for_photos_that_are_looked_at_often(looks, dropout):
-    found = planned(AutoSettings(steps=looks * FACTS.views))
+def test_dropout_is_for_few_photos_that_are_looked_at_often(looks, dropout):
+    found = planned(AutoSettings(steps=looks * FEW.views), facts=FEW)
     assert found.settings.dropout == dropout
     (told,) = (one for one in found.choices if one.component == "dropout")
     assert told.value == (f"{dropout:g}" if dropout else "off")
@@ -181,10 +186,10 @@ def test_dropout_that_is_given_stays_and_completed_depths_keep_their_own():
 
 
 @pytest.mark.parametrize(("looks", "factor"), [(59, QUICKER), (60, 1.0), (250, 1.0)])
-def test_photos_that_are_looked_at_seldom_are_learnt_by_larger_steps(looks, factor):
+def test_few_photos_are_learnt_by_larger_steps_where_they_are_looked_at_seldom(looks, factor):
     """All but positions and opacities, whose steps no trial made larger; larger steps end small."""
-    asked = AutoSettings(steps=looks * FACTS.views)
-    found, release = planned(asked), Rates()
+    asked = AutoSettings(steps=looks * FEW.views)
+    found, release = planned(asked, facts=FEW), Rates()
     rates = found.settings.rates
     for name in ("sh_dc", "sh_rest", "log_scales", "quaternions"):
         assert getattr(rates, name) == pytest.approx(factor * getattr(release, name))
@@ -193,7 +198,19 @@ def test_photos_that_are_looked_at_seldom_are_learnt_by_larger_steps(looks, fact
     assert rates.settle == (1.0 if factor == 1 else SETTLE)
     (told,) = (one for one in found.choices if one.component == "rates")
     assert told.value.startswith("the release's" if factor == 1 else f"{factor:g} times")
-    assert ("fewer than 60 times" in told.because) == (factor != 1)
+    assert ("small steps do not get as far" in told.because) == (factor != 1)
+
+
+@pytest.mark.parametrize(("photos", "many"), [(MANY_PHOTOS - 1, False), (MANY_PHOTOS, True)])
+@pytest.mark.parametrize("looks", [DROPOUT_FROM, 250])
+def test_many_photos_are_not_learnt_by_heart_however_often_each_is_looked_at(looks, photos, many):
+    facts = replace(FACTS, views=photos, exposure=0.01)
+    asked = AutoSettings(steps=looks * photos)
+    found = plan(asked, facts, usual(asked, facts), (), SPEED, 50.0).settings
+    seldom = replace(asked, steps=10 * photos)
+    soon = plan(seldom, facts, usual(seldom, facts), (), SPEED, 50.0).settings
+    assert (replace(found, iterations=soon.iterations) == soon) == many
+    assert bool(found.dropout) != many
 
 
 def test_rates_that_are_given_stay_and_only_gaussians_that_stand_still_have_others():
@@ -288,7 +305,7 @@ def test_what_larger_steps_learn_is_narrower_on_points():
         (59, {"widest_at_points": 0.0}, 0.0), (59, {"widest_at_points": 0.4}, 0.4),
         (60, {"widest_at_points": 0.4}, 0.4),
     ):  # fmt: skip
-        found = planned(replace(AutoSettings(steps=looks * FACTS.views), **asked))
+        found = planned(replace(AutoSettings(steps=looks * FEW.views), **asked), facts=FEW)
         assert found.settings.widest_at_points == share
         (told,) = (one for one in found.choices if one.component == "largest scale")
         assert ("on start points" in told.value) == ("fog" in told.because) == bool(share)
@@ -304,8 +321,8 @@ def test_what_larger_steps_learn_is_narrower_on_points():
 def test_large_gaussians_are_split_by_absolute_gradients_where_photos_of_one_light_are_looked_at_seldom(
     asked, exposure, pull, split, looks
 ):
-    asked = AutoSettings(**asked, steps=looks * FACTS.views)
-    facts = replace(FACTS, exposure=exposure)
+    asked = AutoSettings(**asked, steps=looks * FEW.views)
+    facts = replace(FEW, exposure=exposure)
     found = plan(asked, facts, usual(asked, facts), (), SPEED, 50.0).settings.density
     assert found.gradient == pull
     assert found.split_gradient == (split if looks < DROPOUT_FROM else asked.split_gradient or 0.0)
