@@ -218,7 +218,8 @@ HEAD = """\
 `@full-size` photos from the start, `@matched` points and `@sparse-points` without, `@opacity-term` and
 `@no-opacity-term`, `@dropout` 0.4 and `@no-dropout`, `@gains` for each photo, `@fewer` and `@more` Gaussians
 (pull from which they are split 8e-4 and 2e-4), `@absolute-split` and `@signed-split` large ones split by absolute gradients or as small ones are cloned, `@even-pace` growth to the cap on Gaussians, alone and with the pull of
-`@more`, `@unbounded` scales, `@unflattened` Gaussians without the bounds on thickness and at points, `@still` where things move, `@no-probe`; of few photos `@completed` depths with virtual Gaussians and `@explicit`
+`@more`, `@unbounded` scales, `@unflattened` Gaussians without the bounds on thickness and at points, `@quicker` and `@release-rates` four
+times and once the release's learning rates, `@as-few-photos` what is planned of photos that can be learnt by heart, `@20-seconds` a third of the time, `@still` where things move, `@no-probe`; of few photos `@completed` depths with virtual Gaussians and `@explicit`
 ones alone, where PSNR says little: look at SSIM, and at the pictures. *Regret* is what the best of them has more than auto: the best of ten is
 partly the luckiest of ten, so auto's regret is overstated, most with one seed. Auto is *near* where the whole 95 % interval
 of at least three seeds lies below 0.2 dB, with at most 1.2 times the Gaussians. Machine: {machines}.

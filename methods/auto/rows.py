@@ -351,7 +351,11 @@ def dropout(made: Made) -> Choice:
         made: What the plan came to.
     """
     share, given = made.settings.dropout, made.asked.dropout is not None
-    expects = str(measured.DROPPING) if share else measured.NO_DROPOUT
+    expects = (
+        str(measured.DROPPING) if share
+        else str(measured.UNLEARNT) if made.looks >= DROPOUT_FROM
+        else measured.NO_DROPOUT
+    )  # fmt: skip
     return Choice(
         component="dropout", value=f"{share:g}" if share else "off",
         because="given" if given

@@ -63,7 +63,8 @@ QUICKER = 4.0
 """Factor on the learning rates of everything but positions and opacities where photos are not
 learnt by heart. Held-out training photos, as many steps, one seed: seneca (11 looks) 24.3 dB with the release's rates, 25.1,
 25.2, 25.7 and 25.7 with 2, 3, 4 and 6 times these, 25.1 with 8 times; with 4, city (40 looks) +1.3 dB for half as many Gaussians again,
-caliterra (44) +0.3, courtyard (45) -0.1 and SSIM +0.02, brighton_beach at 500 px (47) +0.05; the tunnel, looked at 143 times, -1.2, and city at 160 -0.6."""
+caliterra (44) +0.3, courtyard (45) -0.1 and SSIM +0.02, brighton_beach at 500 px (47) +0.05; the tunnel, looked at 143 times, -1.2, and city at 160
+-0.6, before what else `by_larger_steps` has today, see `MANY_PHOTOS`."""
 SETTLE = 0.1
 """Factor on learning rates that are not the release's, at the last step. Seneca with 3 times the rates: 24.8 dB where they
 stay, 25.2 where they settle; the release's rates lose 0.3 dB where they settle."""

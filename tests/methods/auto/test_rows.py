@@ -11,7 +11,18 @@ from splatproof.methods.auto.bounds import file_mb, gaussian_bytes
 from splatproof.methods.auto.candidates import unopposed
 from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
-from splatproof.methods.auto.measured import CONTESTS, MOVING, QUICKER, SPLIT, UNEXPOSED, Contest
+from splatproof.methods.auto.measured import (
+    CONTESTS,
+    DROPPING,
+    MOVING,
+    NO_DROPOUT,
+    QUICKER,
+    SHRUNK,
+    SPLIT,
+    UNEXPOSED,
+    UNLEARNT,
+    Contest,
+)
 from splatproof.methods.auto.planner import AutoPlan, plan
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
@@ -61,7 +72,7 @@ def test_seconds_are_computed_by_the_speed_that_was_measured():
     rows = told(found)
     small = longer(resolution=Resolution())
     assert small > 1
-    assert f" {small:.0f} s saved; +0.0 to +0.1 dB on 3 scenes" in rows["resolution"].expects
+    assert f" {small:.0f} s saved; {SHRUNK}" in rows["resolution"].expects
     fewer = longer(most_points=None)
     assert fewer > 1
     assert rows["points"].value == "30,000 of 50,000"
@@ -113,10 +124,22 @@ def test_exposures_that_nothing_competed_with_have_a_reason(spread, because):
     assert (row.value, row.because, row.expects) == ("off", because, str(UNEXPOSED))
 
 
+@pytest.mark.parametrize(
+    ("photos", "looks", "value", "expects"),
+    [(24, 60, "0.2", str(DROPPING)), (25, 60, "off", str(UNLEARNT)), (24, 59, "off", NO_DROPOUT), (25, 59, "off", NO_DROPOUT)],
+)  # fmt: skip
+def test_dropout_promises_what_was_measured_where_photos_are_as_many_and_looked_at_as_often(
+    photos, looks, value, expects
+):
+    found = made(AutoSettings(steps=photos * looks), facts=replace(FACTS, views=photos))
+    row = told(found)["dropout"]
+    assert (row.value, row.expects) == (value, expects)
+
+
 def test_figures_are_a_range_over_scenes():
     two = {("a", "small"): -0.14, ("a", "large"): 0.31, ("b", "small"): 0.2}
     assert str(Contest(row="", gains=two)) == "-0.1 to +0.3 dB on 2 scenes (docs/auto.md)"
-    assert str(MOVING) == "+0.7 dB on street (docs/auto.md)"
+    assert str(MOVING) == "+0.2 dB on street (docs/auto.md)"
 
 
 @pytest.mark.parametrize("contest", CONTESTS, ids=lambda one: one.row)
