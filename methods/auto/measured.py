@@ -77,7 +77,7 @@ DROPPING = Contest(row="auto@no-dropout", gains={
 UNLEARNT = Contest(row="auto@as-few-photos", gains={
     ("city", "default"): 0.32, ("tunnel", "default"): 0.44,
 })  # fmt: skip
-"""What is planned of photos too many to be learnt by heart, where they are looked at 160 to 250 times."""
+"""What is planned of photos too many to be learnt by heart, where a minute looks at each 150 to 250 times."""
 CONTESTS = (
     MATCHED, UNMATCHED, COMPLETED, EXPLICIT, MOVING, SHRUNK, GROWING, BOUNDED, FADING, UNEXPOSED, DROPPING, UNLEARNT,
 )  # fmt: skip
