@@ -19,7 +19,8 @@ class Contest:
 
     def __str__(self) -> str:
         """From the least gain to the largest, and on how many scenes."""
-        low, high = min(self.gains.values()), max(self.gains.values())
+        # no gain has a sign: what rounds to -0.0 is +0.0
+        low, high = (round(f(self.gains.values()), 1) + 0.0 for f in (min, max))
         scenes = {scene for scene, _ in self.gains}
         if len(self.gains) == 1:
             return f"{low:+.1f} dB on {next(iter(scenes))} (docs/auto.md)"

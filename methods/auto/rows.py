@@ -216,7 +216,7 @@ def splitting(made: Made) -> Choice:
         component="splitting",
         value=f"large ones from {split:g} of absolute gradients" if split else "large ones as small ones are cloned",
         because="given" if given
-        else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light, and looked at seldom" if split
+        else "what is drawn too wide is pulled to and fro, which cancels where it is added; photos are of one light, and not learnt by heart" if split
         else f"does not pay where {BY_HEART}" if made.by_heart
         else "whether photos are of one light is not known" if math.isnan(made.facts.exposure)
         else f"{differ}, which pulls to and fro, too; {100 * math.expm1(ONE_LIGHT):.0f} % count as one light",

@@ -139,6 +139,9 @@ def test_dropout_promises_what_was_measured_where_photos_are_as_many_and_looked_
 def test_figures_are_a_range_over_scenes():
     two = {("a", "small"): -0.14, ("a", "large"): 0.31, ("b", "small"): 0.2}
     assert str(Contest(row="", gains=two)) == "-0.1 to +0.3 dB on 2 scenes (docs/auto.md)"
+    assert str(Contest(row="", gains={("a", ""): -0.3, ("b", ""): -0.02})).startswith(
+        "-0.3 to +0.0"
+    )
     assert str(MOVING) == "+0.2 dB on street (docs/auto.md)"
 
 
