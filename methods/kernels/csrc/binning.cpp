@@ -47,14 +47,16 @@ uint64_t places(std::vector<uint32_t>& counts, int pieces, int kinds, Start star
   return sum;
 }
 
-// Stable radix sort by key, 11 bits at a time.
-void sort(Buffer<Keyed>& items, int threads) {
+// Stable radix sort by key, 11 bits at a time: the ids in that order. Of the items nothing is left.
+void sort(Buffer<Keyed>& items, int threads, Buffer<uint32_t>& ids) {
   constexpr int DIGITS = 2048;
   const size_t n = items.size();
   Buffer<Keyed> spare(n);
   const Pieces pieces(n, threads, 1 << 14);
   Keyed *from = items.data(), *to = spare.data();
+  ids.resize(n);
   for (int shift = 0; shift < 32; shift += 11) {
+    const bool last = shift + 11 >= 32;
     std::vector<uint32_t> counts((size_t)pieces.number * DIGITS, 0);
     const auto digit = [=](const Keyed& item) { return item.key >> shift & (DIGITS - 1); };
     parallel(threads, pieces.number, [&](int p, int) {
@@ -64,14 +66,14 @@ void sort(Buffer<Keyed>& items, int threads) {
     places(counts, pieces.number, DIGITS, [](int, uint64_t) {});
     parallel(threads, pieces.number, [&](int p, int) {
       uint32_t* next = counts.data() + (size_t)p * DIGITS;
-      for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) to[next[digit(from[i])]++] = from[i];
+      for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i) {
+        const uint32_t place = next[digit(from[i])]++;
+        if (last) ids[place] = from[i].id;
+        else to[place] = from[i];
+      }
     });
     std::swap(from, to);
   }
-  static_assert(3 * 11 >= 32, "an odd number of passes: the result is in `spare`");
-  parallel(threads, pieces.number, [&](int p, int) {
-    std::copy(spare.data() + pieces.start(p), spare.data() + pieces.start(p + 1), items.data() + pieces.start(p));
-  });
 }
 
 // The Gaussians that are drawn, nearest first, ties by index.
@@ -88,9 +90,7 @@ void sort_by_depth(const float* geo, const uint8_t* drawn, int64_t count, int th
     for (size_t i = pieces.start(p); i < pieces.start(p + 1); ++i)
       if (drawn[i]) order[next++] = {sortable(geo[i * GEO + DEPTH]), (uint32_t)i};
   });
-  sort(order, threads);
-  ids.resize(order.size());
-  for (size_t i = 0; i < order.size(); ++i) ids[i] = order[i].id;
+  sort(order, threads, ids);
 }
 
 }  // namespace
@@ -117,23 +117,23 @@ void bin(const Kernels& kernels, const Camera& camera, const float* geo, const u
   if (rows >> 32) throw std::length_error("more than 2^32 rows of tiles; render a smaller image or fewer Gaussians");
   span_start[n] = (uint32_t)rows;
   Buffer<Span> spans(rows);
-  out.slot_start.resize(n + 1);
-  uint32_t* slot_start = out.slot_start.data();
+  out.row_start.resize(n + 1);
+  uint32_t* row_start = out.row_start.data();
   over_gaussians(threads, count, [&](int64_t first, int64_t last) {
-    kernels.spans(geo, footprints.data(), span_start.data(), across, reach, spans.data(), slot_start, first, last);
+    kernels.spans(geo, footprints.data(), span_start.data(), across, reach, spans.data(), row_start, first, last);
   });
   uint64_t pairs = 0;
   for (size_t i = 0; i < n; ++i) {
-    const uint32_t here = slot_start[i];
-    slot_start[i] = (uint32_t)pairs;
+    const uint32_t here = row_start[i];
+    row_start[i] = (uint32_t)pairs;
     pairs += here;
   }
   if (pairs >> 32) throw std::length_error("more than 2^32 pairs of Gaussian and tile; render a smaller image or fewer Gaussians");
-  slot_start[n] = (uint32_t)pairs;
-  out.slots.resize(pairs);
+  row_start[n] = (uint32_t)pairs;
+  Buffer<uint32_t> touched(pairs);  // the tile of each row
   over_gaussians(threads, count, [&](int64_t first, int64_t last) {
     for (int64_t i = first; i < last; ++i) {
-      uint32_t* tile = out.slots.data() + slot_start[i];  // the places of its pairs take the tiles' place below
+      uint32_t* tile = touched.data() + row_start[i];
       const Span* span = spans.data() + span_start[i];
       for (int r = 0; r < footprints[i].rows; ++r) {
         const uint32_t row = (uint32_t)((footprints[i].first_row + r) * across);
@@ -146,29 +146,26 @@ void bin(const Kernels& kernels, const Camera& camera, const float* geo, const u
   const Pieces pieces(ids.size(), threads, 512);
   std::vector<uint32_t> counts((size_t)pieces.number * tiles, 0);
   const auto over_pairs = [&](int p, auto&& pair) {
-    constexpr size_t AHEAD = 8;  // Gaussians whose slots are fetched before they are needed, and their places before
-    uint32_t* slots = out.slots.data();
+    constexpr size_t AHEAD = 8;  // Gaussians whose tiles are fetched before they are needed, and where these are before
+    const uint32_t* tiles_of = touched.data();
     for (size_t i = pieces.start(p), end = pieces.start(p + 1); i < end; ++i) {
-      if (i + 2 * AHEAD < end) __builtin_prefetch(slot_start + ids[i + 2 * AHEAD]);
-      if (i + AHEAD < end) __builtin_prefetch(slots + slot_start[ids[i + AHEAD]]);
-      for (uint32_t k = slot_start[ids[i]], last = slot_start[ids[i] + 1]; k < last; ++k) pair(ids[i], slots[k]);
+      if (i + 2 * AHEAD < end) __builtin_prefetch(row_start + ids[i + 2 * AHEAD]);
+      if (i + AHEAD < end) __builtin_prefetch(tiles_of + row_start[ids[i + AHEAD]]);
+      for (uint32_t row = row_start[ids[i]], last = row_start[ids[i] + 1]; row < last; ++row) pair(ids[i], row, tiles_of[row]);
     }
   };
   parallel(threads, pieces.number, [&](int p, int) {
     uint32_t* mine = counts.data() + (size_t)p * tiles;
-    over_pairs(p, [=](uint32_t, uint32_t slot) { ++mine[slot]; });
+    over_pairs(p, [=](uint32_t, uint32_t, uint32_t tile) { ++mine[tile]; });
   });
   out.start.resize((size_t)tiles + 1);
   out.start[tiles] = (uint32_t)places(counts, pieces.number, tiles,
                                       [&](int tile, uint64_t sum) { out.start[tile] = (uint32_t)sum; });
   out.entries.resize(pairs);
   parallel(threads, pieces.number, [&](int p, int) {
-    uint32_t *next = counts.data() + (size_t)p * tiles, *entries = out.entries.data();
-    over_pairs(p, [=](uint32_t id, uint32_t& slot) {
-      const uint32_t place = next[slot]++;
-      entries[place] = id;
-      slot = place;
-    });
+    uint32_t* next = counts.data() + (size_t)p * tiles;
+    Entry* entries = out.entries.data();
+    over_pairs(p, [=](uint32_t id, uint32_t row, uint32_t tile) { entries[next[tile]++] = {id, row}; });
   });
 }
 

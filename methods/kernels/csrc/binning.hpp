@@ -6,10 +6,9 @@
 namespace splat {
 
 struct Bins {
-  Buffer<uint32_t> entries;     // Gaussians, tile after tile
-  Buffer<uint32_t> start;       // [tiles + 1] into entries
-  Buffer<uint32_t> slot_start;  // [n + 1] into slots
-  Buffer<uint32_t> slots;       // positions in entries, Gaussian after Gaussian, by tile number
+  Buffer<Entry> entries;       // tile after tile; rows are those of a Gaussian after another's, by tile number
+  Buffer<uint32_t> start;      // [tiles + 1] into entries
+  Buffer<uint32_t> row_start;  // [n + 1]: first row of each Gaussian
 };
 
 // Sort by depth (stable: ties by index) and list, for each tile, the Gaussians whose support meets its pixels.

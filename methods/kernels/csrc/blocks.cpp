@@ -21,18 +21,19 @@ void forward_blocks(const Model& model, const Camera& camera, const int64_t* blo
 
   // The lists of all tiles again, block after block: a part of a sorted list is sorted.
   const Bins& bins = state.bins;
-  Buffer<uint32_t> start(parts + 1), processed(parts), entries(bins.entries.size());
+  Buffer<uint32_t> start(parts + 1), processed(parts);
+  Buffer<Entry> entries(bins.entries.size());
   std::fill(start.data(), start.data() + parts + 1, 0u);
   parallel(threads, tiles, [&](int tile, int) {
     for (uint32_t e = bins.start[tile]; e < bins.start[tile + 1]; ++e)
-      ++start[(size_t)block[bins.entries[e]] * tiles + tile + 1];
+      ++start[(size_t)block[bins.entries[e].gaussian] * tiles + tile + 1];
   });
   for (size_t p = 0; p < parts; ++p) start[p + 1] += start[p];
   parallel(threads, tiles, [&](int tile, int) {
     std::vector<uint32_t> next(count);
     for (int b = 0; b < count; ++b) next[b] = start[(size_t)b * tiles + tile];
     for (uint32_t e = bins.start[tile]; e < bins.start[tile + 1]; ++e)
-      entries[next[block[bins.entries[e]]]++] = bins.entries[e];
+      entries[next[block[bins.entries[e].gaussian]]++] = bins.entries[e];
   });
 
   const size_t pixels = (size_t)camera.width * camera.height;

@@ -58,7 +58,7 @@ double photometric(const float* image, const float* truth, const uint8_t* mask, 
   loss.margin = loss_margin(channels);
 
   // a band repeats the work on 20 rows of its neighbours
-  const int bands = threads == 1 ? 1 : std::min(std::max(1, height / 20), threads * 2);
+  const int bands = std::min(std::max(1, height / 20), threads);
   const size_t each = loss_scratch(loss.margin);
   Buffer<float> scratch(each * threads);
   Buffer<double> sums((size_t)2 * height);

@@ -2,26 +2,18 @@
 
 namespace {
 
-constexpr int64_t SUMS_COMING = 4 * L;  // Gaussians after these whose sums memory is asked for
 constexpr int MOST_SUMS = (S_FEATURES + MAX_CHANNELS + 2 + L - 1) / L * L;
 
-// Fetch the rows of sums that belong to Gaussians [first, last): they lie all over.
-STAGE void fetch_sums(const float* sums, int stride, const uint32_t* slot_start, const uint32_t* slots, int64_t first,
-                      int64_t last) {
-  for (uint32_t k = slot_start[first]; k < slot_start[last]; ++k)
-    for (int part = 0; part < stride; part += L) __builtin_prefetch(sums + (size_t)slots[k] * stride + part);
-}
-
 // Add up the rows that tiles left for sixteen Gaussians, in the order of the tiles: out[sum][lane].
-STAGE void collect(const float* sums, int stride, const uint32_t* slot_start, const uint32_t* slots, int64_t first,
-                   int count, float out[MOST_SUMS][L]) {
+STAGE void collect(const float* sums, int stride, const uint32_t* row_start, int64_t first, int count,
+                   float out[MOST_SUMS][L]) {
   alignas(64) float rows[L][L];
   for (int part = 0; part < stride; part += L) {
     for (int l = 0; l < L; ++l) {
       vf row = all(0);
       if (l < count)
-        for (uint32_t k = slot_start[first + l]; k < slot_start[first + l + 1]; ++k)
-          row = row + load(sums + (size_t)slots[k] * stride + part);
+        for (uint32_t k = row_start[first + l]; k < row_start[first + l + 1]; ++k)
+          row = row + load(sums + (size_t)k * stride + part);
       store(rows[l], row);
     }
     transpose(rows[0], L, out[part], L);
@@ -41,20 +33,15 @@ INLINE void fetch_gradients(const ModelGradients& out, int64_t first) {
 INLINE void put(float* p, vd x) { narrow(p, clamp(x, -3.4e38, 3.4e38)); }
 
 void backward_project(const Camera& cam, const Model& model, const Projection& drawn, const float* sums,
-                      int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
-                      const ModelGradients& out, int64_t first, int64_t last) {
-  const auto fetch = [&](int64_t from, int64_t to) {
-    fetch_sums(sums, sums_stride, slot_start, slots, from < last ? from : last, to < last ? to : last);
-  };
-  fetch(first, first + SUMS_COMING);
+                      int sums_stride, const uint32_t* row_start, const ModelGradients& out, int64_t first,
+                      int64_t last) {
   for (int64_t i = first; i < last; i += L) {
     const int count = last - i < L ? (int)(last - i) : L;
-    fetch(i + SUMS_COMING, i + SUMS_COMING + L);
     fetch_model(model, i + COMING);
     fetch_gradients(out, i + COMING);
     float mean[3][L] = {}, quaternion[4][L] = {}, scale[3][L] = {}, opacity[1][L] = {}, screen[4][L] = {};
     const int channels = model.channels, lit = with_sh(model, i, count);
-    if (slot_start[i] == slot_start[i + count]) {  // none was drawn
+    if (row_start[i] == row_start[i + count]) {  // none was drawn
       sh_clear(model, i, lit, out);
       for (int l = lit; out.colours && l < count; ++l)
         for (int c = 0; c < channels; ++c) out.colours[(i + l - model.sh_count) * channels + c] = 0;
@@ -63,10 +50,10 @@ void backward_project(const Camera& cam, const Model& model, const Projection& d
       Lane16 in;
       gather(model, i, count, in);
       alignas(64) float g[MOST_SUMS][L];
-      collect(sums, sums_stride, slot_start, slots, i, count, g);
+      collect(sums, sums_stride, row_start, i, count, g);
       int visible[L];
       for (int l = 0; l < L; ++l)
-        visible[l] = l < count && slot_start[i + l] < slot_start[i + l + 1];
+        visible[l] = l < count && row_start[i + l] < row_start[i + l + 1];
       float towards[3][L] = {}, dir[3][L];
       if (lit) {
         float colour[3][L];

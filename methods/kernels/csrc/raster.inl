@@ -37,18 +37,18 @@ template <bool MEET>
 STAGE void prepare(const Tiles& tiles, const Scratch& scratch, int features, int left, int top, uint32_t first,
                    uint32_t begin, int count, uint16_t* met) {
   const int stride = rec_stride(features);
-  const uint32_t* ids = tiles.entries + first + begin;
-  for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, ids[k], features);
+  const Entry* entries = tiles.entries + first + begin;
+  for (int k = 0; k < count && k < AHEAD; ++k) prefetch(tiles, entries[k].gaussian, features);
   for (int k = 0; k < count; k += L) {
     const int here = count - k < L ? count - k : L;
     for (int l = 0; l < here; ++l) {
-      if (k + l + AHEAD < count) prefetch(tiles, ids[k + l + AHEAD], features);
-      fill_record(tiles, ids[k + l], begin + (uint32_t)(k + l), features, (float)left, (float)top,
+      if (k + l + AHEAD < count) prefetch(tiles, entries[k + l + AHEAD].gaussian, features);
+      fill_record(tiles, entries[k + l].gaussian, begin + (uint32_t)(k + l), features, (float)left, (float)top,
                   scratch.recs + (size_t)(k + l) * stride);
     }
     if (!MEET) continue;
     alignas(64) float g[GEO][L];
-    transpose_rows([=](int r) { return tiles.geo + (size_t)ids[k + (r < here ? r : here - 1)] * GEO; }, g[0], L);
+    transpose_rows([=](int r) { return tiles.geo + (size_t)entries[k + (r < here ? r : here - 1)].gaussian * GEO; }, g[0], L);
     blocks_met(g, tiles.reach, (load(g[X_WHOLE]) - all((float)left)) + load(g[X_PART]),
                (load(g[Y_WHOLE]) - all((float)top)) + load(g[Y_PART]), met + k);
   }
@@ -373,7 +373,7 @@ void render_tile(const Tiles& tiles, const Pictures& out, const Scratch& scratch
             if (w > 0)
               rank(out, (size_t)(window.top + (b / 4) * BLOCK + l / BLOCK) * tiles.width + window.left +
                             (b % 4) * BLOCK + l % BLOCK,
-                   w, tiles.entries[first + done + list[k]]);
+                   w, tiles.entries[first + done + list[k]].gaussian);
           }
       }
       uint32_t end = done + count;

@@ -106,10 +106,15 @@ STAGE void exponents(const float* recs, int stride, const uint32_t* list, int le
   }
 }
 
-// Sums over the pixels of a block for sixteen listed Gaussians as lanes; rows are added to `sums`.
+INLINE void clear_rows(const SumRows& sums, const Entry* from, const Entry* to) {
+  for (; from < to; ++from)
+    for (int j = 0; j < sums.stride; j += L) store(sums.of(*from) + j, all(0));
+}
+
+// Sums over the pixels of a block for sixteen listed Gaussians as lanes; added to the rows of `entries`.
 STAGE void reduce(const float* recs, int stride, const uint32_t* list, int count, int b, int features,
-                   const PixelGradients& pixel, const float* weights, const float* gradients, float* sums,
-                   int sums_stride) {
+                   const PixelGradients& pixel, const float* weights, const float* gradients, const Entry* entries,
+                   const SumRows& sums) {
   alignas(64) float rows[L][8], r[8][L], g[L][L], w[L][L];
   for (int l = 0; l < L; ++l)
     __builtin_memcpy(rows[l], recs + (size_t)list[l < count ? l : count - 1] * stride, sizeof rows[l]);
@@ -159,7 +164,7 @@ STAGE void reduce(const float* recs, int stride, const uint32_t* list, int count
     transpose(out[0], L, back[0], L);
     const int offset = S_FEATURES + f - L;
     for (int l = 0; l < count; ++l) {
-      float* row = sums + (size_t)list[l] * sums_stride + offset;
+      float* row = sums.of(entries[list[l]]) + offset;
       store(row, load(row) + load(back[l]));
     }
     column = 0;
@@ -168,13 +173,13 @@ STAGE void reduce(const float* recs, int stride, const uint32_t* list, int count
 
 // The median depth's gradient goes to the one Gaussian that it is the depth of.
 INLINE void median_backward(const uint32_t* list, int length, const float* weights, const PixelGradients& pixel,
-                            int depth, float* sums, int sums_stride) {
+                            int depth, const Entry* entries, const SumRows& sums) {
   for (int l = 0; l < L; ++l) {
     float total = 0;
     for (int k = 0; k < length; ++k) {
       const float after = total + weights[(size_t)k * L + l];
       if (total < 0.5f && after >= 0.5f) {
-        sums[(size_t)list[k] * sums_stride + S_FEATURES + depth] += pixel.median[l];
+        sums.of(entries[list[k]])[S_FEATURES + depth] += pixel.median[l];
         break;
       }
       total = after;
@@ -184,12 +189,13 @@ INLINE void median_backward(const uint32_t* list, int length, const float* weigh
 
 // Any channels, depths: per block the contributions again, then gradients back to front, then sums over pixels.
 STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
-                        float* sums, int sums_stride) {
+                        const SumRows& sums) {
   const int left = tile % tiles.across * TILE, top = tile / tiles.across * TILE;
   const int stride = rec_stride(features);
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first;
   const int count = (int)tiles.processed[tile];
-  for (size_t j = 0; j < (size_t)total * sums_stride; ++j) sums[j] = 0;
+  const Entry* entries = tiles.entries + first;
+  clear_rows(sums, entries, entries + total);
   if (count == 0) return;
   const Centres centres;
   int lengths[BLOCKS];
@@ -209,7 +215,7 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
     Light<L> light = {load(ones), load(ones), all(0), all(0)};
     const int k = blend<L, 0, false, true>(scratch.recs, stride, list, lengths[b], (uint32_t)count,
                                            T_MIN, pixels_of<L>(centres, b, 0), light, nullptr, scratch.weights, scratch.alphas);
-    if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, sums, sums_stride);
+    if (in.median) median_backward(list, k, scratch.weights, pixel, in.channels, entries, sums);
     for (int f = in.channels; f < features; ++f)
       residue(scratch.recs, stride, list, k, f, scratch.weights, pixel.centre[f - in.channels],
               pixel.residue[f - in.channels]);
@@ -220,7 +226,7 @@ STAGE void backward_any(const Tiles& tiles, const PictureGradients& in, const Sc
     back(scratch.recs, stride, list, k, in.channels, features, pixel, scratch.weights, scratch.alphas);
     for (int j = 0; j < k; j += L)
       reduce(scratch.recs, stride, list + j, k - j < L ? k - j : L, b, features, pixel,
-             scratch.weights + (size_t)j * L, scratch.alphas + (size_t)j * L, sums, sums_stride);
+             scratch.weights + (size_t)j * L, scratch.alphas + (size_t)j * L, entries, sums);
   }
 }
 
@@ -342,13 +348,14 @@ constexpr uint32_t ROWS_AHEAD = 8;  // rows of sums that are fetched before they
 // Few channels and nothing else: Gaussian by Gaussian, last to first, over the blocks that it is drawn in, with
 // transmittances from those that the forward pass left. Each row is written once.
 template <int CHANNELS, Wanted WANTED>
-STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
+STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, const SumRows& sums) {
   constexpr int FEATURES = CHANNELS, UNDRAWN = UN_BY + CHANNELS, SUMS = S_FEATURES + CHANNELS;
   static_assert(SUMS <= L, "a row of sums");
   const int left = tile % tiles.across * TILE, top = tile / tiles.across * TILE;
   const int stride = rec_stride(FEATURES);
   const uint32_t first = tiles.start[tile], total = tiles.start[tile + 1] - first, count = tiles.processed[tile];
-  for (size_t j = (size_t)count * L; j < (size_t)total * L; ++j) sums[j] = 0;
+  const Entry* entries = tiles.entries + first;
+  clear_rows(sums, entries + count, entries + total);
   if (count == 0) return;
   const Centres centres;
   for (int b = 0; b < BLOCKS; ++b) {
@@ -370,8 +377,7 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
     prepare<false>(tiles, scratch, FEATURES, left, top, first, begin, here, nullptr);
     for (int k = here - 1; k >= 0; --k) {
       const float* rec = scratch.recs + (size_t)k * stride;
-      float* row = sums + (size_t)(begin + k) * L;
-      if (begin + k >= ROWS_AHEAD) __builtin_prefetch(row - ROWS_AHEAD * L, 1);
+      if (begin + k >= ROWS_AHEAD) __builtin_prefetch(sums.of(entries[begin + k - ROWS_AHEAD]), 1);
       V<float, WIDTH> total_of[SUMS];
       for (int j = 0; j < SUMS; ++j) total_of[j] = broadcast<float, WIDTH>(0);
       for (unsigned in_blocks = tiles.blocks[first + begin + k]; in_blocks;) {
@@ -389,14 +395,14 @@ STAGE void backward_colour(const Tiles& tiles, const PictureGradients& in, const
             undraw<2, CHANNELS, WANTED>(rec, {state + part, state + part + WIDTH}, total_of);
         }
       }
-      store_sums<sums_of(CHANNELS, WANTED)>(total_of, row);
+      store_sums<sums_of(CHANNELS, WANTED)>(total_of, sums.of(entries[begin + k]));
     }
     if (begin == 0) break;
   }
 }
 
 template <int CHANNELS>
-INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, float* sums) {
+INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int tile, const SumRows& sums) {
   if (in.fragments) backward_colour<CHANNELS, FRAGMENTS>(tiles, in, scratch, tile, sums);
   else if (in.moduli) backward_colour<CHANNELS, MODULI>(tiles, in, scratch, tile, sums);
   else if (in.shapes) backward_colour<CHANNELS, SHAPES>(tiles, in, scratch, tile, sums);
@@ -404,12 +410,12 @@ INLINE void backward_colours(const Tiles& tiles, const PictureGradients& in, con
 }
 
 void backward_tile(const Tiles& tiles, const PictureGradients& in, const Scratch& scratch, int features, int tile,
-                   float* sums, int sums_stride) {
+                   const SumRows& sums) {
   switch (features == in.channels ? features : 0) {
     case 1: return backward_colours<1>(tiles, in, scratch, tile, sums);  // a distance
     case 3: return backward_colours<3>(tiles, in, scratch, tile, sums);
     case 6: return backward_colours<6>(tiles, in, scratch, tile, sums);  // two pictures
-    default: backward_any(tiles, in, scratch, features, tile, sums, sums_stride);
+    default: backward_any(tiles, in, scratch, features, tile, sums);
   }
 }
 

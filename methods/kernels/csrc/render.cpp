@@ -43,7 +43,7 @@ Projection State::projection(float* radii) {
 
 size_t State::bytes() const {
   return geo.bytes() + features.bytes() + drawn.bytes() + processed.bytes() + blocks.bytes() + trace.bytes() +
-         bins.entries.bytes() + bins.start.bytes() + bins.slot_start.bytes() + bins.slots.bytes();
+         bins.entries.bytes() + bins.start.bytes() + bins.row_start.bytes();
 }
 
 void lay_out(const Model& model, const Pictures& pictures, float* radii, int threads, State& state) {
@@ -128,10 +128,10 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   for (int t = 0; t < count; ++t) longest = std::max(longest, tiles.processed[t]);
   const Scratches scratch(threads, longest, features);
   const Projection projection = state.projection(nullptr);
-  const auto finish = [&](const float* sums, const uint32_t* slot_start, const uint32_t* slots) {
+  const auto finish = [&](const float* sums, const uint32_t* row_start) {
     clock.lap(STAGE_BLEND_BACKWARD);
     over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
-      k.backward_project(state.camera, model, projection, sums, stride, slot_start, slots, out, first, last);
+      k.backward_project(state.camera, model, projection, sums, stride, row_start, out, first, last);
     });
     clock.lap(STAGE_PROJECT_BACKWARD);
   };
@@ -141,46 +141,49 @@ void backward(const Model& model, PictureGradients pictures, const ModelGradient
   for (size_t b = 0; b + 1 < bands.size(); ++b)
     rows = std::max<size_t>(rows, bins.start[bands[b + 1]] - bins.start[bands[b]]);
   Buffer<float> sums(rows * stride);
-  const auto draw = [&](int from, int to) {
+  const auto draw = [&](const Tiles& tiles, int from, int to) {
+    const SumRows into = {sums.data(), bands.size() <= 2 ? 0 : tiles.start[from], stride};
     parallel(threads, to - from, [&](int i, int worker) {
-      const int tile = from + i;
-      const size_t row = tiles.start[tile] - tiles.start[from];
-      k.backward_tile(tiles, pictures, scratch[worker], features, tile, sums.data() + row * stride, stride);
+      k.backward_tile(tiles, pictures, scratch[worker], features, from + i, into);
     });
   };
   if (bands.size() <= 2) {
-    draw(0, count);
-    finish(sums.data(), bins.slot_start.data(), bins.slots.data());
+    draw(tiles, 0, count);
+    finish(sums.data(), bins.row_start.data());
     return;
   }
-  // Each Gaussian adds up its rows in the order of the tiles, as it would with all of them at hand.
-  const size_t n = (size_t)model.count;
-  Buffer<float> total(n * stride);
-  Buffer<uint32_t> next(n), own_start(n + 1), own(n);
-  over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
-    std::fill(total.data() + first * stride, total.data() + last * stride, 0.0f);
-    std::copy(bins.slot_start.data() + first, bins.slot_start.data() + last, next.data() + first);
+  // A band's rows lie tile after tile. Each Gaussian adds up its own in the order of the tiles, as it would with all of
+  // them at hand, into one.
+  const size_t n = (size_t)model.count, pairs = bins.entries.size();
+  Buffer<Entry> entries(pairs);
+  Buffer<uint32_t> places(pairs), next(n), total_start(n + 1);
+  parallel(threads, count, [&](int tile, int) {
+    for (uint32_t e = bins.start[tile]; e < bins.start[tile + 1]; ++e) {
+      entries[e] = {bins.entries[e].gaussian, e};
+      places[bins.entries[e].row] = e;
+    }
   });
+  total_start[0] = 0;
+  for (size_t i = 0; i < n; ++i) total_start[i + 1] = total_start[i] + (bins.row_start[i] < bins.row_start[i + 1]);
+  Buffer<float> total((size_t)total_start[n] * stride);
+  std::fill(total.data(), total.data() + total.size(), 0.0f);
+  std::copy(bins.row_start.data(), bins.row_start.data() + n, next.data());
+  Tiles in_bands = tiles;
+  in_bands.entries = entries.data();
   for (size_t b = 0; b + 1 < bands.size(); ++b) {
-    draw(bands[b], bands[b + 1]);
+    draw(in_bands, bands[b], bands[b + 1]);
     const uint32_t begin = bins.start[bands[b]], end = bins.start[bands[b + 1]];
     over_gaussians(threads, model.count, [&](int64_t first, int64_t last) {
       for (int64_t i = first; i < last; ++i) {
-        float* to = total.data() + i * stride;
-        for (uint32_t& slot = next[i]; slot < bins.slot_start[i + 1] && bins.slots[slot] < end; ++slot) {
-          const float* from = sums.data() + (size_t)(bins.slots[slot] - begin) * stride;
+        float* to = total.data() + (size_t)total_start[i] * stride;
+        for (uint32_t& row = next[i]; row < bins.row_start[i + 1] && places[row] < end; ++row) {
+          const float* from = sums.data() + (size_t)(places[row] - begin) * stride;
           for (int j = 0; j < stride; ++j) to[j] += from[j];
         }
       }
     });
   }
-  uint32_t drawn = 0;
-  for (size_t i = 0; i < n; ++i) {
-    own_start[i] = drawn;
-    if (bins.slot_start[i] < bins.slot_start[i + 1]) own[drawn++] = (uint32_t)i;
-  }
-  own_start[n] = drawn;
-  finish(total.data(), own_start.data(), own.data());
+  finish(total.data(), total_start.data());
 }
 
 }  // namespace splat

@@ -96,12 +96,17 @@ struct Span {
   int16_t from, to;  // empty if to < from
 };
 
+// A Gaussian in a tile's list, and the row that the tile leaves the sums of its gradients in.
+struct Entry {
+  uint32_t gaussian, row;
+};
+
 struct Tiles {
   const float* geo;
   const float* features;       // null where geo has them
   int stride;                  // floats between the features of two Gaussians
   bool coloured;               // whether geo has their colours
-  const uint32_t* entries;     // Gaussians of all tiles, nearest first within a tile
+  const Entry* entries;        // of all tiles, nearest first within a tile
   const uint32_t* start;       // [tiles + 1] into entries
   uint32_t* processed;         // [tiles]: entries looked at before all pixels were full
   uint16_t* blocks;            // [entries]: bit b where block b draws the Gaussian, for those looked at; or null
@@ -146,6 +151,14 @@ struct ModelGradients {  // all written in full; null where not asked for
 inline bool needs_shapes(const ModelGradients& g) {
   return g.means || g.quaternions || g.scales || g.opacities || g.screen || g.screen_absolute;
 }
+
+// Where tiles leave sums of gradients: memory that begins with row `first`.
+struct SumRows {
+  float* memory;
+  uint32_t first;
+  int stride;
+  float* of(const Entry& entry) const { return memory + (size_t)(entry.row - first) * stride; }
+};
 
 struct Scratch {  // one a thread; grown by the caller before each use
   float* recs;        // [rows, rec stride]
@@ -194,10 +207,10 @@ struct Kernels {
   void (*render_tile)(const Tiles&, const Pictures&, const Scratch&, int tile);
   void (*render_tile_again)(const Tiles&, const Pictures&, const Scratch&, int tile);  // other colours of the same
   void (*backward_tile)(const Tiles&, const PictureGradients&, const Scratch&, int features, int tile,
-                        float* sums, int sums_stride);
+                        const SumRows& sums);
   void (*backward_project)(const Camera&, const Model&, const Projection&, const float* sums,
-                           int sums_stride, const uint32_t* slot_start, const uint32_t* slots,
-                           const ModelGradients&, int64_t first, int64_t last);
+                           int sums_stride, const uint32_t* row_start, const ModelGradients&, int64_t first,
+                           int64_t last);
   void (*loss_rows)(const Loss&, float* scratch, int first, int last);
   void (*adam)(const AdamRate&, const AdamTensor&, int64_t begin, int64_t end);
   void (*exp2)(const float* x, float* y, int64_t count);
