@@ -6,6 +6,7 @@ namespace {
 
 constexpr int REACH = 5;  // the window has 2 * 5 + 1 taps
 constexpr int SPAN = 2 * REACH + 1;
+constexpr int RING = SPAN + 1;  // rows that are at hand: two windows, one below the other, are worked on at once
 constexpr int SOURCES = 4;  // a, b, a^2 + b^2, a b: SSIM takes both variances in sum
 constexpr int MAPS = 3;     // SSIM's derivatives by the local means of a, a^2 and a b
 constexpr int STRIP_ROWS_AHEAD = 3;  // rows of a strip that are fetched before they are needed: no prefetcher sees them coming
@@ -18,9 +19,9 @@ template <int C>
 struct Strip {
   const Loss* loss;
   int left, floats;                      // a multiple of LANES, the last ones beyond the row perhaps
-  float *source[SOURCES], *map[MAPS];    // rows before they are blurred along x: with two margins, with one
-  float *valid, *a, *b;                  // with one margin; without
-  float *blurred[SPAN], *derived[SPAN];  // rings: sources with one margin, maps without
+  float *source[SOURCES], *map[2][MAPS]; // rows before they are blurred along x: with two margins, with one
+  float *valid[2], *a[2], *b[2];         // two rows, with one margin; without
+  float *blurred[RING], *derived[RING];  // sources with one margin, maps without
 
   int channels() const { return C ? C : loss->channels; }
   int margin() const { return C ? loss_margin(C) : loss->margin; }
@@ -68,21 +69,29 @@ INLINE void blur_row(const float* row, float* out, int count, int channels, cons
   }
 }
 
-// The same along y: the middle row is `row`, the rows of the ring follow one another from the oldest on.
+// The same along y, for two windows, the second a row below the first: rows follow one another in the ring from the
+// oldest on, and each is read once for both.
 template <int N>
-INLINE void blur_column(float* const* ring, int oldest, int offset, int stride, const float* taps, vf out[N]) {
-  const float* rows[SPAN];
-#pragma GCC unroll 11
-  for (int k = 0; k < SPAN; ++k) rows[k] = ring[oldest + k < SPAN ? oldest + k : oldest + k - SPAN] + offset;
+INLINE void blur_columns(float* const* ring, int oldest, int offset, int stride, const float* taps, vf out[2][N]) {
+  const float* rows[RING];
+#pragma GCC unroll 12
+  for (int k = 0; k < RING; ++k) rows[k] = ring[oldest + k < RING ? oldest + k : oldest + k - RING] + offset;
 #pragma GCC unroll 4
   for (int n = 0; n < N; ++n) {
-    vf sum = load(rows[REACH] + n * stride) * all(taps[0]);
+    vf row[RING];
+#pragma GCC unroll 12
+    for (int k = 0; k < RING; ++k) row[k] = load(rows[k] + n * stride);
+#pragma GCC unroll 2
+    for (int w = 0; w < 2; ++w) {
+      vf sum = row[REACH + w] * all(taps[0]);
 #pragma GCC unroll 5
-    for (int k = 1; k <= REACH; ++k)
-      sum = sum + (load(rows[REACH - k] + n * stride) + load(rows[REACH + k] + n * stride)) * all(taps[k]);
-    out[n] = sum;
+      for (int k = 1; k <= REACH; ++k) sum = sum + (row[REACH + w - k] + row[REACH + w + k]) * all(taps[k]);
+      out[w][n] = sum;
+    }
   }
 }
+
+INLINE bool inside(const Loss& loss, int y) { return y >= 0 && y < loss.height; }
 
 INLINE float row_sum(vf v) {
   float values[L], sum = 0;
@@ -95,7 +104,7 @@ INLINE float row_sum(vf v) {
 template <int C>
 STAGE void take_row(const Strip<C>& s, int y, float* out) {
   const Loss& loss = *s.loss;
-  if (y < 0 || y >= loss.height) {
+  if (!inside(loss, y)) {
     clear(out, SOURCES * s.wide());
     return;
   }
@@ -116,59 +125,75 @@ STAGE void take_row(const Strip<C>& s, int y, float* out) {
   for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.floats + 2 * s.margin(), s.channels(), loss);
 }
 
-// SSIM around the pixels of row y, whose window's oldest row in the ring is given; returns its sum over the strip,
-// and leaves its derivatives blurred along x in `out` unless that is null.
+// SSIM around the pixels of rows y and y + 1, the oldest of whose rows in the ring is given: its sums over the strip,
+// and its derivatives blurred along x in `out` unless these are null. A row outside of the image has none.
 template <int C>
-STAGE float derive_row(const Strip<C>& s, int y, int oldest, float* out) {
+STAGE void derive_rows(const Strip<C>& s, int y, int oldest, float* const out[2], float sums[2]) {
   const Loss& loss = *s.loss;
-  if (y < 0 || y >= loss.height) {
-    if (out) clear(out, MAPS * LOSS_STRIP);
-    return 0;
-  }
-  if (loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
-  vf similar = all(0);
-  const int from = out ? 0 : s.margin(), to = s.floats + (out ? 2 : 1) * s.margin();
+  if (loss.mask)
+    for (int w = 0; w < 2; ++w)
+      if (inside(loss, y + w)) read_valid(loss, s.channels(), y + w, s.left - s.margin(), s.wide(), s.valid[w]);
+  vf similar[2] = {all(0), all(0)};
+  const int from = out[0] ? 0 : s.margin(), to = s.floats + (out[0] ? 2 : 1) * s.margin();
   for (int i = from; i < to; i += L) {
-    vf mean[SOURCES];
-    blur_column<SOURCES>(s.blurred, oldest, i, s.wide(), loss.taps, mean);
-    const vf two = all(2), ma = mean[0], mb = mean[1], both = ma * ma + mb * mb, product = ma * mb;
-    const vf a1 = two * product + all(SSIM_C1), a2 = two * (mean[3] - product) + all(SSIM_C2);
-    const vf r1 = reciprocal(both + all(SSIM_C1)), r2 = reciprocal(mean[2] - both + all(SSIM_C2));
-    // where nothing counts, `valid` is 0: the maps are 0 there, as the second blur needs them
-    const vf scale = load(s.valid + i) * r1 * r2, ssim = a1 * a2 * scale, by_aa = all(0) - ssim * r2;
-    if (i >= s.margin() && i < s.margin() + s.floats) similar = similar + ssim;
-    if (!out) continue;
-    store(s.map[0] + i, two * mb * (a2 - a1) * scale - two * ma * (ssim * r1 + by_aa));
-    store(s.map[1] + i, by_aa);
-    store(s.map[2] + i, two * a1 * scale);
+    vf mean[2][SOURCES];
+    blur_columns<SOURCES>(s.blurred, oldest, i, s.wide(), loss.taps, mean);
+#pragma GCC unroll 2
+    for (int w = 0; w < 2; ++w) {
+      const vf two = all(2), ma = mean[w][0], mb = mean[w][1], both = ma * ma + mb * mb, product = ma * mb;
+      const vf a1 = two * product + all(SSIM_C1), a2 = two * (mean[w][3] - product) + all(SSIM_C2);
+      const vf r1 = reciprocal(both + all(SSIM_C1)), r2 = reciprocal(mean[w][2] - both + all(SSIM_C2));
+      // where nothing counts, `valid` is 0: the maps are 0 there, as the second blur needs them
+      const vf scale = load(s.valid[w] + i) * r1 * r2, ssim = a1 * a2 * scale, by_aa = all(0) - ssim * r2;
+      if (i >= s.margin() && i < s.margin() + s.floats) similar[w] = similar[w] + ssim;
+      if (!out[0]) continue;
+      store(s.map[w][0] + i, two * mb * (a2 - a1) * scale - two * ma * (ssim * r1 + by_aa));
+      store(s.map[w][1] + i, by_aa);
+      store(s.map[w][2] + i, two * a1 * scale);
+    }
   }
-  if (out)
-    for (int m = 0; m < MAPS; ++m) blur_row(s.map[m] + s.margin(), out + m * LOSS_STRIP, s.floats, s.channels(), loss);
-  return row_sum(similar);
+  for (int w = 0; w < 2; ++w) {
+    sums[w] = inside(loss, y + w) ? row_sum(similar[w]) : 0;
+    if (!out[w]) continue;
+    if (inside(loss, y + w))
+      for (int m = 0; m < MAPS; ++m)
+        blur_row(s.map[w][m] + s.margin(), out[w] + m * LOSS_STRIP, s.floats, s.channels(), loss);
+    else clear(out[w], MAPS * LOSS_STRIP);
+  }
 }
 
-// The sum of |a - b| over row y of the strip; its gradient too, where there is to be one.
+// The sums of |a - b| over rows y and y + 1 of the strip, of those of them that are before `last`; their gradients too,
+// where there are to be any.
 template <int C>
-STAGE float compare_row(const Strip<C>& s, int y, int oldest) {
+STAGE void compare_rows(const Strip<C>& s, int y, int last, int oldest, float sums[2]) {
   const Loss& loss = *s.loss;
-  read_part(loss.image, loss, s.channels(), y, s.left, s.floats, s.a);
-  read_part(loss.truth, loss, s.channels(), y, s.left, s.floats, s.b);
-  const float* valid = s.valid + s.margin();
-  vf sum = all(0);
-  if (loss.gradient && loss.mask) read_valid(loss, s.channels(), y, s.left - s.margin(), s.wide(), s.valid);
-  for (int i = 0; i < s.floats; i += L) {
-    const vf a = load(s.a + i), b = load(s.b + i);
-    sum = sum + absolute(a - b);
-    if (!loss.gradient) continue;
-    vf mean[MAPS];
-    blur_column<MAPS>(s.derived, oldest, i, LOSS_STRIP, loss.taps, mean);
-    const vf by_ssim = mean[0] + all(2) * a * mean[1] + b * mean[2];
-    const vf sign = keep(b < a, all(1)) - keep(a < b, all(1));
-    store(s.a + i, load(valid + i) * (all(loss.l1_weight) * sign - all(loss.ssim_weight) * by_ssim));
-  }
   const int floats = loss.width * loss.channels, end = floats - s.left < s.floats ? floats - s.left : s.floats;
-  if (loss.gradient) __builtin_memcpy(loss.gradient + (size_t)y * floats + s.left, s.a, end * sizeof(float));
-  return row_sum(sum);
+  const int rows = last - y < 2 ? last - y : 2;
+  for (int w = 0; w < rows; ++w) {
+    read_part(loss.image, loss, s.channels(), y + w, s.left, s.floats, s.a[w]);
+    read_part(loss.truth, loss, s.channels(), y + w, s.left, s.floats, s.b[w]);
+    if (loss.gradient && loss.mask)
+      read_valid(loss, s.channels(), y + w, s.left - s.margin(), s.wide(), s.valid[w]);
+  }
+  vf sum[2] = {all(0), all(0)};
+  for (int i = 0; i < s.floats; i += L) {
+    vf mean[2][MAPS];
+    if (loss.gradient) blur_columns<MAPS>(s.derived, oldest, i, LOSS_STRIP, loss.taps, mean);
+#pragma GCC unroll 2
+    for (int w = 0; w < 2; ++w) {
+      const vf a = load(s.a[w] + i), b = load(s.b[w] + i);
+      sum[w] = sum[w] + absolute(a - b);
+      if (!loss.gradient) continue;
+      const vf by_ssim = mean[w][0] + all(2) * a * mean[w][1] + b * mean[w][2];
+      const vf sign = keep(b < a, all(1)) - keep(a < b, all(1));
+      const vf valid = load(s.valid[w] + s.margin() + i);
+      store(s.a[w] + i, valid * (all(loss.l1_weight) * sign - all(loss.ssim_weight) * by_ssim));
+    }
+  }
+  for (int w = 0; w < rows; ++w) {
+    sums[w] = row_sum(sum[w]);
+    if (loss.gradient) __builtin_memcpy(loss.gradient + (size_t)(y + w) * floats + s.left, s.a[w], end * sizeof(float));
+  }
 }
 
 template <int C>
@@ -177,10 +202,12 @@ INLINE void loss_strips(const Loss& loss, float* scratch, int first, int last) {
   s.loss = &loss;
   const auto take = [&](int count) { scratch += count; return scratch - count; };
   for (float*& row : s.source) row = take(s.wide() + 2 * s.margin());
-  for (float*& row : s.map) row = take(s.wide());
-  s.valid = take(s.wide());
-  s.a = take(LOSS_STRIP);
-  s.b = take(LOSS_STRIP);
+  for (int w = 0; w < 2; ++w) {
+    for (float*& row : s.map[w]) row = take(s.wide());
+    s.valid[w] = take(s.wide());
+    s.a[w] = take(LOSS_STRIP);
+    s.b[w] = take(LOSS_STRIP);
+  }
   for (float*& row : s.blurred) row = take(SOURCES * s.wide());
   for (float*& row : s.derived) row = take(MAPS * LOSS_STRIP);
   for (int y = first; y < last; ++y) loss.sums[2 * y] = loss.sums[2 * y + 1] = 0;
@@ -188,14 +215,22 @@ INLINE void loss_strips(const Loss& loss, float* scratch, int first, int last) {
   for (s.left = 0; s.left < loss.width * loss.channels; s.left += LOSS_STRIP) {
     const int rest = loss.width * loss.channels - s.left;
     s.floats = rest < LOSS_STRIP ? (rest + L - 1) / L * L : LOSS_STRIP;
-    if (!loss.mask) read_valid(loss, s.channels(), 0, s.left - s.margin(), s.wide(), s.valid);
-    for (int y = first - more - REACH, taken = 0, derived = 0; y < last + more + REACH; ++y, ++taken) {
-      take_row(s, y, s.blurred[taken % SPAN]);
+    if (!loss.mask)
+      for (float* valid : s.valid) read_valid(loss, s.channels(), 0, s.left - s.margin(), s.wide(), valid);
+    for (int y = first - more - REACH, taken = 0, derived = 0; y < last + more + REACH; y += 2, taken += 2) {
+      for (int w = 0; w < 2; ++w) take_row(s, y + w, s.blurred[(taken + w) % RING]);
       if (taken < 2 * REACH) continue;
       const int centre = y - REACH;
-      const float similar = derive_row(s, centre, (taken + 1) % SPAN, more ? s.derived[derived % SPAN] : nullptr);
-      if (centre >= first && centre < last) loss.sums[2 * centre + 1] += similar;
-      if (++derived > 2 * more) loss.sums[2 * (centre - more)] += compare_row(s, centre - more, derived % SPAN);
+      float* out[2] = {};
+      for (int w = 0; more && w < 2; ++w) out[w] = s.derived[(derived + w) % RING];
+      float similar[2], different[2];
+      derive_rows(s, centre, (taken + 2) % RING, out, similar);
+      for (int w = 0; w < 2; ++w)
+        if (centre + w >= first && centre + w < last) loss.sums[2 * (centre + w) + 1] += similar[w];
+      derived += 2;
+      if (derived <= 2 * more) continue;
+      compare_rows(s, centre - more, last, derived % RING, different);
+      for (int w = 0; w < 2 && centre - more + w < last; ++w) loss.sums[2 * (centre - more + w)] += different[w];
     }
   }
 }

@@ -181,7 +181,7 @@ struct Loss {
 
 constexpr int LOSS_STRIP = 448;  // floats of a row that are compared at once
 constexpr int loss_margin(int channels) { return (5 * channels + LANES - 1) / LANES * LANES; }
-inline size_t loss_scratch(int margin) { return (size_t)87 * LOSS_STRIP + (size_t)112 * margin; }
+inline size_t loss_scratch(int margin) { return (size_t)100 * LOSS_STRIP + (size_t)128 * margin; }
 
 struct AdamTensor {
   float *value, *first, *second;
