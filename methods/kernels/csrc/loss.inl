@@ -56,10 +56,40 @@ INLINE void clear(float* row, int count) {
   for (int i = 0; i < count; i += L) store(row + i, all(0));
 }
 
-// out[i] = sum_k taps[k] row[i + k channels] for i in [0, count).
+#if defined(__AVX512F__)
+template <int K>  // lanes K and following of `a`, then those of `b`
+INLINE vf shifted(vf a, vf b) {
+  return {(NF)_mm512_alignr_epi32((__m512i)b.v, (__m512i)a.v, K)};
+}
+
+// blur_row of vectors out of registers: from memory nearly every one of them would lie on two lines.
+template <int C>
+INLINE void blur_lines(const float* row, float* out, int count, const vf taps[REACH + 1]) {
+  static_assert(REACH == 5 && REACH * C < L, "a vector to either side");
+  vf before = load(row - L), here = load(row);
+  for (int i = 0; i < count; i += L) {
+    const vf after = load(row + i + L);
+    vf sum = here * taps[0];
+    sum = sum + (shifted<L - C>(before, here) + shifted<C>(here, after)) * taps[1];
+    sum = sum + (shifted<L - 2 * C>(before, here) + shifted<2 * C>(here, after)) * taps[2];
+    sum = sum + (shifted<L - 3 * C>(before, here) + shifted<3 * C>(here, after)) * taps[3];
+    sum = sum + (shifted<L - 4 * C>(before, here) + shifted<4 * C>(here, after)) * taps[4];
+    sum = sum + (shifted<L - 5 * C>(before, here) + shifted<5 * C>(here, after)) * taps[5];
+    store(out + i, sum);
+    before = here;
+    here = after;
+  }
+}
+#endif
+
+// out[i] = sum_k taps[k] row[i + k channels] for i in [0, count), a multiple of LANES.
+template <int C>
 INLINE void blur_row(const float* row, float* out, int count, int channels, const Loss& loss) {
   vf taps[REACH + 1];
   for (int k = 0; k <= REACH; ++k) taps[k] = all(loss.taps[k]);
+#if defined(__AVX512F__)
+  if constexpr (C == 3) return blur_lines<C>(row, out, count, taps);
+#endif
   for (int i = 0; i < count; i += L) {
     vf sum = load(row + i) * taps[0];
 #pragma GCC unroll 5
@@ -122,7 +152,7 @@ STAGE void take_row(const Strip<C>& s, int y, float* out) {
     store(s.source[2] + i, a * a + b * b);
     store(s.source[3] + i, a * b);
   }
-  for (int m = 0; m < SOURCES; ++m) blur_row(s.source[m] + s.margin(), out + m * s.wide(), s.floats + 2 * s.margin(), s.channels(), loss);
+  for (int m = 0; m < SOURCES; ++m) blur_row<C>(s.source[m] + s.margin(), out + m * s.wide(), s.floats + 2 * s.margin(), s.channels(), loss);
 }
 
 // SSIM around the pixels of rows y and y + 1, the oldest of whose rows in the ring is given: its sums over the strip,
@@ -157,7 +187,7 @@ STAGE void derive_rows(const Strip<C>& s, int y, int oldest, float* const out[2]
     if (!out[w]) continue;
     if (inside(loss, y + w))
       for (int m = 0; m < MAPS; ++m)
-        blur_row(s.map[w][m] + s.margin(), out[w] + m * LOSS_STRIP, s.floats, s.channels(), loss);
+        blur_row<C>(s.map[w][m] + s.margin(), out[w] + m * LOSS_STRIP, s.floats, s.channels(), loss);
     else clear(out[w], MAPS * LOSS_STRIP);
   }
 }
