@@ -12,6 +12,7 @@ from splatproof.base.locks import locked
 from splatproof.base.numbers import in_range
 from splatproof.methods.dpgs.refiners import refiner_facts
 from splatproof.methods.priors.kinds import weights_facts
+from splatproof.methods.stratosplat.own_prior import completion_facts
 from splatproof.methods.training.matchers import matcher_facts
 from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result import Result
@@ -237,7 +238,8 @@ def _with_data(
     try:
         data = scenes.of(job.case.scene, job.case.protocol, report)
         data = data | weights_facts(job.case.depth_prior) | refiner_facts(job.case.settings)
-        data = data | matcher_facts(job.case.settings) | plugin_facts(job.case)
+        data = data | matcher_facts(job.case.settings) | completion_facts(job.case.settings)
+        data = data | plugin_facts(job.case)
     except Exception as error:  # noqa: BLE001 (whatever an adapter raises, the other cases go on)
         return job, reason_of(error)
     return replace(job, data=data), ""

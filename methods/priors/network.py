@@ -23,6 +23,8 @@ LONGER = 128
 """Pixels of the longer side that the network sees; its answer is enlarged again."""
 SHIPPED = PACKAGED / "depth.safetensors"
 """Weights that come with this package; depth.json beside them says how they were made."""
+COMPLETION = PACKAGED / "completion.safetensors"
+"""The same network's that was trained with points of matched photos; completion.json says how."""
 
 
 class DepthNetwork(UNet):
@@ -51,14 +53,24 @@ def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], De
     seen = observations(scene.points, len(scene.views))
 
     def make(index: int) -> DepthPrior:
-        view = scene.views[index]
         points = scene.points.positions[points_of(seen, index)]
-        with torch.inference_mode():
-            said = network(network_input(view, points)[None])
-            whole = functional.interpolate(said[:, None], view.size, mode="bilinear")[0, 0]
-        return DepthPrior(disparity=whole.clone(), valid=torch.ones(view.size, dtype=torch.bool))
+        return said_of(network, scene.views[index], points)
 
     return make
+
+
+def said_of(network: DepthNetwork, view: View, points: Float[Tensor, "n 3"]) -> DepthPrior:
+    """What a network says of a view, at the view's size; it says something everywhere.
+
+    Args:
+        network: Its weights.
+        view: The view.
+        points: Sparse points that it sees; none is fine.
+    """
+    with torch.inference_mode():
+        said = network(network_input(view, points)[None])
+        whole = functional.interpolate(said[:, None], view.size, mode="bilinear")[0, 0]
+    return DepthPrior(disparity=whole.clone(), valid=torch.ones(view.size, dtype=torch.bool))
 
 
 def network_size(camera: Camera) -> tuple[int, int]:

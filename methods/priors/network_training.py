@@ -18,6 +18,11 @@ WITHOUT_POINTS = 0.2
 """Share of samples whose sparse points are hidden: scenes may have none."""
 FEWEST_POINTS = 0.02
 """Least share of the points that other samples keep, log-uniform up to 1: few photos have few."""
+Points = Callable[
+    [Float[Tensor, "n 5 h w"], Float[Tensor, "n h w"], Bool[Tensor, "n h w"], torch.Generator],
+    None,
+]
+"""points(given, truth, known, draw): put the sparse points of a batch in the last two channels of `given`."""
 FLAT = 1e-3
 """Least deviation of a true map as a share of its mean: a plane seen straight on teaches nothing."""
 
@@ -78,10 +83,32 @@ def affine_loss(
     return ((off.abs() * weight).sum(dim=1) / count[:, 0]).mean()
 
 
+def hide_points(
+    given: Float[Tensor, "n 5 h w"],
+    truth: Float[Tensor, "n h w"],
+    known: Bool[Tensor, "n h w"],
+    draw: torch.Generator,
+) -> None:
+    """Leave few of the points of structure from motion or none, in place.
+
+    Args:
+        given: What the network sees, its own points in the last two channels.
+        truth: Not used.
+        known: Not used.
+        draw: Source of what is hidden.
+    """
+    del truth, known
+    hidden = torch.rand(len(given), generator=draw) < WITHOUT_POINTS
+    given[hidden, 3:] = 0
+    kept = FEWEST_POINTS ** torch.rand(len(given), 1, 1, 1, generator=draw)
+    given[:, 3:] *= torch.rand(len(given), 1, *given.shape[2:], generator=draw) < kept
+
+
 def train(
     samples: Sequence[Sample],
     *,
     steps: int,
+    points: Points = hide_points,
     batch: int = 4,
     seed: int = 0,
     report: Callable[[int, int, float], None] = lambda step, steps, loss: None,
@@ -91,6 +118,7 @@ def train(
     Args:
         samples: Views; a batch holds views of one size.
         steps: Number of batches.
+        points: Draws the sparse points of a batch.
         batch: Samples a batch, drawn with replacement and mirrored half of the time.
         seed: Seed of weights and draws.
         report: Told (step, steps, loss).
@@ -106,10 +134,7 @@ def train(
         given = torch.stack([alike[row].given for row in rows])
         truth = torch.stack([alike[row].truth for row in rows])
         known = torch.stack([alike[row].known for row in rows])
-        hidden = torch.rand(batch, generator=draw) < WITHOUT_POINTS
-        given[hidden, 3:] = 0
-        kept = FEWEST_POINTS ** torch.rand(batch, 1, 1, 1, generator=draw)
-        given[:, 3:] *= torch.rand(batch, 1, *given.shape[2:], generator=draw) < kept
+        points(given, truth, known, draw)
         if torch.rand((), generator=draw) < 0.5:
             given, truth, known = (maps.flip(-1) for maps in (given, truth, known))
         return affine_loss(network(given), truth, known)

@@ -11,14 +11,17 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.resize import resample, scale_intrinsics
 from splatproof.methods.kernels import guide_depth
+from splatproof.methods.priors.network import COMPLETION, DepthNetwork, load_network, said_of
 from splatproof.methods.stratosplat.denoiser import PhotoDiffusion
-from splatproof.methods.stratosplat.prior_depth import relative_depth
+from splatproof.methods.stratosplat.prior_depth import believed, relative_depth
 from splatproof.methods.stratosplat.settings import Completion
 from splatproof.reference.layered_memory import depth_adaptation, layered_depth
 from splatproof.reference.layered_memory.depth_adaptation import (
     AdaptationSettings,
     SparseDepths,
     adapt_view,
+    depth_unit,
+    depths_of,
     sparse_depths,
 )
 from splatproof.reference.layered_memory.layered_depth import LayeredDepth
@@ -63,7 +66,7 @@ class Photo:
     image: Float[Tensor, "h w 3"]
     sparse: SparseDepths
     prior: Float[Tensor, "h w"] | None
-    """Depth in (0, 1) of the view's prior; None: it has none."""
+    """Depth in (0, 1) of the view's prior or of our network; None: there is neither."""
 
 
 def completed(
@@ -88,18 +91,19 @@ def completed(
         generator: Source of the denoiser's noise and of a random order.
         report: Told one line about what is odd.
 
-    Raises: DataError if no view shows a sparse point.
+    Raises: DataError if no view shows a sparse point, and where the network's weights are missing or damaged.
 
     Source: StratoSplat, Sec. 3.2.
     """
     kept = guiding(scene)
-    photos = [_photo(view, points, settings.side) for view, points in _seen(scene, kept)]
+    network = load_network(COMPLETION) if settings.prior == "own" else None
+    photos = [_photo(view, points, settings.side, network) for view, points in _seen(scene, kept)]
     memory = _start(scene, kept, photos, settings)
     ranks = _order(photos, memory, settings, generator)
     asked = AdaptationSettings(
         visible_weight=settings.visible_weight, guidance_steps=settings.guidance_steps
     )
-    left = [photos[index] for index in ranks]
+    left, doubted = [photos[index] for index in ranks], 0
     while left:
         later: list[Photo] = []
         for photo in left:
@@ -110,9 +114,11 @@ def completed(
             if not len(photo.sparse.depths) and not bool(visible.any()):
                 later.append(photo)  # one that is completed after it may reach it
                 continue
+            prior, steps = _believed(photo, guide, visible, asked)
+            doubted += photo.prior is not None and prior is None
             depth = adapt_view(
-                PhotoDiffusion(photo.image, photo.prior), photo.image, photo.sparse, guide, visible,
-                asked, generator,
+                PhotoDiffusion(photo.image, prior), photo.image, photo.sparse, guide, visible,
+                steps, generator,
             )  # fmt: skip
             front = depth.reshape(-1) > photo.camera.near
             memory = layered_depth.insert(
@@ -122,6 +128,11 @@ def completed(
             report(_alone(later))
             break
         left = later
+    if doubted:
+        report(
+            f"completion: the depth priors of {doubted} of {len(photos)} photos contradict what is known there "
+            "and are left out"
+        )
     if memory.unseen:
         report(f"layered memory: {memory.unseen} samples lie outside its camera and are left out")
     if memory.forced:
@@ -136,6 +147,20 @@ def completed(
         colours=torch.cat([memory.colours, tints.to(memory.colours) / 255]),
         unseen=memory.unseen, forced=memory.forced,
     )  # fmt: skip
+
+
+def _believed(
+    photo: Photo,
+    guide: Float[Tensor, "h w"],
+    visible: Bool[Tensor, "h w"],
+    settings: AdaptationSettings,
+) -> tuple[Float[Tensor, "h w"] | None, AdaptationSettings]:
+    """The photo's prior as far as its points, or without any the memory, bear it out, and how guidance steps."""
+    if photo.prior is None:
+        return None, settings
+    known = photo.sparse if len(photo.sparse.depths) else depths_of(guide, visible)
+    unit = depth_unit(photo.sparse, guide, visible)
+    return believed(photo.prior, known, unit, settings)
 
 
 def _alone(photos: list[Photo]) -> str:
@@ -190,7 +215,9 @@ def _seen(scene: Scene, kept: Bool[Tensor, " n"]) -> list[tuple[View, Float[Tens
     return [(view, positions[rows[kept[rows]]]) for view, rows in _rows(scene)]
 
 
-def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
+def _photo(
+    view: View, points: Float[Tensor, "m 3"], side: int, network: DepthNetwork | None
+) -> Photo:
     """A view made so small that its longer side has at most `side` pixels."""
     camera = view.camera
     share = min(1.0, side / max(camera.width, camera.height))
@@ -200,9 +227,10 @@ def _photo(view: View, points: Float[Tensor, "m 3"], side: int) -> Photo:
         height=size[1],
     )  # fmt: skip
     sparse = sparse_depths(small, points)
-    prior = None
-    if view.load_prior is not None:
-        prior = relative_depth(view.load_prior(), sparse, (size[1], size[0]))
+    said = None if view.load_prior is None else view.load_prior()
+    if network is not None:
+        said = said_of(network, view, points)
+    prior = None if said is None else relative_depth(said, sparse, (size[1], size[0]))
     # float32: what the kernel of PhotoDiffusion takes
     return Photo(
         name=view.name, camera=small, image=resample(view.load(), size, "area"), sparse=sparse,

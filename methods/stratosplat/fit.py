@@ -15,6 +15,8 @@ from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.stratosplat.completion import completed
 from splatproof.methods.stratosplat.model import HybridModel
+from splatproof.methods.stratosplat.own_prior import completion_words
+from splatproof.methods.stratosplat.own_prior import weights_sha256 as completion_weights
 from splatproof.methods.stratosplat.settings import StratoSplat
 from splatproof.methods.stratosplat.virtual import drawn_field, stack_of
 from splatproof.methods.threedgs.fit import prepare as prepare_explicit
@@ -40,7 +42,7 @@ def fit(scene: Scene, settings: StratoSplat, run: Run) -> DecodedModel | Explici
         run: Where checkpoints go; one that is there already is continued, and so are completed depths.
 
     Raises: DataError for a scene that cannot be trained on; UsageError if the checkpoint belongs to
-        another run or noise is asked for twice; SplatproofError if the loss stops being finite.
+        another run, and where noise or a depth prior is asked for twice; SplatproofError if the loss stops being finite.
 
     Source: StratoSplat, Sec. 3.
     """
@@ -49,6 +51,14 @@ def fit(scene: Scene, settings: StratoSplat, run: Run) -> DecodedModel | Explici
             f"setting noise is {settings.noise!r}, but the scene's poses have noise "
             f"{scene.facts['pose_noise']!r} already; give one of them"
         )
+    words = completion_words(settings, scene)
+    if words and "depth_prior" in scene.facts:
+        raise UsageError(
+            f"setting completion.prior is 'own', but the scene's photos have depth prior "
+            f"{scene.facts['depth_prior']!r} already; give one of them"
+        )
+    if words:
+        run.on_fact("completion network", words)
 
     def prepared() -> tuple[Model, Plan]:
         model, plan = prepare(scene, settings, run)
@@ -160,11 +170,11 @@ def _kept(path: Path | None, key: str) -> SparsePoints | None:
 
 
 def _priors(scene: Scene, settings: StratoSplat) -> tuple[str, ...]:
-    """Name and hash of the depth priors that completion reads, or that photos are matched by, and the hash of a
-    matcher's weights."""
+    """Name and hash of the depth priors that completion reads, or that photos are matched by, and the hashes of the
+    weights of a matcher and of the network that completes."""
     matched = settings.init == "dense" and settings.dense.matcher == "prior"
     names = ("depth_prior", "depth_prior_sha256") if settings.completes or matched else ()
     read = tuple(scene.facts[name] for name in names if name in scene.facts)
     matches = settings.init != "sfm" and settings.dense_cell
-    weights = weights_sha256(settings.dense) if matches else ""
-    return (*read, weights) if weights else read
+    matcher = weights_sha256(settings.dense) if matches else ""
+    return (*read, *(weights for weights in (matcher, completion_weights(settings)) if weights))

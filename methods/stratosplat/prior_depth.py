@@ -1,4 +1,7 @@
-"""A view's depth prior, whose scale nobody knows, as a depth between 0 and 1 that adaptation starts from."""
+"""A view's depth prior, whose scale nobody knows, as a depth between 0 and 1 that adaptation starts from, and how far
+it is to be believed."""
+
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -6,13 +9,27 @@ from torch import Tensor
 from torch.nn import functional
 
 from splatproof.methods.priors.alignment import aligned
-from splatproof.reference.layered_memory.depth_adaptation import SparseDepths
+from splatproof.reference.layered_memory.depth_adaptation import (
+    AdaptationSettings,
+    SparseDepths,
+    align,
+)
 from splatproof.reference.types.scene import DepthPrior
 
 NEAR_SHARE, FAR_SHARE = 0.02, 0.98
 """Quantiles of the prior's depth that become 0.1 and 0.9: one wild pixel must not squeeze the others."""
 LEAST, MOST = 0.02, 0.98
 """Bounds of what is beyond them: a depth of 0 or 1 has no logit."""
+BELIEVED = 0.5
+"""A prior is left out where its error at the points is more than this share of what a constant leaves there."""
+RATE_OF_ERROR, LEAST_RATE = 0.6, 0.003
+"""Guidance's step for each unit of that error, and the least: a prior that is right is not torn to points that are not.
+Chosen by the error of completed depths on four made scenes, where 0.3 to 1.2 are alike, and at the points of structure from
+motion in three flights, which are the further off the lower it is."""
+TRIMMED = 0.1
+"""Share of the points, the worst, whose errors do not count."""
+FEWEST_POINTS = 10
+"""With fewer than so many nobody can tell how far a prior is off."""
 
 
 def relative_depth(
@@ -46,6 +63,42 @@ def relative_depth(
     low, high = (float(depth[valid].quantile(q)) for q in (NEAR_SHARE, FAR_SHARE))
     share = (depth - low) / max(high - low, 1e-12 * max(abs(high), 1e-30))
     return _filled((0.1 + 0.8 * share).clamp(LEAST, MOST), valid)
+
+
+def believed(
+    prior: Float[Tensor, "h w"], known: SparseDepths, unit: float, settings: AdaptationSettings
+) -> tuple[Float[Tensor, "h w"] | None, AdaptationSettings]:
+    """The prior, or None where the known depths contradict it, and settings whose steps are as long as it is wrong.
+
+    A prior that is nearly right everywhere loses more by steps to known depths, of which some are wrong, than it gains;
+    one that is wrong needs long ones; one that is hardly better than a constant only harms.
+
+    Args:
+        prior: Depth in (0, 1), as `relative_depth` makes it.
+        known: Depths that guide, scene units.
+        unit: What depths are divided by, scene units (`depth_unit`).
+        settings: For photos without a prior.
+
+    Source: ours.
+    """
+    if len(known.depths) < FEWEST_POINTS:
+        return prior, settings
+    depth = prior.double()
+    scale, shift = align(depth, known)
+    at = scale * depth[known.rows, known.columns] + shift
+    error = _typical(at - known.depths) / unit
+    constant = _typical(known.depths - known.depths.median()) / unit
+    if error > BELIEVED * constant:
+        return None, settings
+    rate = min(settings.learning_rate, max(LEAST_RATE, RATE_OF_ERROR * error))
+    return prior, replace(settings, learning_rate=rate)
+
+
+def _typical(errors: Float[Tensor, " n"]) -> float:
+    """Mean size of all but the largest errors, which are of wrong points. A median would be 0 of a flat ground that
+    more than half of the points lie on."""
+    sizes = errors.abs().sort().values
+    return float(sizes[: len(sizes) - int(TRIMMED * len(sizes))].mean())
 
 
 def _resized(

@@ -15,6 +15,7 @@ Order = Literal["random", "distance", "coverage"]
 Field = Literal["none", "table", "neural"]
 Level = Literal["none", "L1", "L2", "L3"]
 Stage = Literal["train", "completion", "all"]
+Prior = Literal["scene", "own"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +28,10 @@ class Completion:
     order: Order = "coverage"
     """Which photo comes first: the one with the most sparse points, the one nearest to the memory's
     reference camera, or one drawn at random (the paper: coverage)."""
+    prior: Prior = "scene"
+    """What a photo's depth is completed from besides its points: the scene's depth prior, where it has one (the
+    case's `depth_prior` gives it one), or what our own network says, given the photo and its points, with weights
+    that come along (the paper: a network of depth, Marigold)."""
     visible_weight: float = 0.1
     """Weight of the memory's depth beside that of the sparse points (the paper: 0.1)."""
     guidance_steps: int = 20

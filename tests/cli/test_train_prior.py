@@ -150,3 +150,18 @@ def test_worlds_are_made_once_in_the_cache_and_opened_scene_by_scene(monkeypatch
         list(train_prior._scenes("aerial-sparse", "small", 1000))
     assert made == [("aerial-sparse", 1000)]
     assert opened == ["/a", "/b"] * 2
+
+
+@pytest.mark.usefixtures("_tiny")
+def test_the_completion_network_trains_and_says_what_it_does_for_worlds_apart(tmp_path, capsys):
+    out = tmp_path / "c.safetensors"
+    told = ["train-prior", "completion", str(out), "--seeds", "1", "--steps", "12"]
+    assert main(told) == 0
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert record["command"] == (
+        "bench train-prior completion c.safetensors --worlds aerial-sparse --preset small --seeds 1 --steps 12"
+    )
+    assert record["loss"][-1] < record["loss"][0]
+    assert set(record["apart"]["aerial-sparse"]) == {"own", "nearest"}
+    load_network(out)
+    capsys.readouterr()

@@ -117,7 +117,12 @@ COMMANDS = {
     ),
     "train-prior": Command(
         module="train_prior",
-        functions={"depth": "depth", "refiner": "refiner", "matcher": "matcher"},
+        functions={
+            "depth": "depth",
+            "completion": "completion",
+            "refiner": "refiner",
+            "matcher": "matcher",
+        },
         help="Train the networks that make priors, on worlds that no suite tests.",
     ),
     "plan": Command(

@@ -5,6 +5,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -16,6 +17,8 @@ from splatproof.cli import output
 
 if TYPE_CHECKING:
     from splatproof.methods.dpgs.refiner_training import Sample
+    from splatproof.methods.priors.network import DepthNetwork
+    from splatproof.methods.priors.network_training import Points
     from splatproof.reference.types.scene import Scene
 
 N = TypeVar("N")
@@ -54,24 +57,40 @@ def depth(
 
     Raises: UsageError for a kind or preset that there is not, and for fewer than one seed or step.
     """
-    from splatproof.methods.priors.network import save_network
-    from splatproof.methods.priors.network_training import samples_of, train
-    from splatproof.methods.training.threads import threads
+    from splatproof.methods.priors.network_training import hide_points
 
-    _check(out, worlds, preset, seeds, steps)
-    facts, numbers = _facts(worlds, preset, seeds, steps)
-    with threads(1):
-        samples = [
-            sample
-            for world in worlds
-            for number in numbers
-            for scene in _scenes(world, preset, number)
-            for sample in samples_of(scene)
-        ]
-        network, losses, seconds = _trained("depth", train, samples, steps)
-    save_network(out, network, facts)
-    record = facts | _record("depth", out, facts, len(samples), losses, seconds)
-    _tell(out, record)
+    _train_depth("depth", out, worlds, preset, seeds, steps, points=hide_points)
+
+
+def completion(
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT.safetensors")],
+    *,
+    worlds: tuple[str, ...] = ("aerial-sparse",),
+    preset: str = "small",
+    seeds: int = 3,
+    steps: int = 2000,
+) -> None:
+    """Train the network that completes the depth of few photos (`stratosplat`, setting `completion.prior = "own"`).
+
+    The depth network again, with points as matched photos leave them, drawn from true depth: dense in some regions,
+    none in others, a few of them wrong. Worlds, threads, bits and the record are as for the depth network, of which
+    the file is one: `--depth-prior network:FILE` takes it too. The record also says the loss on one more world of each
+    kind, which the network never saw, and that of the nearest point's disparity; a constant has 1.
+
+    Args:
+        out: File of the weights.
+        worlds: Kinds of worlds (`bench scenes list` shows scenes of each).
+        preset: Size of the worlds.
+        seeds: Worlds of each kind, of the seeds 1000, 1001, ...; the one after them is kept for the record.
+        steps: Batches of four views; about a quarter of a second each on one thread.
+
+    Raises: UsageError as the depth network's.
+    """
+    from splatproof.methods.priors.completion_training import errors, matched_points
+
+    _train_depth(
+        "completion", out, worlds, preset, seeds, steps, points=matched_points, apart=errors
+    )
 
 
 def refiner(
@@ -179,6 +198,41 @@ def matcher(
     save_matcher(out, network, facts)
     record = facts | _record("matcher", out, facts, len(samples), losses, seconds, "pairs")
     record |= {"apart": {world: _means(found) for world, found in apart.items()}}
+    _tell(out, record)
+
+
+def _train_depth(
+    name: str,
+    out: Path,
+    worlds: tuple[str, ...],
+    preset: str,
+    seeds: int,
+    steps: int,
+    *,
+    points: "Points",
+    apart: "Callable[[DepthNetwork, list[Any]], dict[str, float]] | None" = None,
+) -> None:
+    """Train, write and tell of a depth network whose points are drawn as `points` does, and of its errors, where
+    `apart` measures them, on one more world of each kind."""
+    from splatproof.methods.priors.network import save_network
+    from splatproof.methods.priors.network_training import samples_of, train
+    from splatproof.methods.training.threads import threads
+
+    _check(out, worlds, preset, seeds, steps)
+    facts, numbers = _facts(worlds, preset, seeds, steps)
+
+    def drawn(world: str, number: int) -> "list[Any]":
+        return [each for one in _scenes(world, preset, number) for each in samples_of(one)]
+
+    with threads(1):
+        samples = [each for world in worlds for number in numbers for each in drawn(world, number)]
+        network, losses, seconds = _trained(name, partial(train, points=points), samples, steps)
+        kept = numbers[-1] + 1
+        found = {} if apart is None else {w: apart(network, drawn(w, kept)) for w in worlds}
+    save_network(out, network, facts)
+    record = facts | _record(name, out, facts, len(samples), losses, seconds)
+    if found:
+        record |= {"apart": {w: {k: round(v, 4) for k, v in e.items()} for w, e in found.items()}}
     _tell(out, record)
 
 
