@@ -107,3 +107,11 @@ def test_the_shipped_weights_are_those_of_their_record_and_know_no_registered_sc
     network.load_network(file)
     kept = {*facts["seeds"], facts["seeds"][-1] + 1}
     assert not {entry.seed for entry in list_scenes()} & kept
+
+
+def test_the_nearest_point_is_the_nearest():
+    seen = torch.zeros(1, 5, 8, 16)
+    seen[0, 3:, 4, 2], seen[0, 3:, 4, 13] = torch.tensor([0.5, 1.0]), torch.tensor([2.0, 1.0])
+    found = completion_training._nearest(seen)
+    assert bool((found[:, :8] == 0.5).all())
+    assert bool((found[:, 8:] == 2.0).all())
