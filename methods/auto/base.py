@@ -15,7 +15,8 @@ from splatproof.methods.pvg import fit as pvg
 from splatproof.methods.pvg.settings import MovingDensity
 from splatproof.methods.pvg.settings import Settings as MovingSettings
 from splatproof.methods.stratosplat import fit as stratosplat
-from splatproof.methods.stratosplat.settings import Planes, StratoSplat
+from splatproof.methods.stratosplat.own_prior import completion_words
+from splatproof.methods.stratosplat.settings import Completion, Planes, StratoSplat
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.cost import largest
 from splatproof.methods.threedgs.settings import Settings
@@ -69,13 +70,20 @@ def moving(settings: Settings, scene: Scene) -> MovingSettings:
 def completed(settings: Settings, scene: Scene) -> StratoSplat:
     """Settings of method stratosplat for a plan: its own start and memory, and all that was planned.
 
+    Depths are completed from what our own network says, where the photos have no depth prior: of made flights, which it
+    knows, from three views it gains two decibels (docs/sparse.md), and of photos that it does not know the points
+    contradict it, so that it is left out.
+
     Args:
         settings: What was planned.
-        scene: The size of its photos counts.
+        scene: The size of its photos counts, and whether they have depth priors.
     """
     planned = {part.name: getattr(settings, part.name) for part in fields(Settings)}
     wider = math.sqrt(max(1.0, largest(scene) / STRIDE_PIXELS))
-    return StratoSplat(**planned, planes=Planes(stride=round(STRIDE * wider)))
+    return StratoSplat(
+        **planned, planes=Planes(stride=round(STRIDE * wider)),
+        completion=Completion(prior="scene" if "depth_prior" in scene.facts else "own"),
+    )  # fmt: skip
 
 
 def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
@@ -84,7 +92,8 @@ def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
     Args:
         scene: As a method gets it.
         settings: What was planned.
-        run: Seed of the draws and bound on photos in memory; nothing is written to its folder.
+        run: Seed of the draws and bound on photos in memory, and told whose weights completed depths; nothing is
+            written to its folder.
         base: What is trained.
 
     Raises: As methods 3dgs and stratosplat.
@@ -96,7 +105,11 @@ def started(scene: Scene, settings: Settings, run: Run, base: Base) -> Scene:
             threedgs.started(scene, replace(settings, most_points=None), run), run.seed
         )
         return whole if settings.most_points is None else with_at_most(whole, settings.most_points)
-    points = stratosplat.started(scene, completed(settings, scene), replace(run, folder=None))
+    chosen = completed(settings, scene)
+    words = completion_words(chosen, scene)
+    if words:
+        run.on_fact("completion network", words)
+    points = stratosplat.started(scene, chosen, replace(run, folder=None))
     return replace(scene, points=points)
 
 

@@ -8,7 +8,7 @@ import torch
 from helpers.aerial_scene import aerial_scene
 from helpers.tiny_drive import tiny_drive
 from splatproof.methods.auto import fit as fitting
-from splatproof.methods.auto.base import STRIDE, STRIDE_PIXELS, completed
+from splatproof.methods.auto.base import STRIDE, STRIDE_PIXELS, completed, started
 from splatproof.methods.auto.fit import fit
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.contracts.reconstruction import Origin, Reconstruction, save_model
@@ -101,10 +101,20 @@ def test_what_is_completed_follows_the_plan():
         assert getattr(found, part.name) == getattr(settings, part.name)
     assert found.init == "layered"
     assert found.planes.stride == STRIDE
+    assert found.completion.prior == "own"
+    given = replace(scene, facts={"depth_prior": "sweep"})
+    assert completed(settings, given).completion.prior == "scene"
     camera = replace(scene.views[0].camera, width=900, height=674)
     larger = replace(scene, views=(replace(scene.views[0], camera=camera), *scene.views[1:]))
     rays = [900 * 674 / completed(settings, larger).planes.stride ** 2, STRIDE_PIXELS / STRIDE**2]
     assert rays[0] == pytest.approx(rays[1], rel=0.1)
+
+
+def test_it_is_told_whose_weights_complete_depths():
+    told: dict[str, str] = {}
+    run = Run(threads=1, on_fact=told.__setitem__)
+    started(aerial_scene(), Settings(iterations=2), run, "stratosplat")
+    assert told["completion network"].startswith("out of domain: trained on aerial-sparse, used on")
 
 
 def test_a_training_ends_where_photos_kept_back_are_good_enough():
