@@ -25,11 +25,13 @@ comes out, 10,000 are drawn at random.
   bounds on number and scale.
 - `fsgs` without a depth prior: unpooling and its density control. `~depth-own`: its depth term on our own network's
   prior, which was trained on other kinds of worlds (**out of domain** in every scene of this suite; records say so in
-  `depth_prior_domain`); `~depth-oracle+noise` and `~depth-oracle`: true depth, disturbed or not, as bounds.
+  `depth_prior_domain`); `~depth-oracle+noise` and `~depth-oracle`: true depth, disturbed or not, as bounds, of `stratosplat` too.
 - `dropgaussian`: a growing share of Gaussians hidden in each step.
 - `cor-gs`: two fields that prune and regularise each other.
-- `stratosplat`: depths completed photo by photo under a layered memory, virtual Gaussians on planes beside explicit ones
-  (the paper's completion network knows more of the world than our edge diffusion, which the matched points make up for);
+- `stratosplat`: depths completed photo by photo under a layered memory, virtual Gaussians on planes beside explicit ones;
+  edges of the photo say where depth may change. `@own`: completed, as in the paper, from what a network says, here a small one of ours that is
+  given photo and matched points; it was trained on such worlds of other seeds (**in domain** on made scenes, out of domain on the
+  real flights; records say so in `completion network`). `@own-explicit` without virtual Gaussians, `@own-regularised` with what `@regularised` has;
   `@explicit` without these, `@explicit-independent` each photo by itself, `@explicit-dense` from matched points;
   `@accumulate` keeps every completed depth. `@dropout` and `@regularised` are ours: a fifth of the explicit Gaussians
   hidden at the end; half of them, and a random background.
