@@ -4,7 +4,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
@@ -43,6 +43,8 @@ class Comparison:
     """Scene whose pictures are shown."""
     units: str = "held-out views"
     """What a strip shows, in captions."""
+    earlier: Mapping[str, object] = field(default_factory=dict)
+    """Defaults of before, by dotted names, that committed rows may have: they make no difference to them."""
 
 
 def main(comparison: Comparison) -> None:
@@ -101,7 +103,11 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     found = [(case, folder, read_record(folder)) for case, folder in cases]
     judged = {claim.metric for claim in load_claims(name, numbers())}
     new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
-    rows, kept = joined(new, committed(docs / f"{name}.json"), load_suite(name).cases)
+    old = committed(docs / f"{name}.json")
+    rows, kept = joined(new, old, load_suite(name).cases, comparison.earlier)
+    there = {row["row"] for row in rows}
+    for row in sorted({row["row"] for row in old} - there):
+        print(f"{name}: row {row} is dropped: its settings are others now", file=sys.stderr)
     text = "[\n" + ",\n".join(json.dumps(row, allow_nan=False) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [
