@@ -105,9 +105,12 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
     new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
     old = committed(docs / f"{name}.json")
     rows, kept = joined(new, old, load_suite(name).cases, comparison.earlier)
-    there = {row["row"] for row in rows}
-    for row in sorted({row["row"] for row in old} - there):
-        print(f"{name}: row {row} is dropped: its settings are others now", file=sys.stderr)
+    places = [{(row["scene"], row["protocol"], row["row"]) for row in each} for each in (old, rows)]
+    for place in sorted(places[0] - places[1]):
+        print(
+            f"{name}: {'/'.join(place)} is dropped: the suite has it no longer, or other settings",
+            file=sys.stderr,
+        )
     text = "[\n" + ",\n".join(json.dumps(row, allow_nan=False) for row in rows) + "\n]\n"
     (docs / f"{name}.json").write_text(text, encoding="utf-8")
     shown = [

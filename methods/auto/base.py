@@ -71,7 +71,7 @@ def completed(settings: Settings, scene: Scene) -> StratoSplat:
     """Settings of method stratosplat for a plan: its own start and memory, and all that was planned.
 
     Depths are completed from what our own network says, where the photos have no depth prior: of made flights, which it
-    knows, from three views it gains two decibels (docs/sparse.md), and of photos that it does not know the points
+    knows, from three views it gains 1.6 dB (docs/sparse.md), and of photos that it does not know the points
     contradict it, so that it is left out.
 
     Args:
