@@ -19,7 +19,8 @@ WITHIN = (0.02, 0.98)
 def side_cameras(scene: Scene, settings: SideSettings) -> tuple[Camera, ...]:
     """Cameras on the spirals, with the first training camera's lens; none where there is no ground.
 
-    The flight height is that of the middle training camera above the points' 2 % quantile.
+    The flight height is that of the middle training camera above the points' 2 % quantile. Boxes stand upright, whatever way
+    the scene's own axes lie, so that their ground is the scene's.
 
     Args:
         scene: Its training cameras, points and up vector count.
@@ -37,11 +38,30 @@ def side_cameras(scene: Scene, settings: SideSettings) -> tuple[Camera, ...]:
     if height <= 0:
         return ()
     lens = scene.train_views[0].camera
+    upright = torch.eye(4).double()
+    upright[:3, :3] = least_turn(scene.up)
+    up = upright[:3, :3] @ scene.up
     return tuple(
-        replace(lens, world_to_camera=pose.to(lens.world_to_camera))
-        for low, high in parts(points, scene.up, settings.spirals)
-        for pose in block_spiral(low, high, scene.up, height, settings.spiral).reshape(-1, 4, 4)
+        replace(lens, world_to_camera=(pose @ upright).to(lens.world_to_camera))
+        for low, high in parts(points @ upright[:3, :3].T, up, settings.spirals)
+        for pose in block_spiral(low, high, up, height, settings.spiral).reshape(-1, 4, 4)
     )
+
+
+def least_turn(up: Float[Tensor, "3"]) -> Float[Tensor, "3 3"]:
+    """The rotation by the smallest angle after which up lies along an axis; none where it does already.
+
+    Args:
+        up: Unit vector, float64.
+
+    Source: Rodrigues' formula, with the axis that is nearest to up for its aim.
+    """
+    nearest = up.abs().argmax()
+    aim = torch.zeros_like(up)
+    aim[nearest] = up[nearest].sign()
+    x, y, z = torch.linalg.cross(up, aim).tolist()
+    cross = up.new_tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return torch.eye(3).to(up) + cross + cross @ cross / (1 + up @ aim)
 
 
 def parts(
@@ -50,8 +70,8 @@ def parts(
     """Lower and upper corners of the ground's parts: a near-square grid over what holds the points.
 
     Args:
-        points: World positions in scene units, at least one.
-        up: Unit vector against gravity; the two axes least along it are cut.
+        points: Positions in scene units, at least one, turned so that up lies along an axis.
+        up: Unit vector against gravity, along an axis; the two others are cut.
         count: Number of parts, >= 1; more go along the longer side.
     """
     low, high = torch.quantile(points, points.new_tensor(WITHIN), dim=0)

@@ -7,13 +7,14 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from torch.testing import assert_close
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.dpgs.refiners import read_refiner
 from splatproof.methods.dpgs.settings import SideSettings
 from splatproof.methods.dpgs.side_views import Guide, SideOrder, SideViews
-from splatproof.methods.dpgs.spirals import parts, side_cameras
+from splatproof.methods.dpgs.spirals import least_turn, parts, side_cameras
 from splatproof.reference.supervision.side_views import warp_and_fill
 from splatproof.reference.supervision.spiral_path import SpiralSettings
 from splatproof.reference.types.camera import Camera
@@ -56,6 +57,51 @@ def test_several_spirals_stand_side_by_side_along_the_longer_side():
     middles = torch.stack([one.centre for one in cameras]).reshape(2, 6, 3)[:, :3].mean(dim=1)
     assert middles[:, 0].tolist() == pytest.approx([2, 6], abs=0.2)
     assert middles[:, 1].tolist() == pytest.approx([2, 2], abs=0.2)
+
+
+@given(seed=st.integers(0, 2**16), count=st.sampled_from([1, 4]))
+def test_side_views_stand_over_the_ground_whatever_way_the_scenes_axes_lie(seed, count):
+    """Structure from motion hands out worlds at any tilt; boxes along their axes would reach far below the ground."""
+    scene, turn = flight(), turned(seed)
+    whole = torch.eye(4).double()
+    whole[:3, :3] = turn.T
+    views = [
+        replace(v, camera=replace(v.camera, world_to_camera=v.camera.world_to_camera @ whole))
+        for v in scene.views
+    ]
+    points = sparse_points(scene.points.positions @ turn.T)
+    tilted = replace(scene, views=tuple(views), points=points, up=turn @ scene.up)
+    cameras = side_cameras(tilted, replace(SMALL, spirals=count))
+    rise = tilted.points.positions @ tilted.up
+    heights = torch.stack([one.centre for one in cameras]) @ tilted.up - rise.quantile(0.02)
+    assert heights.reshape(count, 2, 3)[:, 0].flatten().tolist() == pytest.approx(
+        [10] * 3 * count, abs=0.1
+    )
+    assert heights.reshape(count, 2, 3)[:, 1].flatten().tolist() == pytest.approx(
+        [5] * 3 * count, abs=0.1
+    )
+
+
+@given(seed=st.integers(0, 2**16))
+def test_the_least_turn_puts_up_along_the_nearest_axis_and_leaves_an_axis_alone(seed):
+    axis = torch.eye(3).double()[seed % 3] * (-1) ** seed
+    assert torch.equal(least_turn(axis), torch.eye(3).double())
+    up = turned(seed)[2]
+    found = least_turn(up)
+    assert_close(found @ found.T, torch.eye(3).double())
+    assert float(torch.linalg.det(found)) == pytest.approx(1)
+    nearest = up.abs().argmax()
+    assert float((found @ up)[nearest]) == pytest.approx(float(up[nearest].sign()))
+    # trace = 1 + 2 cos: as far as up is from the axis, and no further
+    assert (float(found.trace()) - 1) / 2 == pytest.approx(float(up[nearest].abs()))
+
+
+def turned(seed: int) -> torch.Tensor:
+    """A rotation drawn at random."""
+    generator = torch.Generator().manual_seed(seed)
+    square = torch.randn(3, 3, generator=generator).double()
+    turn = torch.linalg.qr(square).Q
+    return turn * torch.linalg.det(turn)
 
 
 @given(count=st.integers(1, 12), up=st.integers(0, 2))
