@@ -48,6 +48,9 @@ class Claim:
     bar: float | None = None
     """The least effect, in the units of `printed` and with its sign, that is asked for in place of any;
     the claim then holds where the whole interval lies at it or on its better side."""
+    no_more: bool = False
+    """Whether the printed effect is a loss of which no more is claimed: it is the bar then. A table that shows how little noise
+    costs is not borne out by noise that costs more."""
     scenes: tuple[str, ...] = ()
     """Scenes over which it is judged; empty: all that have runs."""
     protocol: str = ""
@@ -180,9 +183,13 @@ def _bound(
     named = replace(claim, suite=claim.suite or file.suite, visits=claim.visits or file.visits)
     if not named.suite:
         raise UsageError(f"{place}: suite is missing, in the claim and in the file")
+    if claim.no_more and (claim.cells is None or claim.bar is not None):
+        raise UsageError(f"{place}: no_more takes the printed cells for its bar; name these alone")
     if claim.cells is None:
         return replace(named, source=claim.where)
     per_second = claim.metric == "render_ms"
     effect = effect_of(claim.paper, claim.cells, claim.relative, per_second, numbers, place)
     source = source_of(claim.paper, claim.cells, numbers, place)
+    if claim.no_more:
+        return replace(named, bar=effect, source=source)
     return replace(named, printed=None if claim.bar is not None else effect, source=source)

@@ -101,6 +101,32 @@ def test_printed_effects_are_those_of_the_papers(every, text: str, value: float)
     assert one.source.startswith("table")
 
 
+def test_a_printed_loss_is_a_bar_where_no_more_is_claimed(every, tmp_path, monkeypatch):
+    """More than the printed loss does not bear out a table that shows how small it is."""
+    (one,) = (
+        one
+        for one in every
+        if one.text == "noise L1 on all poses loses no more PSNR than is printed"
+    )
+    assert (one.bar, one.printed) == (pytest.approx(24.00 - 24.48), None)
+    monkeypatch.setattr(claim_module, "FOLDER", tmp_path)
+    turned = GOOD.replace("cells = ", "no_more = true\ncells = ")
+    for old, new in (('"A"', '"_"'), ('"B"', '"A"'), ('"_"', '"B"')):
+        turned = turned.replace(f"method = {old}", f"method = {new}")
+    (tmp_path / "made.toml").write_text(turned)
+    (loss,) = load_claims("made", LINES)
+    assert (loss.bar, loss.printed, loss.source) == (
+        -2.5,
+        None,
+        "table 1: psnr 20.5, 23, means of 2 scenes",
+    )
+    (tmp_path / "made.toml").write_text(
+        GOOD.replace("cells = {", "no_more = true\nwhere = 'section 3'\n# {")
+    )
+    with pytest.raises(UsageError, match="no_more takes the printed cells"):
+        load_claims("made", LINES)
+
+
 def test_a_claims_printed_effect_is_never_typed(every):
     for one in every:
         assert one.source or one.paper == HOUSE, one.text
@@ -175,6 +201,7 @@ cells = { tables = ["1"], metric = "psnr", row = { method = "A" }, other = { met
         ('other = "b"\n', "", "without another row it needs a bar"),
         ('metric = "psnr"\ncells', 'metric = "psnr"\nbetter = "lower"\ncells', "printed 2.5 is not lower"),
         ('text = "a', 'txet = "a', "unknown 'txet', did you mean 'text'"),
+        ("cells = ", "no_more = true\nbar = 1.0\ncells = ", "no_more takes the printed cells for its bar"),
     ],
 )  # fmt: skip
 def test_files_that_do_not_fit_are_refused(tmp_path, monkeypatch, old: str, new: str, told: str):
