@@ -85,6 +85,7 @@ def render_city(
     pictures: Sequence[Picture],
     expected: Sequence[Finding] = (),
     findings: str = "",
+    planned: Sequence[tuple[str, str]] = (),
 ) -> str:
     """The whole page.
 
@@ -93,6 +94,7 @@ def render_city(
         pictures: What is shown below the tables.
         expected: Claims with their verdicts: those of the claims page, so that the two agree.
         findings: Why what was expected came out as it did, in words; Markdown.
+        planned: Scenes and rows that the suite asks for, in its order; those without a record are named.
     """
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     machines = sorted({row["machine"] for row in rows if row["machine"]})
@@ -102,6 +104,7 @@ def render_city(
         "## What was expected\n",
         _verdicts(expected),
         *([findings.rstrip() + "\n"] if findings else []),
+        *_not_run(rows, planned),
         *(_scene(scene, [row for row in rows if row["scene"] == scene]) for scene in scenes),
         "## Pictures\n",
         *map(_shown, pictures),
@@ -111,6 +114,19 @@ def render_city(
 
 def _shown(picture: Picture) -> str:
     return f"![{picture.caption}]({picture.path})\n\n{picture.caption}\n"
+
+
+def _not_run(rows: Sequence[Row], planned: Sequence[tuple[str, str]]) -> list[str]:
+    """What the suite asks for and nobody has run, by scene."""
+    done = {(row["scene"], row["row"]) for row in rows}
+    lacking: dict[str, list[str]] = {}
+    for scene, row in dict.fromkeys(planned):
+        if (scene, row) not in done:
+            lacking.setdefault(scene, []).append(f"`{row}`")
+    if not lacking:
+        return []
+    lines = [f"- {scene}: {', '.join(names)}." for scene, names in lacking.items()]
+    return ["### Not run at this length\n", "\n".join(lines) + "\n"]
 
 
 def _verdicts(expected: Sequence[Finding]) -> str:
@@ -152,12 +168,18 @@ def _table(rows: Sequence[Row], cells: Sequence[Cell]) -> str:
         "|---|---" + "|---:" * len(cells) + "|",
     ]
     for name, count in names:
-        own = [row["values"] for row in rows if row["row"] == name]
+        own = [_with_growth(row) for row in rows if row["row"] == name]
         texts = [_text([values.get(key) for values in own], digits, by)
                  for key, _, digits, by in cells]  # fmt: skip
         if any(text != "–" for text in texts):
             lines.append(f"| {name} | {count} | " + " | ".join(texts) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _with_growth(row: Row) -> Mapping[str, float]:
+    """A row's values; one model is its own only block, and was densified as often as its trainer counted."""
+    grown = {"block_densifications": float(row["grown"])}
+    return {**(grown if row["blocks"] == 1 and row["grown"] >= 0 else {}), **row["values"]}
 
 
 def _text(values: Sequence[float | None], digits: int, factor: float) -> str:

@@ -70,7 +70,9 @@ def page() -> str:
     """The page from the committed rows and list of pictures."""
     rows = json.loads(ROWS.read_text(encoding="utf-8"))
     pictures = [Picture(**entry) for entry in json.loads(LIST.read_text(encoding="utf-8"))]
-    return render_city(rows, pictures, expected(), FINDINGS.read_text(encoding="utf-8"))
+    planned = [(case.scene_name, case.row) for case in load_suite("city").cases]
+    findings = FINDINGS.read_text(encoding="utf-8")
+    return render_city(rows, pictures, expected(), findings, planned)
 
 
 def cases(runs: Path) -> dict[tuple[str, str], tuple[Case, Path]]:

@@ -5,8 +5,14 @@ docs/images/sparse/ and the page, with docs/sparse_findings.md in it, which is w
 RUNS the page is made again from the committed files.
 """
 
-from comparison_files import Comparison, main
+import json
+import sys
+
+from comparison_files import DOCS, Comparison, main
 from printed_tables import Line, Printed
+from views_plot import draw_views
+
+from splatproof.reports.measured import Measured
 
 SPARSE = Comparison(
     suite="sparse",
@@ -49,5 +55,15 @@ comes out, 10,000 are drawn at random.
     ),
 )  # fmt: skip
 
+NAMES = ("3dgs", "fsgs", "dropgaussian", "cor-gs", "auto", "stratosplat@own")
+"""Rows whose gain by more views is drawn."""
+VIEWS = {number: f"aerial_sparse_{number}" for number in (3, 5, 7, 9)}
+
 if __name__ == "__main__":
     main(SPARSE)
+    if len(sys.argv) > 1:
+        rows = [Measured(**row) for row in json.loads((DOCS / "sparse.json").read_text("utf-8"))]
+        scenes = draw_views(DOCS / "images" / "sparse" / "views.png", rows, NAMES, VIEWS)
+        print(
+            f"images/sparse/views.png: means over {', '.join(scenes) or 'nothing'}", file=sys.stderr
+        )

@@ -21,7 +21,7 @@ def draw_views(
         rows: Measured runs.
         names: Rows that are drawn.
         protocols: By number of views, smallest first.
-    Returns: The scenes whose mean is shown: those that have every row under every protocol.
+    Returns: The scenes whose mean is shown: those that have every row under every protocol. Nothing is written without any.
     """
     done = [row for row in rows if not row.error]
     had = {(row.scene, row.row, row.protocol) for row in done}
@@ -29,6 +29,8 @@ def draw_views(
         scene for scene in dict.fromkeys(row.scene for row in done)
         if all((scene, name, protocol) in had for name in names for protocol in protocols.values())
     ]  # fmt: skip
+    if not scenes:
+        return []
     figure, axes = panels(len(SHOWN), width=9.0, ratio=0.7)
     for number, name in enumerate(names):
         for panel, (metric, title) in zip(axes, SHOWN, strict=True):
@@ -37,7 +39,9 @@ def draw_views(
                       if (row.row, row.protocol) == (name, protocol) and row.scene in scenes)
                 for protocol in protocols.values()
             ]  # fmt: skip
-            panel.plot(list(protocols), means, color=COLOURS[number], marker="o", markersize=3, label=name)
+            panel.plot(
+                list(protocols), means, color=COLOURS[number], marker="o", markersize=3, label=name
+            )
             panel.set_title(title, fontsize=9)
             panel.set_xlabel("training views", fontsize=8)
             panel.set_xticks(list(protocols))

@@ -14,7 +14,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def row(name: str, seed: int = 0, blocks: int = 4, error: str = "", **values: float) -> dict:
     return {
         "scene": "town", "row": name, "protocol": "p", "seed": seed, "blocks": blocks,
-        "steps": 10, "error": error, "machine": "cores 2", "values": values,
+        "steps": 10, "error": error, "machine": "cores 2", "grown": 0, "values": values,
     }  # fmt: skip
 
 
@@ -41,6 +41,18 @@ def test_what_older_rows_do_not_say_is_a_dash_and_what_no_row_of_a_scene_says_no
     assert "| new | 4 | 41 | 50.0 |" in text
     assert "| row | K | stitch |\n|---|---|---:|\n| new | 4 | 512 |" in text
     assert "visits" not in render_city(rows[:1], []).split("## town")[1]
+
+
+def test_what_nobody_ran_is_named_and_one_model_grew_as_often_as_its_trainer_says():
+    one = row("3dgs", psnr=1.0) | {"blocks": 1, "grown": 7}
+    rows = [one, row("b", block_densifications=3.0)]
+    text = render_city(
+        rows, [], planned=[("town", "b"), ("town", "c"), ("farm", "c"), ("town", "c")]
+    )
+    assert "### Not run at this length\n\n- town: `c`.\n- farm: `c`.\n" in text
+    assert "| 3dgs | 1 | 7 |" in text
+    assert "| b | 4 | 3 |" in text
+    assert "Not run" not in render_city(rows, [], planned=[("town", "b")])
 
 
 def test_a_row_of_a_result():
