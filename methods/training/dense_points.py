@@ -86,8 +86,7 @@ def with_dense_points(
         say(f"{without} no sparse point says which training views see it; {instead}")
         return scene
     views, positions = scene.train_views, scene.points.positions
-    centres = torch.stack([view.camera.centre for view in views])
-    pairs = select_pairs(centres, positions, seen, settings)
+    pairs = chosen_pairs(scene, settings)
     if not pairs:
         low, high = settings.angles
         say(
@@ -111,6 +110,18 @@ def with_dense_points(
             f"the sparse ones; {instead}"
         )
     return made
+
+
+def chosen_pairs(scene: Scene, settings: DenseSettings) -> list[tuple[int, int]]:
+    """The pairs of training views that are matched, as numbers among the training views.
+
+    Args:
+        scene: A scene with sparse points and tracks.
+        settings: Which images form pairs.
+    """
+    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    centres = torch.stack([view.camera.centre for view in scene.train_views])
+    return select_pairs(centres, scene.points.positions, seen, settings)
 
 
 def _network(settings: DenseSettings) -> DenseMatcher | OwnMatcher | None:

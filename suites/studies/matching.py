@@ -15,8 +15,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.priors import own_matcher
 from splatproof.methods.priors.attach import with_priors
-from splatproof.methods.training.dense_points import with_dense_points
+from splatproof.methods.priors.kinds import KINDS
+from splatproof.methods.priors.unet import domain
+from splatproof.methods.training.dense_points import chosen_pairs, with_dense_points
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
@@ -26,7 +29,8 @@ from splatproof.reference.supervision.dense_initialisation import (
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene
 
-SCENE = "courtyard"
+SCENES = ("courtyard", "city")
+"""The reduced form takes the first."""
 CELL = 4.0
 """Pixels that points lie apart: method dpgs's default."""
 IMAGE_BYTES = 2**29
@@ -50,28 +54,37 @@ def rows(*, quick: bool, roma: Path | None = None) -> Iterator[Row]:
     """The defaults, then other matchers, then each other value of each threshold.
 
     Args:
-        quick: Few views, and the two ends of each sweep.
+        quick: Few views of one scene, and the two ends of each sweep.
         roma: Folder of RoMa's weights, which then matches too.
     """
-    scene = open_scene(SCENE, load_protocol("default"))
-    if quick:
-        scene = replace(scene, train=scene.train[:QUICK_VIEWS])
-    yield {"scene": SCENE, "threshold": "defaults"} | quality(scene, DenseSettings())
+    for name in SCENES[:1] if quick else SCENES:
+        scene = open_scene(name, load_protocol("default"))
+        if quick:
+            scene = replace(scene, train=scene.train[:QUICK_VIEWS])
+        for row in _of_scene(scene, roma):
+            yield {"scene": name} | row
+        for threshold, values in SWEEP.items():
+            for value in (values[0], values[-1]) if quick else values:
+                if value != getattr(DenseSettings(), threshold):
+                    moved = replace(DenseSettings(), **{threshold: value})
+                    row = {"scene": name, "threshold": threshold, "value": value}
+                    yield row | quality(scene, moved)
+
+
+def _of_scene(scene: Scene, roma: Path | None) -> Iterator[Row]:
+    """The defaults, which match by optical flow, and other matchers."""
+    yield {"threshold": "defaults"} | quality(scene, DenseSettings())
     for prior in PRIORS:
-        row = {"scene": SCENE, "threshold": "matcher", "value": f"prior {prior}"}
+        row = {"threshold": "matcher", "value": f"prior {prior}"}
+        shipped = KINDS[prior].shipped
+        if shipped is not None:
+            row["domain"] = domain(scene, shipped)
         yield row | quality(with_priors(scene, prior, seed=0), DenseSettings(matcher="prior"))
-    row = {"scene": SCENE, "threshold": "matcher", "value": "own"}
+    row = {"threshold": "matcher", "value": "own", "domain": domain(scene, own_matcher.SHIPPED)}
     yield row | quality(scene, DenseSettings(matcher="own"))
     if roma is not None:
         settings = DenseSettings(matcher="roma", weights=str(roma))
-        row = {"scene": SCENE, "threshold": "matcher", "value": "roma"}
-        yield row | quality(scene, settings)
-    for name, values in SWEEP.items():
-        for value in (values[0], values[-1]) if quick else values:
-            if value != getattr(DenseSettings(), name):
-                settings = replace(DenseSettings(), **{name: value})
-                row = {"scene": SCENE, "threshold": name, "value": value}
-                yield row | quality(scene, settings)
+        yield {"threshold": "matcher", "value": "roma"} | quality(scene, settings)
 
 
 def quality(scene: Scene, settings: DenseSettings) -> Row:
@@ -80,14 +93,17 @@ def quality(scene: Scene, settings: DenseSettings) -> Row:
     Args:
         scene: A made world with its truth.
         settings: Thresholds.
-    Returns: points, median_error and wrong (both over the true depth, in per cent), seconds; the
-        errors are missing where there is no point.
+    Returns: pairs of photos, points, points_a_pair, median_error and wrong (both over the true depth, in
+        per cent), seconds; what needs a pair or a point is missing where there is none.
     """
     started = time.perf_counter()
     dense = with_dense_points(scene, CELL, IMAGE_BYTES, settings)
     seconds = time.perf_counter() - started
     found = errors(dense, first=len(scene.points))
-    row: Row = {"points": len(dense.points) - len(scene.points), "seconds": seconds}
+    pairs, points = len(chosen_pairs(scene, settings)), len(dense.points) - len(scene.points)
+    row: Row = {"pairs": pairs, "points": points, "seconds": seconds}
+    if pairs:
+        row["points_a_pair"] = points / pairs
     if len(found):
         row["median_error"] = 100 * float(found.median())
         row["wrong"] = 100 * float((found > WRONG).double().mean())

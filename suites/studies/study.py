@@ -11,6 +11,7 @@ from splatproof.suites.studies import (
     balance_plot,
     blind,
     matching,
+    matching_page,
     memory,
     partition,
     priors,
@@ -105,8 +106,9 @@ STUDIES = {
     ),
     "matching": Study(
         description="points of matched photos against true depth, a threshold moved at a time",
-        columns=("scene", "threshold", "value", "points", "median_error", "wrong", "seconds"),
-        rows=matching.rows, options=frozenset({"roma"}),
+        columns=("scene", "threshold", "value", "domain", "pairs", "points", "points_a_pair", "median_error", "wrong",
+                 "seconds"),
+        rows=matching.rows, options=frozenset({"roma"}), page=matching_page.page,
     ),
     "seen": Study(
         description="what training photos show of held-out views: by sparse points and in truth",

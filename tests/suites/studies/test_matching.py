@@ -9,7 +9,7 @@ import torch
 from helpers.prior_scenes import plane_depth, plane_scene
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import Scene, SparsePoints
-from splatproof.suites.studies import matching
+from splatproof.suites.studies import matching, matching_page
 
 
 def on_the_plane(camera: Camera, factor: float) -> torch.Tensor:
@@ -63,8 +63,12 @@ def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count, 
     monkeypatch.setattr(
         matching, "with_priors", lambda scene, prior, seed: priors.append(prior) or scene
     )
+    monkeypatch.setattr(matching, "SCENES", ("here", "there"))
+    monkeypatch.setattr(matching, "chosen_pairs", lambda scene, settings: [(0, 1), (1, 0)])
     rows = list(matching.rows(quick=quick, roma=roma))
-    assert len(rows) == len(asked) == count + (roma is not None)
+    of_one = count + (roma is not None)
+    assert len(rows) == len(asked) == of_one * (1 if quick else 2)
+    assert [row["scene"] for row in rows] == ["here"] * of_one + ["there"] * (len(rows) - of_one)
     usual = matching.DenseSettings()
     for row, (views, settings) in zip(rows, asked, strict=True):
         assert views == (2 if quick else 4)
@@ -79,8 +83,37 @@ def test_each_matcher_and_threshold_is_changed_alone(monkeypatch, quick, count, 
             assert moved == (
                 {} if row["threshold"] == "defaults" else {row["threshold"]: row["value"]}
             )
-        assert row["points"] == 3
+        assert (row["points"], row["pairs"], row["points_a_pair"]) == (3, 2, 1.5)
         assert row["median_error"] == pytest.approx(20, abs=1e-4)
         assert row["wrong"] == 100
-    assert [row["value"] for row in rows[1:4]] == [f"prior {prior}" for prior in priors]
-    assert priors == ["own", "sweep", "oracle"]
+    assert [row["value"] for row in rows[1:4]] == [f"prior {prior}" for prior in priors[:3]]
+    assert priors == ["own", "sweep", "oracle"] * (1 if quick else 2)
+    known = [
+        row.get("domain", "") for row in rows[:5]
+    ]  # the plane is no world that a network was trained on
+    assert [text.partition(":")[0] for text in known] == [
+        "",
+        "out of domain",
+        "",
+        "",
+        "out of domain",
+    ]
+
+
+def test_the_page_has_each_threshold_in_order_with_its_default_among_them():
+    usual = matching.DenseSettings()
+    rows = [
+        {"scene": "s", "threshold": "defaults", "pairs": 4, "points": 6, "points_a_pair": 1.5, "seconds": 1.0},
+        {"scene": "s", "threshold": "matcher", "value": "own", "domain": "in domain: trained on s, used on s",
+         "pairs": 4, "points": 8, "points_a_pair": 2.0, "median_error": 0.25, "wrong": 1.0, "seconds": 1.0},
+        {"scene": "s", "threshold": "partners", "value": 8, "pairs": 9, "points": 7, "seconds": 1.0},
+        {"scene": "s", "threshold": "partners", "value": 1, "pairs": 2, "points": 5, "seconds": 1.0},
+    ]  # fmt: skip
+    text = matching_page.page({"cpu": "abacus"}, rows, [])
+    assert "| `own`: our matching network | in domain | 4 | 8 | 2.0 | 0.250 | 1.00 | 1.0 |" in text
+    assert "| optical flow (the default) |  | 4 | 6 | 1.5 | – | – | 1.0 |" in text
+    part = text.split("partners of a photo")[1]
+    assert [part.index(f"| {cell} |") for cell in ("1", f"**{usual.partners}**", "8")] == sorted(
+        part.index(f"| {cell} |") for cell in ("1", f"**{usual.partners}**", "8")
+    )
+    assert "abacus" in text
