@@ -9,6 +9,7 @@ import torch
 from helpers.prior_scenes import plane_depth, plane_scene
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import Scene, SparsePoints
+from splatproof.cli.study import read_rows
 from splatproof.suites.studies import matching, matching_page
 
 
@@ -117,3 +118,12 @@ def test_the_page_has_each_threshold_in_order_with_its_default_among_them():
         part.index(f"| {cell} |") for cell in ("1", f"**{usual.partners}**", "8")
     )
     assert "abacus" in text
+
+
+def test_the_committed_page_is_made_of_the_committed_rows():
+    docs = Path(__file__).parents[3] / "docs"
+    machine, rows = read_rows(docs / "matching.json")
+    assert matching_page.page(machine, rows, []) == (docs / "matching.md").read_text(
+        encoding="utf-8"
+    )
+    assert {row["scene"] for row in rows} == set(matching.SCENES)
