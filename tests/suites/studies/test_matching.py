@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from helpers.prior_scenes import plane_depth, plane_scene
+from splatproof.cli.study import read_rows
 from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import Scene, SparsePoints
-from splatproof.cli.study import read_rows
 from splatproof.suites.studies import matching, matching_page
 
 
