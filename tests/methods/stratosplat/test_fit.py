@@ -278,6 +278,27 @@ def test_settings_that_no_run_can_follow_are_refused(name, value):
         Planes(**{name: value})
 
 
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"noise": "L1", "init": "sfm"}, "noise_stage is 'completion', expected .* init is 'sfm'"),
+        ({"completion": Completion(prior="own"), "init": "sfm"}, "completion.prior is 'own'"),
+        ({"completion": Completion(prior="own"), "init": "dense"}, "completion.prior is 'own'"),
+    ],
+)
+def test_settings_that_would_do_nothing_are_refused(more, said):
+    with pytest.raises(UsageError, match=said):
+        StratoSplat(noise_stage="completion", **more)
+
+
+def test_points_that_are_matched_see_the_noise_of_completion(scene):
+    """So with init = "dense" it does something, and with "sfm" it would not."""
+    dense = replace(SHORT, init="dense")
+    noisy = replace(dense, noise="L2", noise_stage="completion")
+    plain, found = (module.started(scene, one, RUN).positions for one in (dense, noisy))
+    assert plain.shape != found.shape or not torch.equal(plain, found)
+
+
 def test_it_is_registered_and_says_what_it_costs(scene):
     method = get_method("stratosplat")
     few, many = (cost(replace(SHORT, iterations=n), scene) for n in (10, 1000))
