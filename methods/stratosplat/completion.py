@@ -38,7 +38,7 @@ TRIMMED, BEYOND = 0.01, 4.0
 """A point guides no depth that lies so many times beyond all but this share of those that a view sees with it (at least
 one of three). A wrong one would, through the memory, and stretch the memory's camera without end."""
 ALL_KEPT = 1e-12
-"""eps_d of a memory that merges nothing but equal samples, as a share of its largest depth."""
+"""eps_d of a memory that merges nothing but equal samples, in place of the setting `merge`."""
 MOST_KEPT = 1_000_000
 """Layers a pixel of such a memory."""
 

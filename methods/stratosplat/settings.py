@@ -37,7 +37,8 @@ class Completion:
     guidance_steps: int = 20
     """Steps of the guidance at each denoising step (the paper gives none)."""
     merge: float = 0.005
-    """Depth within which samples of a pixel are merged, as a share of the memory's largest depth (the
+    """Depth within which samples of a pixel are merged, as a share of the distance from the memory's reference
+    camera to the farthest sparse point, not of the range of depths, which over flat ground is nothing (ours; the
     paper: 0.02 and 0.55 scene units)."""
     side: int = 240
     """Pixels of the longer side at which photos are completed; larger ones are made smaller."""
