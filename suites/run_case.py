@@ -203,7 +203,11 @@ def _run(job: Job, tell: Tell) -> None:
             scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
         # scores are of the true scene
         given = training_scene(
-            scene, job.case, job.data, lambda done, total: tell("priors", done, total, {})
+            scene,
+            job.case,
+            job.data,
+            lambda done, total: tell("priors", done, total, {}),
+            lambda line: tell("priors", 0, 0, {}, line),
         )
     done = job.folder / TRAINED
     if not done.exists():

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 from splatproof.datasets.pose_noise import disturbed
+from splatproof.methods.contracts.run import keep_to_oneself
 from splatproof.methods.priors.attach import with_priors
 from splatproof.reference.types.scene import Scene
 from splatproof.suites.scene_data import FILES
@@ -14,6 +15,7 @@ def training_scene(
     case: Case,
     data: Mapping[str, str],
     report: Callable[[int, int], None] = lambda done, total: None,
+    say: Callable[[str], None] = keep_to_oneself,
 ) -> Scene:
     """The scene under the case's pose noise, with its depth prior on the training views.
 
@@ -24,8 +26,9 @@ def training_scene(
         case: Says noise, prior and seed.
         data: Facts of the scene's files, by which priors are known again.
         report: Told (views that have their prior, views in all).
+        say: Told one line about what is odd.
     Raises: UsageError where the scene lacks what the prior is made of; MissingError without its
         weights.
     """
     noisy = disturbed(scene, case.pose_noise, case.seed)
-    return with_priors(noisy, case.depth_prior, case.seed, data.get(FILES, ""), report)
+    return with_priors(noisy, case.depth_prior, case.seed, data.get(FILES, ""), report, say)

@@ -21,9 +21,9 @@ it and holds out low oblique views and facades that no photo shows; `default` ho
 - `3dgs`: the release's method.
 - `dpgs`: points of matched photos at its start, and side views from a spiral (one around the whole city; the paper has one
   around each block, as `dpgs-partition@whole` here) in its second half, refined by warping the
-  photo that sees most of them; `@own` by our small network, trained on cities and farms of other seeds (**in domain**:
-  the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for (sky, holes) is left
-  alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
+  photo that sees most of them; `@own` by our small network, trained on cities and on aerial-sparse worlds, of other seeds
+  (**in domain**: the same kind of world); `@unrefined` not at all, so it trains on its own renders. What the render has no surface for
+  (sky, holes) is left alone; `@fill` trains on what the warp puts there. `@di` has the points alone, `@ds` the side views alone, `@none` neither.
   `@di-true` is `@di` with the true depth for matches: a bound on all matchers; `@di-own` has those of our own network.
 - `@di-tuned` is `@di` with method auto's bound on scales and opacity term, `@di-quick` learns everything but positions and opacities four
   times as fast as well, as method auto does where photos are looked at seldom; `@di-quick-flat` flattens what is thick along photos' rays

@@ -16,8 +16,8 @@ class SideSettings:
     paper gives no numbers but the half of the run that they begin at: these are ours."""
 
     every: int = 10
-    """Steps from one side view to the next, from the middle of the run on; it takes the place of a
-    photo. 0: none, an ablation of the paper."""
+    """Steps from one side view to the next, from the middle of the run on, in a shorter run as many; it takes
+    the place of a photo. 0: none, an ablation of the paper."""
     refiner: RefinerName = "warp"
     """What makes a side view's target of its render. warp: the nearest photo's texture where that
     photo sees the surface, holes inpainted; own: that, corrected by our small network, whose weights
@@ -63,7 +63,7 @@ NO_SIDES = SideSettings(every=0)
 @dataclass(frozen=True, kw_only=True)
 class Dpgs(Settings):
     """Method dpgs: 3dgs with matched points at its start and side views in its second half. Steps
-    are those of a 30,000 step run; a shorter run shrinks them in proportion."""
+    are those of a 30,000 step run, and a shorter run shrinks them in proportion, except side.every."""
 
     dense_cell: float = 4.0
     """About how many pixels added points lie apart: before training, photos are matched (by whom

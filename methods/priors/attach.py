@@ -12,6 +12,7 @@ from splatproof.base.files import read_json, write_text
 from splatproof.base.locks import locked
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.cache_folder import ELSEWHERE, cache_folder
+from splatproof.methods.contracts.run import keep_to_oneself
 from splatproof.methods.priors.kinds import KINDS, Kind, parts, weights_facts
 from splatproof.reference.types.result import NO_PRIOR, prior_name
 from splatproof.reference.types.scene import DepthPrior, Scene
@@ -19,6 +20,8 @@ from splatproof.reference.types.scene import DepthPrior, Scene
 VERSION = 1
 """Changes when other priors would come out of equal views."""
 SUMMARY = "facts.json"
+SILENT = "depth_prior_silent"
+"""The fact of a record that names the views of which the prior says nothing."""
 REMEDY = "remove it, and the next run makes it again"
 """What to do about a damaged file of priors."""
 Report = Callable[[int, int], None]
@@ -30,6 +33,7 @@ def with_priors(
     seed: int,
     data: str = "",
     report: Report = lambda done, total: None,
+    say: Callable[[str], None] = keep_to_oneself,
 ) -> Scene:
     """The scene with a depth prior on each training view; held-out views get none.
 
@@ -44,8 +48,9 @@ def with_priors(
         data: Hash of the scene's files, see `splatproof.datasets.fingerprint`; "": there are none
             or they were not read, and images, masks, depths and sweeps are hashed instead.
         report: Told (views that have their prior, views in all).
-    Returns: The scene; its facts name the kind, the hashes of weights and priors, and the share of
-        valid pixels.
+        say: Told one line where nothing is said of some views.
+    Returns: The scene; its facts name the kind, the hashes of weights and priors, the share of
+        valid pixels, and views of which nothing is said.
     Raises: UsageError where the scene lacks what the kind needs; MissingError without its weights.
     """
     if prior == NO_PRIOR:
@@ -63,13 +68,17 @@ def with_priors(
                 _write(file, make(index))
         report(len(files), len(files))
         if not (folder / SUMMARY).is_file():
-            write_text(folder / SUMMARY, json.dumps(_summary(files)))
+            named = {scene.views[index].name: file for index, file in files.items()}
+            write_text(folder / SUMMARY, json.dumps(_summary(named)))
     views = list(scene.views)
     for index, file in files.items():
         views[index] = replace(views[index], load_prior=partial(read_prior, file))
     facts = {"depth_prior": prior_name(prior)} | weights | _facts(folder / SUMMARY)
     if kind.domain is not None and path is not None:
         facts["depth_prior_domain"] = kind.domain(scene, path)
+    if SILENT in facts:
+        why = f": {kind.silent}" if kind.silent else ""
+        say(f"depth prior {name!r} says nothing of {facts[SILENT]}{why}")
     return replace(scene, views=tuple(views), facts=scene.facts | facts)
 
 
@@ -102,14 +111,18 @@ def _write(file: Path, prior: DepthPrior) -> None:
     write_tensors(file, {"disparity": prior.disparity, "valid": prior.valid})
 
 
-def _summary(files: Mapping[int, Path]) -> dict[str, str]:
-    """Hash of all priors, and the mean share of pixels of which they say anything."""
-    digest, share = hashlib.sha256(), 0.0
-    for file in files.values():
+def _summary(files: Mapping[str, Path]) -> dict[str, str]:
+    """Hash of all priors, by name of their view; the mean share of pixels of which they say anything; and the views of
+    which they say nothing."""
+    digest, share, silent = hashlib.sha256(), 0.0, []
+    for name, file in files.items():
         prior = read_prior(file)
         digest.update(prior.disparity.numpy().tobytes() + prior.valid.numpy().tobytes())
         share += float(prior.valid.float().mean()) / len(files)
-    return {"depth_prior_sha256": digest.hexdigest(), "depth_prior_valid": f"{share:.4f}"}
+        if not bool(prior.valid.any()):
+            silent.append(name)
+    found = {"depth_prior_sha256": digest.hexdigest(), "depth_prior_valid": f"{share:.4f}"}
+    return found | ({SILENT: ", ".join(silent)} if silent else {})
 
 
 def _key(

@@ -42,6 +42,8 @@ class Kind:
     """Weights that come with this package, where it needs no path."""
     domain: Callable[[Scene, Path], str] | None = None
     """domain(scene, weights): whether it was trained on such scenes, as the record says it."""
+    silent: str = ""
+    """Why it may say nothing of a view, for the line that names such views; "": no reason is given."""
 
 
 KINDS = {
@@ -66,7 +68,7 @@ KINDS = {
     ),
     "marigold": Kind(
         description="a diffusion model of depth of diffusers, from a local folder, in the scale of SfM points",
-        prepare=marigold.prepare, weights=True, draws=True,
+        prepare=marigold.prepare, weights=True, draws=True, silent=marigold.SILENT,
     ),
 }  # fmt: skip
 """All kinds."""

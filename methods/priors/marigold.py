@@ -8,7 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from splatproof.base.errors import DataError
 from splatproof.methods.priors.alignment import LEAST_POINTS, aligned
 from splatproof.methods.priors.diffusers_folder import pipeline
 from splatproof.reference.supervision.dense_initialisation import observations, points_of
@@ -17,13 +16,20 @@ from splatproof.reference.types.scene import DepthPrior, Scene
 
 DISPARITY = "disparity"
 """What the configuration of a network says that predicts disparity; others predict depth."""
+SILENT = (
+    f"fewer than {LEAST_POINTS} sparse points in sight follow it, which give it its scale; take "
+    "'depth-anything', which needs none"
+)
+"""Why nothing is said of a view."""
 
 
 def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], DepthPrior]:
     """How to make the prior of a view, by its index in the scene.
 
     The network predicts depth up to scale and shift, of which no disparity can be made; the scale and shift are
-    those of the view's SfM points (least absolute deviations).
+    those of the view's SfM points (least absolute deviations). It is asked once: guidance of a method that completes
+    depths does not enter its steps. Of a view with fewer than LEAST_POINTS points, or with points that contradict it,
+    it says nothing.
 
     Args:
         scene: Any scene with sparse points and tracks.
@@ -44,9 +50,7 @@ def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], De
         said = _said(network, view.load(), seed)
         if network.config.prediction_type == DISPARITY:
             return DepthPrior(disparity=said, valid=said.isfinite())
-        return in_disparity(
-            said, view.camera, scene.points.positions[points_of(seen, index)], view.name
-        )
+        return in_disparity(said, view.camera, scene.points.positions[points_of(seen, index)])
 
     return make
 
@@ -61,7 +65,7 @@ def _said(network: Any, photo: Float[Tensor, "h w 3"], seed: int) -> Float[Tenso
 
 
 def in_disparity(
-    depth: Float[Tensor, "h w"], camera: Camera, points: Float[Tensor, "n 3"], name: str
+    depth: Float[Tensor, "h w"], camera: Camera, points: Float[Tensor, "n 3"]
 ) -> DepthPrior:
     """Disparity of a depth of unknown scale and shift, with those that SfM points say.
 
@@ -69,9 +73,8 @@ def in_disparity(
         depth: Larger where farther.
         camera: The view's camera.
         points: Sparse points that the view sees.
-        name: The view's, for the error.
-    Returns: Valid where the depth that comes out lies before the camera.
-    Raises: DataError where too few points are seen, or they contradict the depth.
+    Returns: Valid where the depth that comes out lies before the camera; nowhere if too few points are seen, or they
+        contradict the depth.
     """
     at, z = project_points(camera, points)
     column, row = at.floor().long().T
@@ -80,10 +83,8 @@ def in_disparity(
     if int(inside.sum()) >= LEAST_POINTS:
         fit = aligned(depth[row[inside], column[inside]], z[inside])
     if fit is None or fit[0] <= 0:
-        raise DataError(
-            f"view {name}: depth prior 'marigold' has no scale, for {int(inside.sum())} sparse points in "
-            f"sight do not follow it; {LEAST_POINTS} at least are needed, take 'depth-anything' without"
-        )
+        nothing = torch.zeros_like(depth)
+        return DepthPrior(disparity=nothing, valid=nothing > 0)
     metres = fit[0] * depth + fit[1]
     valid = metres > camera.near
     disparity = torch.where(valid, 1 / metres.clamp(min=camera.near), 0)

@@ -50,7 +50,8 @@ class CorGS(Settings):
     random_background: bool = True
     """Whether every view of a step is trained over a colour drawn at random, as the release does."""
     prune_interval: int = 1500
-    """Steps between co-prunings, the first one after as many. 0: none, an ablation of the paper."""
+    """Steps between co-prunings, the first one after twice as many, as in the release. 0: none, an ablation of
+    the paper."""
     prune_distance: float = 0.1
     """Distance, as a share of the scene's extent, within which the other field must have a Gaussian.
     The release has 5, 10 or 20 scene units by data set; this is ours."""

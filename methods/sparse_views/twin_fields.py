@@ -135,8 +135,9 @@ def agreement_term(
 ) -> Term:
     """Photometric loss of a field against the other's render at a camera between training cameras.
 
-    Two cameras and the share between them are drawn anew for each frame; the other field's render
-    is a constant. (The release computes a ramp over its first 500 steps and does not use it.)
+    Two cameras and the share between them are drawn anew for each frame, the cameras with replacement: of n
+    training cameras one pseudo view in n is one of them itself. The other field's render is a constant. (The
+    release computes a ramp over its first 500 steps and does not use it.)
 
     Args:
         cameras: Training cameras.

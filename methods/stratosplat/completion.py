@@ -38,7 +38,7 @@ TRIMMED, BEYOND = 0.01, 4.0
 """A point guides no depth that lies so many times beyond all but this share of those that a view sees with it (at least
 one of three). A wrong one would, through the memory, and stretch the memory's camera without end."""
 ALL_KEPT = 1e-12
-"""eps_d of a memory that merges nothing but equal samples, as a share of its largest depth."""
+"""eps_d of a memory that merges nothing but equal samples, in place of the setting `merge`."""
 MOST_KEPT = 1_000_000
 """Layers a pixel of such a memory."""
 
@@ -79,9 +79,9 @@ def completed(
 ) -> DenseCloud:
     """Complete the depth of every training view and merge them all.
 
-    A view without points waits until a completed one overlaps it. One that none ever does is not
-    completed, which is ours: the paper's views all overlap, and photos spread over a whole flight do
-    not. It is trained on like the others, from what the others show and from virtual Gaussians.
+    A view without points waits until a completed one overlaps it. One that none ever does, or any where
+    none guides, is not completed, which is ours: the paper's views all overlap, and photos spread over a
+    whole flight do not. It is trained on like the others, from what the others show and from virtual Gaussians.
 
     Args:
         scene: With sparse points and training views, which may have depth priors.
@@ -125,7 +125,7 @@ def completed(
                 memory, unproject(photo.camera, depth)[front], photo.image.reshape(-1, 3)[front]
             )
         if len(later) == len(left):
-            report(_alone(later))
+            report(_alone(later, guided=guided))
             break
         left = later
     if doubted:
@@ -163,9 +163,15 @@ def _believed(
     return believed(photo.prior, known, unit, settings)
 
 
-def _alone(photos: list[Photo]) -> str:
+def _alone(photos: list[Photo], *, guided: bool) -> str:
     """What is told of views that nothing brings to the scene's scale."""
     names = ", ".join(sorted(photo.name for photo in photos))
+    if not guided:
+        return (
+            "left out of the completion, for they show no point, and init = 'independent' completes "
+            f"a photo by its own points alone: {names}; init = 'layered' would use what other "
+            "photos show of them"
+        )
     return (
         f"left out of the completion, for they show no point and overlap no completed view, so nothing "
         f"says how far away what they show is: {names}; --points triangulated, or photos between them "

@@ -1,12 +1,10 @@
 """Training of method stratosplat."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 
-from splatproof.base.errors import DataError, UsageError
-from splatproof.base.tensor_files import read_tensors, write_tensors
+from splatproof.base.errors import UsageError
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.run import Run
@@ -14,6 +12,7 @@ from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.stratosplat.completion import completed
+from splatproof.methods.stratosplat.kept_points import kept_points
 from splatproof.methods.stratosplat.model import HybridModel
 from splatproof.methods.stratosplat.own_prior import completion_words
 from splatproof.methods.stratosplat.own_prior import weights_sha256 as completion_weights
@@ -121,27 +120,22 @@ def started(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
 
 
 def _all_points(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
-    """However many there are. A completion that ended is kept beside the checkpoint, so that a killed run does
-    not repeat it."""
+    """However many there are. A completion that ended is kept beside the checkpoint with all that was told of it, so
+    that a killed run does not repeat it and a record says the same of it."""
     seen = disturbed(scene, settings.noise_of("completion"), run.seed)
     cell = 0.0 if settings.init == "sfm" else settings.dense_cell
     drawn = 0 if settings.completes else settings.random_points  # what is drawn guides nothing
 
-    def pointed() -> Scene:
+    def pointed(run: Run) -> Scene:
         return initialise.with_points(
             seen, run, random_points=drawn, dense_cell=cell, dense=settings.dense
         )
 
     if not settings.completes:
-        return pointed().points
+        return pointed(run).points
     key = run_key(scene, settings, run, *_priors(scene, settings))
     path = None if run.folder is None else run.folder / "checkpoint" / "completion.safetensors"
-    points = _kept(path, key)
-    if points is None:
-        points = _completed(pointed(), settings, run)
-        if path is not None:
-            write_tensors(path, vars(points), {"key": key})
-    return points
+    return kept_points(path, key, run, lambda heard: _completed(pointed(heard), settings, heard))
 
 
 def _completed(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
@@ -156,17 +150,6 @@ def _completed(scene: Scene, settings: StratoSplat, run: Run) -> SparsePoints:
         track_starts=torch.zeros(count + 1, dtype=torch.int64),
         track_views=torch.zeros(0, dtype=torch.int64),
     )  # fmt: skip
-
-
-def _kept(path: Path | None, key: str) -> SparsePoints | None:
-    """The completed depths of this very run, where they are there; others are made again."""
-    if path is None or not path.is_file():
-        return None
-    try:
-        tensors, facts = read_tensors(path)
-    except DataError:  # cut short by a full disk: it is only a copy of what can be made again
-        return None
-    return SparsePoints(**tensors) if facts == {"key": key} else None
 
 
 def _priors(scene: Scene, settings: StratoSplat) -> tuple[str, ...]:

@@ -18,8 +18,7 @@ def weights_sha256(settings: StratoSplat) -> str:
 
     Raises: DataError where the file is missing.
     """
-    own = settings.completes and settings.completion.prior == "own"
-    return sha256(COMPLETION) if own else ""
+    return sha256(COMPLETION) if settings.completion.prior == "own" else ""
 
 
 def completion_words(settings: StratoSplat, scene: Scene) -> str:

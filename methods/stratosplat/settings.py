@@ -37,7 +37,8 @@ class Completion:
     guidance_steps: int = 20
     """Steps of the guidance at each denoising step (the paper gives none)."""
     merge: float = 0.005
-    """Depth within which samples of a pixel are merged, as a share of the memory's largest depth (the
+    """Depth within which samples of a pixel are merged, as a share of the distance from the memory's reference
+    camera to the farthest sparse point, not of the range of depths, which over flat ground is nothing (ours; the
     paper: 0.02 and 0.55 scene units)."""
     side: int = 240
     """Pixels of the longer side at which photos are completed; larger ones are made smaller."""
@@ -94,9 +95,10 @@ class StratoSplat(Settings):
     noise: Level = "none"
     """Level of noise on the training poses, as the option --pose-noise has it, for a stage alone."""
     noise_stage: Stage = "all"
-    """Which stage sees the noise: completion of depths, training, or both."""
+    """Which stage sees the noise: completion of depths with the matches before it (of init = "dense" the matches
+    alone), training, or both."""
     completion: Completion = field(default_factory=Completion)
-    """How depths are completed, where `init` is independent or layered."""
+    """How depths are completed, where `init` is independent or layered; prior = "own" is refused elsewhere."""
     planes: Planes = field(default_factory=Planes)
     """Virtual Gaussians on parallel planes."""
 
@@ -119,3 +121,9 @@ class StratoSplat(Settings):
         require(self.noise in LEVELS, "noise", self.noise, ", ".join(LEVELS))
         if self.init == "dense":
             require(self.dense_cell > 0, "dense_cell", self.dense_cell, "> 0 where init is dense")
+        fine = self.noise == TRUE_POSES or self.noise_stage != "completion" or self.init != "sfm"
+        require(fine, "noise_stage", self.noise_stage,
+                "train or all where init is 'sfm', which makes nothing of the photos before training")  # fmt: skip
+        own = self.completion.prior != "own" or self.completes
+        require(own, "completion.prior", self.completion.prior,
+                f"scene where init is {self.init!r}, which completes no depths")  # fmt: skip

@@ -60,13 +60,22 @@ def render_page(found: Sequence[Finding], sources: Sources) -> str:
         "# Claims, and what became of them\n",
         f"{_in_words(found)}\n",
         summary(found, papers),
-        ABOUT.format(machines="; ".join(sources.machines) or "nothing yet", settled=SETTLED),
+        ABOUT.format(
+            rows=", ".join(_files(found)) or "none yet",
+            machines="; ".join(sources.machines) or "nothing yet",
+            settled=SETTLED,
+        ),
         "## What came out against its claim, papers first\n",
         _table(against, sources) if against else "Nothing so far.\n",
         *(f"![{shown.caption}]({shown.path})\n\n{shown.caption}\n" for shown in sources.charts),
         *(_paper(name, [one for one in found if one.paper == name], sources) for name in papers),
     ]
     return "\n".join(parts).rstrip() + "\n"
+
+
+def _files(found: Sequence[Finding]) -> list[str]:
+    """Where the rows are kept that claims were judged by."""
+    return sorted({f"{one.suite}.json" for one in found if one.suite and one.runs})
 
 
 def summary(found: Sequence[Finding], papers: Iterable[str]) -> str:
@@ -181,10 +190,11 @@ def _in_words(found: Sequence[Finding]) -> str:
     return "\n".join(sentences)
 
 
-ABOUT = """Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages (street.json, tunnel.json, anchors.json,
-sparse.json, city.json) and of the checks ([claims_checks.json](claims_checks.json)); a test compares. `bench claims` prints the same
-table, `--runs` judges other runs, `--run` makes what is missing. Measured on {machines}. Printed effects are computed from
-the papers' tables (`bench published`); scenes here are other and smaller ones: a verdict is about the effect, not about
+ABOUT = """Made by `bench claims --page docs/claims.md` from the committed rows of the suites' pages
+({rows}) and of the checks
+([claims_checks.json](claims_checks.json)); a test compares. `bench claims` prints the same table, `--runs` judges other runs,
+`--run` makes what is missing. Measured on {machines}. Printed effects are computed from the papers' tables
+(`bench published`); scenes here are other and smaller ones: a verdict is about the effect, not about
 the papers' numbers. It takes three seeds or more and a paired bootstrap over images and seeds (`reports/verdicts.py`):
 
 - **holds**: the 95 % interval excludes 0 on the claimed side and reaches half the printed effect, or reaches the bar;

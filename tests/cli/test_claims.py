@@ -12,9 +12,10 @@ from helpers.printed_rows import rows_of
 from splatproof.cli import claim_running, claim_sources, claims, main
 from splatproof.cli.claim_sources import CHECKS_NAME, committed, read_checked, write_checked
 from splatproof.reference.types.checked import Checked
-from splatproof.reports.claims.claim import CheckClaim, Claim
+from splatproof.reports.claims.claim import CheckClaim, Claim, all_claims
 from splatproof.reports.measured import measured_row
 from splatproof.suites.claim_checks.registry import CHECKS
+from splatproof.suites.published.rows import numbers
 from splatproof.suites.records import write_record
 from splatproof.suites.suite_files import load_suite
 
@@ -23,6 +24,13 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def test_the_committed_page_is_what_the_command_makes_of_the_committed_rows():
     assert (DOCS / "claims.md").read_text(encoding="utf-8") == claims.page_text(DOCS)
+
+
+def test_the_page_names_every_file_of_rows_that_claims_are_made_of():
+    suites = {claim.suite for claim in all_claims(numbers())[0]}
+    text = (DOCS / "claims.md").read_text(encoding="utf-8")
+    listed = text.split("pages\n(")[1].split(")")[0].split()
+    assert {name.rstrip(",") for name in listed} == {f"{name}.json" for name in suites}
 
 
 def test_every_check_is_measured_whole_and_every_chart_is_there():

@@ -367,6 +367,7 @@ def test_the_page_begins_with_what_went_against_a_paper():
         charts=[Shown(path="i/checks.png", caption="All")], machines=["cores 2"],
     )  # fmt: skip
     text = render_page(some_findings(), sources)
+    assert "the committed rows of the suites' pages\n(s.json) and of the checks" in text
     assert "| P | 2 | 1 |  |  |  |  |  | 1 |" in text
     assert "| this project | 2 |  |  |  |  | 2 |  |  |" in text
     head, rest = text.split("## P\n")
@@ -382,6 +383,7 @@ def test_the_page_begins_with_what_went_against_a_paper():
 def test_the_page_of_nothing_measured():
     text = render_page(found_of([CLAIM], []), Sources(pictures={}, charts=[], machines=[]))
     assert "Of 1 claims of the papers: **none can be judged yet**; 1 are not testable here." in text
+    assert "the committed rows of the suites' pages\n(none yet) and of the checks" in text
     assert "Measured on nothing yet" in text
     assert "Nothing so far." in text
     assert len(ORDER) == 7

@@ -14,11 +14,12 @@ from helpers.prior_scenes import plane_scene
 from splatproof.base.errors import UsageError
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.loading import load_origin
+from splatproof.methods.priors.kinds import KINDS
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import key_rules
 from splatproof.reference.types.result_json import result_from_json, result_to_json
-from splatproof.reference.types.scene import Scene
+from splatproof.reference.types.scene import DepthPrior, Scene
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.run_data import case_name
 from splatproof.suites import run_case as cases
@@ -123,6 +124,24 @@ def test_training_gets_the_prior_and_neither_truth_nor_that_of_held_out_views(
         (at.step, at.total) for at in told if isinstance(at, Progress) and at.stage == "priors"
     ]
     assert stages.count((4, 4)) == 2
+
+
+def test_views_of_which_a_prior_says_nothing_are_told_and_recorded(suite, tmp_path, monkeypatch):
+    def prepare(scene: Scene, weights: Path | None, seed: int):
+        return lambda index: DepthPrior(
+            disparity=torch.ones(scene.views[index].size),
+            valid=torch.full(scene.views[index].size, index > 2),
+        )
+
+    monkeypatch.setitem(KINDS, "oracle", replace(KINDS["oracle"], prepare=prepare))
+    told = []
+    (outcome,) = run(replace(suite, cases=suite.cases[2:3]), tmp_path, on_progress=told.append)
+    silent = outcome.result.scene_facts["depth_prior_silent"]
+    assert len(silent.split(", ")) == 2
+    notes = [
+        at.note for at in told if isinstance(at, Progress) and at.stage == "priors" and at.note
+    ]
+    assert notes == [f"depth prior 'oracle' says nothing of {silent}"]
 
 
 def test_a_prior_is_seen_from_the_noisy_camera_as_the_method_sees_the_view(suite):

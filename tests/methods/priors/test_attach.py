@@ -81,6 +81,30 @@ def test_facts_name_kind_hash_and_share():
     assert facts == with_priors(plane_scene(), "lidar", 0).facts
 
 
+def test_views_of_which_nothing_is_said_are_named_each_time(monkeypatch):
+    """Also where their priors are kept already."""
+
+    def prepare(scene: Scene, weights: Path | None, seed: int):
+        return lambda index: DepthPrior(
+            disparity=torch.ones(18, 24), valid=torch.full((18, 24), index > 2)
+        )
+
+    monkeypatch.setitem(KINDS, "mute", Kind(description="", prepare=prepare, silent="too dark"))
+    scene = plane_scene()
+    first, second = (list[str]() for _ in range(2))
+    for told in (first, second):
+        with_priors(scene, "mute", 0, say=told.append)
+    names = ", ".join(scene.views[index].name for index in (1, 2))
+    assert first == second == [f"depth prior 'mute' says nothing of {names}: too dark"]
+
+
+def test_where_something_is_said_of_each_view_nothing_is_told(made):
+    told: list[str] = []
+    facts = with_priors(plane_scene(), "counted", 0, say=told.append).facts
+    assert told == []
+    assert "depth_prior_silent" not in facts
+
+
 def test_they_are_made_once(made):
     with_priors(plane_scene(), "counted", 0, "hash")
     with_priors(plane_scene(), "counted", 5, "hash")  # it does not draw

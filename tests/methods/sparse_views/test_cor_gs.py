@@ -12,7 +12,7 @@ from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.registry import get_method
 from splatproof.methods.sparse_views.cor_gs import CoControl, CorGS, fit, prepare
-from splatproof.methods.sparse_views.density import SparseDensity
+from splatproof.methods.sparse_views.density import SparseControl, SparseDensity
 from splatproof.methods.sparse_views.twin_fields import (
     FIELD,
     SECOND,
@@ -115,6 +115,19 @@ def test_what_only_one_field_has_is_pruned_from_both_by_the_same_fields():
     edit = control.co_prune(model.parameters)
     assert edit.parents is not None
     assert len(edit.parents) == 40  # nothing would be left of either
+
+
+def test_the_first_co_pruning_comes_after_two_intervals(monkeypatch):
+    """As in the release."""
+    model, plan = prepare(tiny_scene(points=20), SHORT, RUN)
+    control, asked = plan.density, []
+    assert isinstance(control, CoControl)
+    control.prune_interval = 5
+    monkeypatch.setattr(SparseControl, "edits", lambda *_: iter(()))
+    monkeypatch.setattr(CoControl, "co_prune", lambda *_: asked.append(step))
+    for step in range(1, 21):
+        list(control.edits(step, model.parameters, torch.Generator()))
+    assert asked == [10, 15, 20]
 
 
 def test_a_disagreement_is_lowered():

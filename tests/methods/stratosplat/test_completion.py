@@ -162,9 +162,22 @@ def test_a_view_without_points_or_memory_is_left_out_by_name():
     told: list[str] = []
     asked = {"guided": False, "guidance_steps": 1, "memory": "accumulate"}
     alone = cloud(without_points(aerial_scene(), view=2), told=told, **asked)
-    assert told[0].startswith("left out of the completion")
-    assert "is: 2.png;" in told[0]
+    (line,) = told
+    assert "they show no point, and init = 'independent' completes" in line
+    assert "by its own points alone: 2.png; init = 'layered' would use" in line
+    assert "overlap" not in line
     assert len(alone.positions) < 0.8 * len(cloud(aerial_scene(), **asked).positions)
+
+
+def test_a_view_that_no_memory_reaches_is_left_out_by_name(monkeypatch):
+    monkeypatch.setattr(
+        completion.guide_depth, "render",
+        lambda memory, camera: (torch.zeros(camera.height, camera.width).double(), torch.zeros(camera.height, camera.width) > 0),
+    )  # fmt: skip
+    told: list[str] = []
+    cloud(without_points(aerial_scene(), view=2), told=told, guidance_steps=1)
+    assert "they show no point and overlap no completed view" in told[0]
+    assert "is: 2.png; --points triangulated" in told[0]
 
 
 @pytest.mark.parametrize("order", ["coverage", "distance", "random"])

@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import DataError, UsageError
-from splatproof.base.tensor_files import read_tensors
+from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
@@ -50,6 +50,17 @@ write_tensors(Path(sys.argv[2]), {"image": model.render(aerial_scene().views[0])
 
 class Killed(Exception):
     """Stands for a kill between two steps."""
+
+
+@dataclass
+class Told:
+    """What a run is told."""
+
+    facts: dict[str, str] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+
+    def run(self, folder: Path) -> Run:
+        return replace(RUN, folder=folder, on_fact=self.facts.__setitem__, say=self.lines.append)
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +120,31 @@ def test_a_damaged_completion_is_made_again(scene, trained, tmp_path):
     kept.parent.mkdir()
     kept.write_bytes(b"cut short")
     assert same(trained, fit(scene, SHORT, replace(RUN, folder=tmp_path)))
+
+
+def test_what_a_completion_said_is_said_again_where_it_is_kept(tmp_path, monkeypatch):
+    scene = without_points(aerial_scene().for_training(), view=2)
+    short = replace(SHORT, init="independent", dense=DenseSettings(matcher="own", partners=1))
+    first, second = Told(), Told()
+    start = module.started(scene, short, first.run(tmp_path))
+    monkeypatch.setattr(module, "completed", lambda *_, **__: pytest.fail("completed again"))
+    again = module.started(scene, short, second.run(tmp_path))
+    assert torch.equal(start.positions, again.positions)
+    assert first.facts.keys() == {"matcher", "points after completion"}
+    assert any("left out of the completion" in line for line in first.lines)
+    assert second == first
+
+
+def test_a_completion_that_kept_nothing_of_what_it_said_is_made_again(scene, tmp_path):
+    first, second = Told(), Told()
+    start = module.started(scene, SHORT, first.run(tmp_path))
+    kept = tmp_path / "checkpoint" / "completion.safetensors"
+    tensors, held = read_tensors(kept)
+    write_tensors(kept, tensors, {"key": held["key"]})
+    again = module.started(scene, SHORT, second.run(tmp_path))
+    assert torch.equal(start.positions, again.positions)
+    assert second == first
+    assert read_tensors(kept)[1] == held
 
 
 def test_other_settings_do_not_continue(scene, tmp_path):
@@ -240,6 +276,27 @@ def test_two_identical_views_add_no_second_layer(scene):
 def test_settings_that_no_run_can_follow_are_refused(name, value):
     with pytest.raises(UsageError, match=f"planes.{name} is"):
         Planes(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"noise": "L1", "init": "sfm"}, "noise_stage is 'completion', expected .* init is 'sfm'"),
+        ({"completion": Completion(prior="own"), "init": "sfm"}, "completion.prior is 'own'"),
+        ({"completion": Completion(prior="own"), "init": "dense"}, "completion.prior is 'own'"),
+    ],
+)
+def test_settings_that_would_do_nothing_are_refused(more, said):
+    with pytest.raises(UsageError, match=said):
+        StratoSplat(noise_stage="completion", **more)
+
+
+def test_points_that_are_matched_see_the_noise_of_completion(scene):
+    """So with init = "dense" it does something, and with "sfm" it would not."""
+    dense = replace(SHORT, init="dense")
+    noisy = replace(dense, noise="L2", noise_stage="completion")
+    plain, found = (module.started(scene, one, RUN).positions for one in (dense, noisy))
+    assert plain.shape != found.shape or not torch.equal(plain, found)
 
 
 def test_it_is_registered_and_says_what_it_costs(scene):
