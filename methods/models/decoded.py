@@ -96,7 +96,7 @@ class DecodedModel:
 
     @torch.no_grad()
     def bake(self, view: View | None = None) -> Gaussians:
-        """Explicit Gaussians that look like the model does from one view, at its time.
+        """Explicit Gaussians that look like the model does from one view, at its time, but for `unbaked`.
 
         Args:
             view: Camera, time and appearance that the model is decoded for.
@@ -109,6 +109,11 @@ class DecodedModel:
                 "bake it at"
             )
         return gaussians_of(self.model.splats(view.without_truth(), TRAINED))
+
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """What the model adds to a rasterized image, which baked Gaussians lack: a sky, exposures."""
+        return self.model.unbaked
 
     def store(self, folder: Path) -> Stored:
         """What `save_model` writes: all parameters, and what a loader needs beside them.

@@ -146,6 +146,11 @@ class ExposedModel(Model):
         inner, own = self._asked(view)
         return self.exposures.shown(own, self.base.finish_image(inner, output))
 
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """The exposures of photos, after what the model itself adds."""
+        return (*self.base.unbaked, "the exposures of its photos")
+
     def neutral_code(self, view: View) -> Float[Tensor, " c"]:
         """The model's own neutral code, if it has one, and that of neutral exposure.
 

@@ -279,6 +279,7 @@ def test_the_code_of_a_model_comes_before_that_of_its_exposure():
     model = exposed(base, "gain", scene.train_views)
     assert isinstance(model, ExposedModel)
     whole = DecodedModel.of("coded", model, scene, "cpu")
+    assert whole.unbaked == ("the exposures of its photos",)
     view = scene.views[0]
     assert torch.equal(model.neutral_code(view), torch.zeros(4))
     code = torch.tensor([0.5, 0.1, 0.2, 0.3])
