@@ -18,20 +18,22 @@ def shown(view: View, training: Sequence[View], model: Reconstruction, protocol:
     """The view that a model is asked to render for a scored one: without its image, with its light.
 
     none, exposure: no appearance. nearest: that of the nearest training view. half, oracle: a code
-    that the model fits to the image's left half or to all of it, where the model can (`Adapts`).
+    that the model fits to the image's left half or to all of it, where the model can (`Adapts`);
+    masked pixels are not looked at, unless `masked` is off.
 
     Args:
         view: The view that is scored.
         training: Views that the model was trained on.
         model: The model that is scored.
-        protocol: The rules; `appearance` says what may be used.
+        protocol: The rules; `appearance` says what may be used, `masked` whether masks count.
     """
     asked = view.without_truth()
     if protocol.appearance == "nearest":
         return replace(asked, appearance=nearest_view(view, training).name)
     if protocol.appearance in ("half", "oracle") and isinstance(model, Adapts):
         columns = usable_columns(view.camera.width, protocol)
-        code = model.fit_appearance(asked, view.load()[:, columns], columns)
+        mask = view.load_mask()[:, columns] if protocol.masked and view.load_mask else None
+        code = model.fit_appearance(asked, view.load()[:, columns], columns, mask)
         return replace(asked, appearance=code)
     return asked
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
@@ -147,7 +147,7 @@ def _side_by_side(page: Page, scene: str) -> str:
     """PSNR of each row under each protocol of a scene; nothing where there is one protocol."""
     done = [row for row in page.rows if row.scene == scene and not row.error]
     protocols = list(dict.fromkeys(p for s, p, _ in page.planned if s == scene))
-    named = list(dict.fromkeys(row for s, _, row in page.planned if s == scene))
+    named = _compared(page, dict.fromkeys(row for s, _, row in page.planned if s == scene))
     if len(protocols) < 2:
         return ""
     lines = [f"## {scene}, PSNR by protocol\n", "| row | " + " | ".join(protocols) + " |",
@@ -155,7 +155,7 @@ def _side_by_side(page: Page, scene: str) -> str:
     for name in named:
         own = [[r.values.get("psnr") for r in done if (r.row, r.protocol) == (name, p)]
                for p in protocols]  # fmt: skip
-        if any(own) and not is_length(name):
+        if any(own):
             lines.append(f"| {name} | " + " | ".join(number(values, 2) for values in own) + " |")
     return "\n".join(lines) + "\n"
 
@@ -165,8 +165,7 @@ def _place(page: Page, scene: str, protocol: str) -> str:
     rows = [r for r in page.rows if (r.scene, r.protocol) == (scene, protocol)]
     named = [row for s, p, row in page.planned if (s, p) == (scene, protocol)]
     texts = [f"## {scene}, protocol {protocol}\n"]
-    whole = [name for name in named if not is_length(name)]
-    if table := _table(rows, whole, QUALITY):
+    if table := _table(rows, _compared(page, named), QUALITY):
         texts.append(table)
     if lengths := _lengths(rows, named):
         texts.append("What a run took, and whether it was long enough:\n\n" + lengths)
@@ -174,6 +173,12 @@ def _place(page: Page, scene: str, protocol: str) -> str:
     if failed:
         texts.append("Failed:\n\n" + "\n".join(failed) + "\n")
     return "\n".join(texts)
+
+
+def _compared(page: Page, named: Iterable[str]) -> list[str]:
+    """The rows among some that tables compare: one of other length is a control, but for claims that look at it."""
+    claimed = {row for claim in page.claims for row in claim.rows}
+    return [name for name in named if not is_length(name) or name in claimed]
 
 
 def is_length(row: str) -> bool:
@@ -250,7 +255,7 @@ excludes 0 on the other side. A claim with a bar *holds* where the whole interva
 the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or a row
 still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
 the other: by the rows `@half` and `@double`, which have half and twice the steps, or, without one, by the training
-loss of the last fifth.
+loss of the last fifth. Tables show such a row beside the others only where a claim compares it.
 {counted}"""
 COUNTED = """
 *stored primitives* are Gaussians, or, with †: anchors, each of which becomes up to k Gaussians when it is drawn

@@ -30,7 +30,8 @@ of the three tunnels, as its tables are.
   networks must beat.
 - `dlg-gs`: adapted colours and depth constraints, with a depth prior (`~depth-oracle+noise`: true depth, warped,
   blurred and disturbed as networks do; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
-  terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map.
+  terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map;
+  `@z` depth along the axis, as the prior has it, in place of the paper's distance to the camera.
 """,
     printed=(
         Printed(

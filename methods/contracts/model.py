@@ -118,3 +118,8 @@ class Model(ABC):
     def finishes(self) -> bool:
         """Whether `finish_image` does anything."""
         return type(self).finish_image is not Model.finish_image
+
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """What `finish_image` adds that explicit Gaussians do not show, in words a person is told."""
+        return ("what it adds to a rasterized image",) if self.finishes else ()

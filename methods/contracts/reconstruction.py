@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof import __version__
@@ -107,7 +107,11 @@ class Adapts(Protocol):
     """A reconstruction with an appearance that can be fitted to a part of an image."""
 
     def fit_appearance(
-        self, view: View, image: Float[Tensor, "h w 3"], columns: slice
+        self,
+        view: View,
+        image: Float[Tensor, "h w 3"],
+        columns: slice,
+        mask: Bool[Tensor, "h w"] | None = None,
     ) -> Float[Tensor, " c"]:
         """Code that shows a view in the light of an image, to be put into View.appearance.
 
@@ -115,6 +119,7 @@ class Adapts(Protocol):
             view: Camera, time and sensor of the image.
             image: The columns of the image that may be looked at, in [0, 1].
             columns: Which columns of the whole image they are.
+            mask: Which of their pixels may be looked at; None: all.
         """
         ...
 

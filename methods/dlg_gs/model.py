@@ -138,6 +138,11 @@ class DlgModel(AnchorModel):
             colour[..., :3] if colour.shape[2] > 3 else colour
         )  # a part costs a picture of zeros to derive
 
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """Nothing: the light is in the splats' colours."""
+        return ()
+
     def attended(self, camera: Camera, seen: Int[Tensor, " v"]) -> Float[Tensor, "v 28"]:
         """f_out of the anchors in view: gated inputs, mixed with those of neighbours in view.
 

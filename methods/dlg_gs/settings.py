@@ -6,6 +6,7 @@ from typing import Literal
 
 from splatproof.methods.scaffold import settings as scaffold
 from splatproof.methods.training.schedules import require
+from splatproof.reference.supervision.depth_constraint import Depth
 
 Vdjc = Literal["off", "ec", "mc", "both"]
 Dlaam = Literal["off", "gates", "full"]
@@ -39,6 +40,10 @@ class Settings(scaffold.Settings):
     """Weight of the Gaussians' depth term."""
     mc: float = 0.01
     """Weight of the anchors' depth term."""
+    depth: Depth = "distance"
+    """What both depth terms blend the inverse of: "distance" to the camera's centre, as the paper prints
+    it; or "z" along the optical axis, as depth priors have it: true geometry has an error against true
+    depth under the first alone."""
     weight_map: bool = True
     """Whether depth counts less where the adapted render differs from the original one."""
     dlaam: Dlaam = "full"

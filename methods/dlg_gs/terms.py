@@ -27,7 +27,7 @@ def terms(settings: Settings, run: Run) -> tuple[ImageTerm, ...]:
         run: Whose backend draws depths and what is left without dropped Gaussians.
     """
     made = colour_terms(settings)
-    depth = Depth(run, weighted=settings.weight_map)
+    depth = Depth(run, kind=settings.depth, weighted=settings.weight_map)
     if settings.vdjc in ("ec", "both") and settings.ec:
         made.append(Term(name="gaussian depth", loss=depth.of_gaussians, weight=settings.ec))
     if settings.moves and settings.mc:
@@ -75,19 +75,21 @@ class Depth:
     Source: DLG-GS, Sec. 2.2.
     """
 
-    def __init__(self, run: Run, *, weighted: bool) -> None:
+    def __init__(self, run: Run, *, kind: depth_constraint.Depth, weighted: bool) -> None:
         """Start without any prior in memory.
 
         Args:
             run: Its backend draws; priors are kept in as many bytes as images are.
+            kind: How far a position is: its distance, or its z.
             weighted: Whether pixels whose two renders differ count less.
         """
         self.backend = get_backend(run.backend)
         self.priors = TensorCache(run.image_bytes)
+        self.kind: depth_constraint.Depth = kind
         self.weighted = weighted
 
     def of_gaussians(self, frame: Frame) -> Float[Tensor, ""]:
-        """EC, by the Gaussians' distances: it moves and fades them, and leaves their shape alone.
+        """EC, by how far the Gaussians are: it moves and fades them, and leaves their shape alone.
 
         Args:
             frame: A rendered view that has a depth prior.
@@ -98,12 +100,12 @@ class Depth:
             rasterizer = partial(self.backend.again, frame.output)
         disparity = depth_constraint.gaussian_disparity(
             frame.view.camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
-            rasterizer=rasterizer,
+            depth=self.kind, rasterizer=rasterizer,
         )  # fmt: skip
         return self._error(disparity, frame)
 
     def of_anchors(self, frame: Frame) -> Float[Tensor, ""]:
-        """MC, by the anchors' distances at a fixed opacity: it moves anchors only.
+        """MC, by how far the anchors are, at a fixed opacity: it moves anchors only.
 
         Args:
             frame: A rendered view that has a depth prior.
@@ -113,7 +115,7 @@ class Depth:
         anchors = centres_of(frame.model.parameters).index_select(0, splats.rows)
         disparity = depth_constraint.anchor_disparity(
             frame.view.camera, anchors, splats.means, splats.quaternions, splats.scales,
-            rasterizer=self.backend.rasterize,
+            depth=self.kind, rasterizer=self.backend.rasterize,
         )  # fmt: skip
         return self._error(disparity, frame)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.base.errors import UsageError
@@ -79,6 +79,7 @@ def fit_code(
     start: Float[Tensor, " c"],
     image: Float[Tensor, "h n 3"],
     columns: slice,
+    mask: Bool[Tensor, "h n"] | None = None,
 ) -> Float[Tensor, " c"]:
     """The code with which a model shows some columns of an image best.
 
@@ -91,19 +92,20 @@ def fit_code(
         start: Code of the first step.
         image: The columns that may be looked at, in [0, 1]; the rest of the image is not given.
         columns: Which columns of the whole image they are.
+        mask: Which of their pixels count; None: all.
 
     Returns: The code of the smallest loss seen.
 
     Source: ours.
     """
-    truth = image.to(start)
+    truth, counts = image.to(start), None if mask is None else mask.to(start.device)
     code = start.detach().float().cpu().clone()  # a few numbers, for the update on the CPU
     first, second = torch.zeros_like(code), torch.zeros_like(code)
     best, least, mark, rate = code.clone(), float("inf"), float("inf"), RATE
     for step in range(1, MOST_STEPS + 1):
         with torch.enable_grad():
             asked = code.clone().to(start).requires_grad_()
-            loss = photometric_loss(show(asked)[:, columns].contiguous(), truth)
+            loss = photometric_loss(show(asked)[:, columns].contiguous(), truth, mask=counts)
         if float(loss.detach()) < least:
             best, least = code.clone(), float(loss.detach())
         if step % PATIENCE == 0:

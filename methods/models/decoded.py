@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError, UsageError
@@ -96,7 +96,7 @@ class DecodedModel:
 
     @torch.no_grad()
     def bake(self, view: View | None = None) -> Gaussians:
-        """Explicit Gaussians that look like the model does from one view, at its time.
+        """Explicit Gaussians that look like the model does from one view, at its time, but for `unbaked`.
 
         Args:
             view: Camera, time and appearance that the model is decoded for.
@@ -109,6 +109,11 @@ class DecodedModel:
                 "bake it at"
             )
         return gaussians_of(self.model.splats(view.without_truth(), TRAINED))
+
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """What the model adds to a rasterized image, which baked Gaussians lack: a sky, exposures."""
+        return self.model.unbaked
 
     def store(self, folder: Path) -> Stored:
         """What `save_model` writes: all parameters, and what a loader needs beside them.
@@ -128,7 +133,11 @@ class AdaptingModel(DecodedModel):
     """A decoded model whose Model has an appearance code (`HasCode`), which can be fitted."""
 
     def fit_appearance(
-        self, view: View, image: Float[Tensor, "h w 3"], columns: slice
+        self,
+        view: View,
+        image: Float[Tensor, "h w 3"],
+        columns: slice,
+        mask: Bool[Tensor, "h w"] | None = None,
     ) -> Float[Tensor, " c"]:
         """Code that shows a view over black in the light of an image, see `fit_code`.
 
@@ -136,6 +145,7 @@ class AdaptingModel(DecodedModel):
             view: Camera, time and sensor of the image.
             image: The columns that may be looked at, in [0, 1].
             columns: Which columns of the whole image they are.
+            mask: Which of their pixels may be looked at; None: all.
         """
         model, asked = self.model, view.without_truth()
         assert isinstance(model, HasCode)
@@ -148,7 +158,7 @@ class AdaptingModel(DecodedModel):
             output = self._rasterized(coded, None) if once is None else once
             return model.finish_image(coded, output)
 
-        return fit_code(show, start, image, columns).cpu()
+        return fit_code(show, start, image, columns, mask).cpu()
 
 
 def _reconstruction(*, model: Model, **about: Any) -> DecodedModel:

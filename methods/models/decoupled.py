@@ -67,6 +67,11 @@ class DecoupledModel(Model):
         """
         return self.base.finish_image(view, output)
 
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """What the model inside adds; factors are of training alone."""
+        return self.base.unbaked
+
     def factors(self, view: View, image: Float[Tensor, "h w 3"]) -> Float[Tensor, "h w 3"]:
         """What a photo did to the colours of its render; 1 for a view that is no training photo.
 

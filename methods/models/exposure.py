@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError
@@ -146,6 +146,11 @@ class ExposedModel(Model):
         inner, own = self._asked(view)
         return self.exposures.shown(own, self.base.finish_image(inner, output))
 
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """The exposures of photos, after what the model itself adds."""
+        return (*self.base.unbaked, "the exposures of its photos")
+
     def neutral_code(self, view: View) -> Float[Tensor, " c"]:
         """The model's own neutral code, if it has one, and that of neutral exposure.
 
@@ -242,7 +247,11 @@ class ExposedGaussians(ExplicitModel):
         return replace(output, colour=self.exposures.shown(view, output.colour))
 
     def fit_appearance(
-        self, view: View, image: Float[Tensor, "h w 3"], columns: slice
+        self,
+        view: View,
+        image: Float[Tensor, "h w 3"],
+        columns: slice,
+        mask: Bool[Tensor, "h w"] | None = None,
     ) -> Float[Tensor, " c"]:
         """Exposure that shows a view over black as an image does, see `fit_code`.
 
@@ -250,9 +259,11 @@ class ExposedGaussians(ExplicitModel):
             view: Camera of the image.
             image: The columns that may be looked at, in [0, 1].
             columns: Which columns of the whole image they are.
+            mask: Which of their pixels may be looked at; None: all.
         """
         colour = super().render(view).colour
-        return fit_code(lambda c: adjusted(colour, c), self.exposures.neutral(), image, columns)
+        neutral = self.exposures.neutral()
+        return fit_code(lambda c: adjusted(colour, c), neutral, image, columns, mask)
 
     def store(self, folder: Path) -> Stored:
         """What `save_model` writes: the Gaussians, how they are drawn, and the exposures.

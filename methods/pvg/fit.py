@@ -56,10 +56,10 @@ def prepare(scene: Scene, settings: Settings, run: Run) -> tuple[VibrationModel,
     Raises: DataError if the scene lacks times, points, training views, or what a term reads.
     """
     clock, size = clock_of(scene), extent(scene)
+    parameters = started(scene, settings, clock, run.seed)
     driving = scene_terms(
         scene, settings.lidar, settings.sky, steps=settings.iterations, extent=size
     )
-    parameters = started(scene, settings, clock, run.seed)
     model = VibrationModel(
         parameters, schedules(settings, size, [*parameters.trained]), clock=clock,
         motion=settings.motion, mode=settings.mode,

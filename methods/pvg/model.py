@@ -10,7 +10,7 @@ from torch import Tensor
 
 from splatproof.methods.contracts.model import Model, Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
-from splatproof.methods.dynamic.sky import Sky
+from splatproof.methods.dynamic.sky import SKY, Sky
 from splatproof.methods.dynamic.smoothing import average_velocities, skipped
 from splatproof.methods.dynamic.times import Clock
 from splatproof.methods.models.gaussian_model import assemble
@@ -120,6 +120,11 @@ class VibrationModel(Model):
             output: Colours, alpha.
         """
         return self.sky.behind(self.parameters.shared, view.camera, output)
+
+    @property
+    def unbaked(self) -> tuple[str, ...]:
+        """The sky, where there is one."""
+        return ("its sky",) if SKY in self.parameters.shared else ()
 
     def facts(self) -> dict[str, Any]:
         """What `restored` needs beside the tensors."""

@@ -31,7 +31,8 @@ def started(scene: Scene, settings: Settings, clock: Clock, seed: int) -> Parame
     """
     parts = [_rows(scene, settings, torch.zeros(len(scene.points)), still(settings, clock))]
     if settings.start.sweep_points:
-        require_sweeps(scene, "lidar.weight = 0 and start.sweep_points = 0")
+        term = "lidar.weight = 0 and " if settings.lidar.weight else ""
+        require_sweeps(scene, f"{term}start.sweep_points = 0")
         chosen = choose(in_motion(timed_points(scene), scene.up), settings.start.sweep_points, seed)
         for points in by_moment(chosen):
             moved = bool(points.moved[0])

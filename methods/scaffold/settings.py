@@ -72,7 +72,9 @@ class Settings:
     dssim: float = 0.2
     """Weight of 1 - SSIM; L1 has the rest."""
     volume: float = 0.01
-    """Weight of the mean volume of the decoded Gaussians (0.001 in the paper, 0.01 in its release)."""
+    """Weight of the mean volume of the decoded Gaussians (0.001 in the paper, 0.01 in its release). As in
+    the release that is in scene units cubed: where anchors start several units wide it outweighs the
+    photos and shrinks what is decoded; where they start far below one it does next to nothing."""
     exposure: Exposure = "off"
     """What is learnt of each photo beside the scene, zero on average over the photos: off: nothing;
     gain: exposure and white balance, as three gains; affine: a 3 x 4 map of its colours."""

@@ -43,8 +43,9 @@ class MipSettings(Settings):
     """The 2D Mip filter: scale opacities by what the rasterizer's low-pass spreads a Gaussian over (ours
     has 0.3 squared pixels, the release 0.1). False: without it, an ablation of the paper."""
     smoothing: float = 0.2
-    """Variance of the 3D filter, in squared pixels of the training photo that shows a place largest.
-    0: without it, an ablation of the paper."""
+    """Variance of the 3D filter, in squared pixels; a pixel at a place is as wide as its smallest depth in
+    a training photo by the largest focal length of all of them, as in the release, whichever camera
+    has it. 0: without it, an ablation of the paper."""
 
     def __post_init__(self) -> None:
         """Refuse settings that no run can follow."""
@@ -166,10 +167,10 @@ def prepare(scene: Scene, settings: MipSettings, run: Run) -> tuple[MipModel, Pl
     cameras = tuple(view.camera for view in scene.train_views)
     model = MipModel(
         start, settings.rates, extent=size, mode=settings.mode,
-        sh_every=settings.sh_interval * shrink(settings.iterations), dropout=settings.dropout,
+        sh_every=settings.sh_interval * shrink(settings.round_steps), dropout=settings.dropout,
         labels={FILTER: filters(cameras, start.means, settings.smoothing)},
     )  # fmt: skip
-    density = MipControl(settings.density, iterations=settings.iterations, extent=size)
+    density = MipControl(settings.density, iterations=settings.round_steps, extent=size)
     density.cameras, density.variance = cameras, settings.smoothing
     return model, replace(plan, density=density)
 

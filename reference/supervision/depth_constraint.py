@@ -2,13 +2,18 @@
 
 The paper blends distances and compares them with what a monocular network says. Such a network says
 a d + b of the disparity d, with a and b unknown: no inverse of that is affine in depth. So here both
-renders blend inverse distances, which a robust affine map can bring to the network's range, and in
-which what nothing covers is infinitely far instead of at the camera (ours).
+renders blend inverses, in which what nothing covers is infinitely far instead of at the camera (ours).
+
+A disparity is 1 / z, z along the optical axis. The paper prints distances to the camera's centre, and
+does not say which the network's are. They differ by the cosine of a pixel's angle to the axis, which
+no affine map takes away: under depth "z" true geometry has no error against a true disparity, under
+"distance", as printed, it has one that grows with the field of view.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -16,12 +21,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.reference.rasterizer.rasterize import rasterize
-from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.camera import Camera, transform_points
 from splatproof.reference.types.render import RenderOutput
 
 ANCHOR_OPACITY = 0.95
 """tau: fixed opacity of the anchor-level render."""
 QUANTILES = (0.02, 0.98)
+Depth = Literal["distance", "z"]
+"""How far a position is: |x - x_c|, as the paper prints it, or along the optical axis, as a disparity."""
 Rasterizer = Callable[..., RenderOutput]
 """Anything with the signature and meaning of the reference's `rasterize`."""
 
@@ -53,9 +60,13 @@ def _blend(
     ).colour[..., 0]
 
 
-def _inverse_distances(camera: Camera, positions: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
-    """1 / |x - x_c|; what is nearer than the near plane counts as on it."""
-    return 1 / (positions - camera.centre.to(positions)).norm(dim=1).clamp(min=camera.near)
+def _inverses(camera: Camera, positions: Float[Tensor, "n 3"], depth: Depth) -> Float[Tensor, " n"]:
+    """1 / |x - x_c| or 1 / z; what is nearer than the near plane counts as on it."""
+    if depth == "z":
+        far = transform_points(camera, positions)[:, 2]
+    else:
+        far = (positions - camera.centre.to(positions)).norm(dim=1)
+    return 1 / far.clamp(min=camera.near)
 
 
 def gaussian_disparity(
@@ -65,6 +76,7 @@ def gaussian_disparity(
     scales: Float[Tensor, "n 3"],
     opacities: Float[Tensor, " n"],
     *,
+    depth: Depth = "distance",
     rasterizer: Rasterizer = rasterize,
 ) -> Float[Tensor, "h w"]:
     """D_ng = sum w_i / delta_i, delta = |u_i - x_c|; gradients reach position and opacity only.
@@ -77,13 +89,14 @@ def gaussian_disparity(
         quaternions: (w, x, y, z), any norm; no gradient flows to them.
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
         opacities: Opacity of each Gaussian, in [0, 1].
+        depth: What delta_i is: |u_i - x_c| or z.
         rasterizer: What draws it; a backend's keeps to the same signature.
 
-    Returns: Blended inverse distance to the camera centre, one over scene units.
+    Returns: Blended inverse of delta, one over scene units.
 
     Source: DLG-GS, Eqs. 1 and 2, with 1 / delta for delta.
     """
-    carried = _inverse_distances(camera, means)
+    carried = _inverses(camera, means, depth)
     fixed = quaternions.detach(), scales.detach()
     return _blend(camera, means, *fixed, opacities, carried, rasterizer)
 
@@ -95,6 +108,7 @@ def anchor_disparity(
     quaternions: Float[Tensor, "n 4"],
     scales: Float[Tensor, "n 3"],
     *,
+    depth: Depth = "distance",
     rasterizer: Rasterizer = rasterize,
 ) -> Float[Tensor, "h w"]:
     """D_va: as D_ng with the anchors' distances and tau G(p), tau = 0.95; gradients reach anchors.
@@ -107,11 +121,12 @@ def anchor_disparity(
         means: World positions of the Gaussians, scene units; no gradient flows to them.
         quaternions: (w, x, y, z), any norm; no gradient flows to them.
         scales: Standard deviations in scene units, >= 0; no gradient flows to them.
+        depth: What an anchor's distance is: to the camera's centre, or z.
         rasterizer: What draws it; a backend's keeps to the same signature.
 
     Source: DLG-GS, Eq. 3, with 1 / delta for delta.
     """
-    carried = _inverse_distances(camera, anchors)
+    carried = _inverses(camera, anchors, depth)
     opacities = torch.full_like(carried, ANCHOR_OPACITY).detach()
     fixed = means.detach(), quaternions.detach(), scales.detach()
     return _blend(camera, *fixed, opacities, carried, rasterizer)

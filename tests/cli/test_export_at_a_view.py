@@ -133,6 +133,17 @@ def test_without_a_time_that_of_the_view_counts(moving, tmp_path, capsys):
     assert torch.equal(means(ply), at(3, TIMES["3.png"]).means)
 
 
+@pytest.mark.parametrize("lacks", [("its sky", "its shade"), ()])
+def test_what_no_gaussian_shows_is_named_in_one_line(moving, tmp_path, capsys, monkeypatch, lacks):
+    arguments = ["export", moving, "--ply", str(tmp_path / "m.ply"), "--view", "3.png"]
+    assert main(arguments) == 0
+    assert "what is written lacks what it adds to a rasterized image" in capsys.readouterr().err
+    monkeypatch.setattr(Moving, "unbaked", lacks)
+    assert main(arguments) == 0
+    told = [line for line in capsys.readouterr().err.splitlines() if "what is written" in line]
+    assert told == [f"{moving}: what is written lacks {' and '.join(lacks)}"] * bool(lacks)
+
+
 def test_another_scene_and_protocol_go_first(moving, tmp_path, asked):
     options = ["--view", "1.png", "--scene", "elsewhere", "--protocol", "quick"]
     assert main(["export", moving, "--ply", str(tmp_path / "m.ply"), *options]) == 0

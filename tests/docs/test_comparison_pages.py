@@ -176,6 +176,23 @@ def test_a_page_shows_verdicts_tables_and_lengths():
     assert "Failed" not in text
 
 
+@pytest.mark.parametrize("side", ["row", "other"])
+def test_a_row_of_another_length_that_a_claim_compares_is_in_the_tables(side):
+    planned = {("s", p, name): 3 for p in "pq" for name in ("a", "a@half", "a@c-double")}
+    double = [row("a@c-double", seed, values={"psnr": 23.0 + seed}) for seed in range(3)]
+    rows = [replace(one, protocol=p) for p in "pq" for one in (*some_rows(), *double)]
+    claims = [replace(claim, **{side: "a@c-double"}) for claim in small_page([]).claims]
+    text = render_page(small_page(rows, planned=planned, claims=claims), [])
+    beside, *places = text.split("\n## ")[2:]
+    assert "| a@c-double | 24.00 ± 2.48 | 24.00 ± 2.48 |" in beside
+    for place in places:
+        quality, lengths = place.split("What a run took")
+        assert "| a@c-double | 3 | 24.00 ± 2.48 |" in quality
+        assert "| a@c-double | 100 |" in lengths
+        assert "| a@half |" not in quality
+        assert "| a@half |" in lengths
+
+
 def test_anchors_are_not_taken_for_gaussians():
     counted = [replace(one, values={**one.values, "primitives": 1234.0}) for one in some_rows()]
     planned = {("s", "p", "a"): 3, ("s", "p", "hdgs@n2"): 3}

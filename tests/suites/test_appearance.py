@@ -45,10 +45,13 @@ class Lit:
 class Fitting(Lit):
     """Fits its gain to what it is given."""
 
-    def fit_appearance(self, view: View, image: Tensor, columns: slice) -> Tensor:
+    def fit_appearance(
+        self, view: View, image: Tensor, columns: slice, mask: Tensor | None = None
+    ) -> Tensor:
         assert image.shape[1] == columns.stop - columns.start
+        counts = torch.ones(image.shape[:2], dtype=torch.bool) if mask is None else mask
         photo = next(other for other in self.scene.views if other.name == view.name).load()
-        return (image.sum() / photo[:, columns].sum()).reshape(1)
+        return (image[counts].sum() / photo[:, columns][counts].sum()).reshape(1)
 
 
 def dim(scene: Scene) -> Scene:
@@ -123,6 +126,25 @@ def test_nothing_of_the_scored_half_is_looked_at(mode, tmp_path):
     asked = appearance.shown(other.test_views[0], other.train_views, Fitting(SCENE, []), left)
     assert isinstance(asked.appearance, Tensor)
     assert float(asked.appearance) != pytest.approx(1.0, abs=1e-3)  # the oracle does look
+
+
+@pytest.mark.parametrize("mode", ["half", "oracle", "exposure"])
+def test_nothing_masked_is_looked_at(mode):
+    """Brighter where the mask says that a photo holds nothing: no matter, unless masks do not count."""
+    mask = torch.ones(SCENE.test_views[0].size, dtype=torch.bool)
+    mask[3:9, 2:8] = mask[3:9, 15:20] = False
+    view = replace(SCENE.test_views[0], load_mask=lambda: mask)
+    bright = view.load().where(mask[..., None], torch.tensor(0.9))
+
+    def shown(view: View, masked: bool = True) -> Tensor:
+        rules = replace(HALF, appearance=mode, masked=masked)
+        model = Fitting(SCENE, [])
+        asked = appearance.shown(view, SCENE.train_views, model, rules)
+        return appearance.exposed(view, model.render(asked).colour, rules)
+
+    spoilt = replace(view, load=lambda: bright)
+    assert torch.equal(shown(view), shown(spoilt))
+    assert not torch.equal(shown(view, masked=False), shown(spoilt, masked=False))
 
 
 def test_nearest_names_a_training_view_for_the_model():

@@ -51,8 +51,9 @@ def export(
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
-    --protocol say where to find it. From other views the file is not what the model shows. Models of
-    plain Gaussians look the same from everywhere and refuse these options.
+    --protocol say where to find it. From other views the file is not what the model shows, and from none
+    does it hold what the model adds to a finished image, its sky and exposures: a line on stderr names
+    them. Models of plain Gaussians look the same from everywhere and refuse these options.
 
     With --json each written file is a line: ply, spz, gltf or packed (its path), gaussians, bytes,
     view and time (null where the model is the same from everywhere), and frame of a .ply;
@@ -84,6 +85,7 @@ def export(
     from splatproof.base.files import check_target, remove_stale
     from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
+    from splatproof.methods.models.decoded import DecodedModel
     from splatproof.methods.storage.gltf import write_gltf
     from splatproof.methods.storage.packed.coded_writer import QUALITIES, write_coded
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
@@ -121,6 +123,8 @@ def export(
     if thin is not None or tune is not None:
         loaded, steps = smaller(model, thin, tune, packed, kept)
     gaussians = baked(loaded, view)
+    if isinstance(loaded, DecodedModel) and loaded.unbaked:
+        output.log(f"{model}: what is written lacks {' and '.join(loaded.unbaked)}")
     if packed is not None:
         origin = load_origin(model_path(model))
         told = PackedFacts(**_known(loaded), origin=origin)

@@ -200,6 +200,7 @@ def test_baked_at_a_view_it_looks_the_same_there(trained):
     explicit = ExplicitModel(model=trained.bake(view), shift=trained.shift, units=trained.units)
     baked = explicit.render(view).colour
     torch.testing.assert_close(baked, trained.render(view).colour, atol=2e-4, rtol=0)
+    assert trained.unbaked == ()
 
 
 def test_without_priors_it_says_what_does_without():

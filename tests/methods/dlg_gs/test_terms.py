@@ -6,17 +6,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from helpers.tiny_scene import tiny_scene
+from helpers.tiny_scene import camera, tiny_scene
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.fit import prepare
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.dlg_gs.terms import terms
-from splatproof.methods.training.terms import Frame
+from splatproof.methods.priors.oracle import prior_of
+from splatproof.methods.training.terms import Frame, Term
 from splatproof.reference.anchors import lighting_appearance
 from splatproof.reference.supervision import depth_constraint, losses
+from splatproof.reference.supervision.depth_constraint import Depth
 from splatproof.reference.types.scene import DepthPrior, Scene
+from splatproof.reference.types.splats import Splats
 
 SMALL = Settings(iterations=50, k=3, features=8, head=6, factor_width=4)
 BACKGROUND = (0.2, 0.4, 0.6)
@@ -111,9 +114,10 @@ def test_colours_by_the_paper(masked):
         torch.testing.assert_close(found, paper, atol=1e-6, rtol=1e-5)
 
 
+@pytest.mark.parametrize("kind", ["distance", "z"])
 @pytest.mark.parametrize("weighted", [True, False])
-def test_depths_by_the_paper(weighted):
-    made = Made(replace(SMALL, weight_map=weighted))
+def test_depths_by_the_paper(weighted, kind):
+    made = Made(replace(SMALL, weight_map=weighted, depth=kind))
     frame, splats = made.frame, made.frame.splats
     assert frame.view.load_prior is not None
     assert splats.rows is not None
@@ -124,13 +128,43 @@ def test_depths_by_the_paper(weighted):
     shape = (frame.view.camera, splats.means, splats.quaternions, splats.scales)
     anchors = made.model.parameters.rows["centres"][splats.rows]
     want = depth_constraint.depth_loss(
-        depth_constraint.gaussian_disparity(*shape, splats.opacities),
-        depth_constraint.anchor_disparity(frame.view.camera, anchors, *shape[1:]),
+        depth_constraint.gaussian_disparity(*shape, splats.opacities, depth=kind),
+        depth_constraint.anchor_disparity(frame.view.camera, anchors, *shape[1:], depth=kind),
         prior.disparity, prior.valid, weight if weighted else torch.ones_like(weight),
         depth_constraint.DepthWeights(),
     )  # fmt: skip
     found = 0.01 * made.loss("gaussian depth") + 0.01 * made.loss("anchor depth")
     torch.testing.assert_close(found, want, atol=1e-7, rtol=1e-4)
+
+
+def test_true_geometry_has_no_error_against_the_oracle_by_z_alone():
+    """Dots on the true depth of a wide view, and true depth as the prior of the pixels that have one."""
+    where = replace(camera(2), K=torch.tensor([[9.0, 0, 12], [0, 9, 9], [0, 0, 1]]).double())
+    row, column = torch.meshgrid(torch.arange(18) + 0.5, torch.arange(24) + 0.5, indexing="ij")
+    ray = torch.stack([(column - 12) / 9, (row - 9) / 9, torch.ones(18, 24)], dim=-1)
+    depth = 2 + 0.4 * ray[..., 0]
+    seen = torch.zeros(18, 24, dtype=torch.bool)
+    seen[2::4, 2::4] = True  # a dot's footprint ends before the next
+    inside = (ray * depth[..., None])[seen].double() - where.translation
+    means = (inside @ where.rotation).float()
+    splats = Splats(
+        means=means, quaternions=torch.ones(len(means), 4), scales=torch.full_like(means, 1e-5),
+        opacities=torch.full((len(means),), 0.9), colours=torch.ones(len(means), 3),
+    )  # fmt: skip
+    prior = prior_of(depth.where(seen, torch.nan))
+
+    def error(kind: Depth) -> float:
+        frame = Made(SMALL).frame
+        view = replace(frame.view, camera=where, load_prior=lambda: prior)
+        frame = replace(
+            frame, view=view, splats=splats, output=get_backend("cpu").draw(where, splats)
+        )
+        term = terms(replace(SMALL, depth=kind, weight_map=False), RUN)[2]
+        assert isinstance(term, Term)
+        return float(term.loss(frame)) / float(seen.float().mean())
+
+    assert error("z") < 1e-5
+    assert error("distance") > 0.02
 
 
 def test_masked_pixels_have_no_depth():

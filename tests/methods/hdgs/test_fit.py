@@ -111,8 +111,13 @@ def test_baked_at_a_moment_it_looks_the_same_there_but_for_the_sky(tmp_path):
     again, _ = read_ply(tmp_path / "m.ply")
     baked = ExplicitModel(model=again, shift=model.shift, units=model.units).render(view).colour
     torch.testing.assert_close(baked, model.render(view).colour, atol=2e-4, rtol=0)
+    assert model.unbaked == ()
     with pytest.raises(UsageError, match="looks different from every view"):
         model.bake()
+
+
+def test_a_sky_is_not_baked_and_said_to_be(trained):
+    assert trained.unbaked == ("its sky",)
 
 
 def test_only_anchors_and_networks_are_stored(trained, tmp_path):

@@ -70,6 +70,28 @@ def test_pixels_of_other_columns_do_not_matter(columns):
     assert torch.equal(fitted(model, image, columns), fitted(model, poisoned, columns))
 
 
+@pytest.mark.parametrize("columns", [LEFT, slice(3, 21)])
+def test_masked_pixels_do_not_move_the_code(columns):
+    model = tinted()
+    assert isinstance(model, Adapts)
+    mask = torch.ones(VIEW.size, dtype=torch.bool)
+    mask[8:] = False  # more than half: the least absolute difference bears less
+    white = planted(model).where(mask[..., None], torch.tensor(1.0))
+    left = white[:, columns], columns
+    found = model.fit_appearance(VIEW.without_truth(), *left, mask[:, columns])
+    torch.testing.assert_close(found, PLANTED, atol=2e-3, rtol=0)
+    whole = model.fit_appearance(VIEW.without_truth(), *left)
+    assert float((whole - PLANTED).abs().max()) > 0.1
+
+
+def test_a_view_of_which_no_pixel_counts_keeps_the_neutral_code():
+    model = tinted()
+    assert isinstance(model, Adapts)
+    none = torch.zeros(VIEW.size, dtype=torch.bool)[:, LEFT]
+    found = model.fit_appearance(VIEW.without_truth(), VIEW.load()[:, LEFT], LEFT, none)
+    assert torch.equal(found, torch.zeros(3))
+
+
 def test_a_fit_is_the_same_to_the_bit_and_leaves_the_parameters_alone():
     model = tinted()
     for value in model.model.parameters.trained.values():

@@ -174,6 +174,19 @@ def test_an_exposure_is_fitted_to_half_an_image(models, kind):
 
 
 @pytest.mark.parametrize("kind", ["gain", "affine"])
+def test_an_exposure_is_fitted_past_a_mask(models, kind):
+    model, view = models[kind], lit(GAINS).views[1]
+    shown = model.render(replace(view, appearance="5.png")).colour
+    mask = torch.ones(view.size, dtype=torch.bool)
+    mask[8:] = False  # more than half: the least absolute difference bears less
+    white, every = shown.where(mask[..., None], torch.tensor(1.0)), slice(0, view.camera.width)
+    code = model.fit_appearance(replace(view, name="new").without_truth(), white, every, mask)
+    again = model.render(replace(view, appearance=code)).colour
+    # the last rate that is tried is 1/64 of 0.05
+    torch.testing.assert_close(again, shown, atol=5e-3, rtol=0)
+
+
+@pytest.mark.parametrize("kind", ["gain", "affine"])
 def test_it_is_stored_and_its_gaussians_are_exported_in_neutral_exposure(models, kind, tmp_path):
     model, view = models[kind], lit(GAINS).views[2]
     save_model(model, tmp_path / "model", Origin())
@@ -266,6 +279,7 @@ def test_the_code_of_a_model_comes_before_that_of_its_exposure():
     model = exposed(base, "gain", scene.train_views)
     assert isinstance(model, ExposedModel)
     whole = DecodedModel.of("coded", model, scene, "cpu")
+    assert whole.unbaked == ("the exposures of its photos",)
     view = scene.views[0]
     assert torch.equal(model.neutral_code(view), torch.zeros(4))
     code = torch.tensor([0.5, 0.1, 0.2, 0.3])

@@ -167,11 +167,14 @@ def test_what_a_scene_lacks_is_said_in_one_line_with_the_setting_that_does_witho
     with pytest.raises(DataError, match="has no time.*static method such as 3dgs"):
         fit(tiny_scene(), SHORT, RUN)
     blind = without(scene, load_sweep=None)
-    with pytest.raises(DataError, match=r"LiDAR sweep; set lidar.weight = 0 to"):
+    both = r"LiDAR sweep; set lidar.weight = 0 and start.sweep_points = 0 to"
+    with pytest.raises(DataError, match=both):
         fit(blind, SHORT, RUN)
     no_term = replace(SHORT, lidar=LidarSettings(weight=0.0), iterations=2)
-    with pytest.raises(DataError, match=r"set lidar.weight = 0 and start.sweep_points = 0 to"):
+    with pytest.raises(DataError, match=r"LiDAR sweep; set start.sweep_points = 0 to"):
         fit(blind, no_term, RUN)
+    with pytest.raises(DataError, match=r"LiDAR sweep; set lidar.weight = 0 to"):
+        fit(blind, replace(SHORT, start=Start(sweep_points=0)), RUN)
     assert fit(blind, replace(no_term, start=Start(sweep_points=0)), RUN).primitives > 0
     clouded = without(scene, load_sky=None)
     with pytest.raises(DataError, match=r"sky mask; set sky.weight = 0 to"):

@@ -146,6 +146,8 @@ def test_the_sky_is_behind_it_and_its_gradient_reaches_the_texels():
     torch.testing.assert_close(image, torch.full((18, 24, 3), 0.75 * 0.5))
     assert ours.finishes
     assert SKY in ours.schedules
+    assert ours.unbaked == ("its sky",)
+    assert model().unbaked == ()
 
 
 @pytest.mark.parametrize(

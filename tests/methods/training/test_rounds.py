@@ -17,8 +17,10 @@ from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.sparse_views import cor_gs, fsgs
 from splatproof.methods.stratosplat import fit as stratosplat
 from splatproof.methods.stratosplat.settings import Planes, StratoSplat
+from splatproof.methods.threedgs import mip_splatting
 from splatproof.methods.threedgs.density import StrategicDensity
 from splatproof.methods.threedgs.fit import fit, prepare
+from splatproof.methods.threedgs.mip_splatting import MipSettings
 from splatproof.methods.threedgs.settings import Settings, ThreeDGS
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.density_control import DensityControl
@@ -148,12 +150,21 @@ def test_relatives_of_3dgs_have_rounds():
         stratosplat.prepare_from(
             tiny_scene(), StratoSplat(iterations=60, rounds=2, planes=Planes(field="table")), RUN
         ),
+        mip_splatting.prepare(tiny_scene(), MipSettings(iterations=60, rounds=2), RUN),
     ):
         _, plan = made
         assert plan.restarts == (30,)
         assert isinstance(plan.density, DensityControl)
         settings = plan.density.settings
         assert settings.stop == round(type(settings)().stop / 1000)
+
+
+def test_mip_splatting_adds_harmonics_in_each_round_as_in_a_run_of_its_length():
+    made = (MipSettings(iterations=60, rounds=2), MipSettings(iterations=30))
+    one, other = (
+        mip_splatting.prepare(tiny_scene(), settings, RUN)[0].sh_every for settings in made
+    )
+    assert one == other > 0
 
 
 def test_rounds_below_one_and_views_looked_at_in_rounds_are_refused():

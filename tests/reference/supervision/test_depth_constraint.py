@@ -46,6 +46,42 @@ def test_disparities_are_the_weighted_inverse_distances(n, seed):
     assert_close(dc.anchor_disparity(camera, anchors, means, quaternions, scales), want)
 
 
+def wide() -> Camera:
+    """90 degrees from side to side, turned and off the origin: its corners are 1.7 z away."""
+    intrinsics = torch.tensor([[16.0, 0, 16], [0, 16.0, 16], [0, 0, 1]], dtype=D)
+    pose = torch.eye(4, dtype=D)
+    pose[0, 0] = pose[2, 2] = 0.6
+    pose[0, 2], pose[2, 0] = 0.8, -0.8
+    pose[:3, 3] = torch.tensor([0.3, -0.2, 0.1], dtype=D)
+    return Camera(K=intrinsics, world_to_camera=pose, width=32, height=32)
+
+
+def dots_on_a_wall(camera: Camera):
+    """A dot on every fourth pixel, at the depth of a slanted wall; the wall's z; where dots are."""
+    row, column = torch.meshgrid(*(torch.arange(32, dtype=D) + 0.5,) * 2, indexing="ij")
+    x, y = (column - 16) / 16, (row - 16) / 16
+    z = 1 / (0.3 + 0.1 * x - 0.05 * y)
+    seen = torch.zeros(32, 32, dtype=torch.bool)
+    seen[2::4, 2::4] = True  # a dot's footprint ends before the next
+    inside = torch.stack([x * z, y * z, z], dim=-1)[seen]
+    return (inside - camera.translation) @ camera.rotation, z, seen
+
+
+@pytest.mark.parametrize(
+    ("kind", "least", "most"), [("z", 0, 1e-9), ("distance", 0.02, 1)], ids=["z", "distance"]
+)
+def test_true_geometry_has_no_error_against_true_disparity_by_z_alone(kind, least, most):
+    camera = wide()
+    means, z, seen = dots_on_a_wall(camera)
+    shape = torch.tensor([[1.0, 0, 0, 0]], dtype=D).expand(len(means), 4), 1e-6 + 0 * means
+    gaussian = dc.gaussian_disparity(camera, means, *shape, 0.95 + 0 * means[:, 0], depth=kind)
+    anchor = dc.anchor_disparity(camera, means, means, *shape, depth=kind)
+    assert_close(gaussian, anchor)
+    target, ones = dc.normalise_disparity(1 / z, seen), torch.ones_like(z)
+    error = float(dc.disparity_error(gaussian, target, seen, ones)) / float(seen.double().mean())
+    assert least <= error <= most
+
+
 def test_gradients_go_where_the_paper_sends_them():
     inputs = [x.requires_grad_() for x in gaussians(4, 1)]
     means, anchors, quaternions, scales, opacities = inputs
@@ -139,12 +175,13 @@ def test_a_perfect_model_has_no_loss_whatever_the_network_adds(seed, a, b):
     assert float(loss) == pytest.approx(0, abs=1e-9)
 
 
-def test_what_nothing_covers_is_infinitely_far_and_a_mean_at_the_camera_is_finite():
+@pytest.mark.parametrize("kind", ["distance", "z"])
+def test_what_nothing_covers_is_infinitely_far_and_a_mean_at_the_camera_is_finite(kind):
     means, anchors, quaternions, scales, opacities = gaussians(3, 0)
     anchors[0] = means[0] = view().centre
     means, anchors = means.requires_grad_(), anchors.requires_grad_()
-    seen = dc.gaussian_disparity(view(), means, quaternions, scales, opacities)
-    hung = dc.anchor_disparity(view(), anchors, means, quaternions, scales)
+    seen = dc.gaussian_disparity(view(), means, quaternions, scales, opacities, depth=kind)
+    hung = dc.anchor_disparity(view(), anchors, means, quaternions, scales, depth=kind)
     (seen.sum() + hung.sum()).backward()
     for x in (means, anchors):
         assert x.grad is not None
