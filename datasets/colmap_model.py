@@ -91,6 +91,9 @@ def read_model(folder: Path, *, pointless: bool = False) -> Model:
     except (ValueError, IndexError, RuntimeError, MemoryError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise DataError(f"{folder}: COLMAP cannot read this model ({said})") from None
+    names = dict(zip(index.image_ids, index.image_names, strict=True))
+    for number, image in reconstruction.images.items():
+        image.name = names[number]  # COLMAP's reader of text ends a name at its first blank
     images = tuple(
         sorted(
             (image for image in reconstruction.images.values() if image.has_pose),

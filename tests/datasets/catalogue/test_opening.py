@@ -48,6 +48,32 @@ def test_text_binary_with_and_without_rigs_are_one_scene(tmp_path):
     assert binary.facts["model_sha256"] != text.facts["model_sha256"]
 
 
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("name", ["my view {}.png", "IMG {}.png", "a  b/two  blanks {}.png"])
+def test_blanks_in_names_of_photos_are_kept(tmp_path, text, name):
+    plain = open_scene(write_scene(tmp_path / "plain", FLIGHT), protocol())
+    folder = write_scene(tmp_path / "blanks", FLIGHT)
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    names = {view_name(i): name.format(f"{i:03d}") for i in range(FLIGHT.views)}
+    for image in model.images.values():
+        photo = folder / "photos" / names[image.name]
+        photo.parent.mkdir(exist_ok=True)
+        (folder / "photos" / image.name).rename(photo)
+        image.name = names[image.name]
+    if text:
+        for path in (folder / "sparse/0").iterdir():
+            path.unlink()
+        model.write_text(folder / "sparse/0")
+    else:
+        model.write_binary(folder / "sparse/0")
+    scene = open_scene(folder, protocol())
+    assert [view.name for view in scene.views] == [names[view.name] for view in plain.views]
+    assert scene.left_out == ()
+    for found, wanted in zip(scene.views, plain.views, strict=True):
+        assert torch.equal(found.load(), wanted.load())
+    assert torch.equal(scene.points.track_views, plain.points.track_views)
+
+
 @pytest.mark.parametrize(("model", "photos"), [("sparse", "photos"), ("sparse/0", "images")])
 def test_other_folder_names(tmp_path, model, photos):
     folder = write_scene(tmp_path / "s", FLIGHT)
