@@ -1,6 +1,6 @@
 """Opens COLMAP scene folders: a model in sparse/0 or sparse, photos beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,13 @@ from splatproof.base.errors import DataError
 from splatproof.base.inside import inside
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap_model import Model, find_model, pose_matrix, read_model
-from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatproof.datasets.layout import (
+    FULL_SIZE_FOLDERS,
+    MISSING,
+    Layout,
+    PosedPhoto,
+    copy_factor,
+)
 from splatproof.datasets.moving_masks import FOLDER, moving_masks
 from splatproof.datasets.photos import list_photos
 from splatproof.datasets.scene_file import SceneFile, read_scene_file
@@ -26,6 +32,8 @@ NOT_REGISTERED = "structure from motion did not register it"
 def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     """Read a COLMAP scene; photos are only looked at (size), not decoded.
 
+    Images whose photo is not there are left out with that reason, unless the protocol is strict.
+
     Args:
         folder: Has the model and the photos.
         protocol: Image folder, sizes, undistortion and split.
@@ -37,15 +45,18 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     about = read_scene_file(folder)
     names = [image.name for image in model.images]
     moments = read_moments(folder, names)
+    posed = posed_photos(model, photos)
+    missing = {} if protocol.strict else _missing(model, posed)
+    there = tuple(image for image in model.images if image.name not in missing)
     layout = Layout(
         adapter="colmap",
-        photos=_with_moments(folder, posed_photos(model, photos), moments),
-        points=read_points(model),
+        photos=_with_moments(folder, [p for p in posed if p.name not in missing], moments),
+        points=read_points(replace(model, images=there)),
         sweeps=list_sweeps(folder) if moments else (),
         up=about.up,
         up_source="scene.toml",
         units=about.units,
-        left_out=_left_out(photos, names, about),
+        left_out=_left_out(photos, names, missing, about),
         facts=about.facts | {"model_sha256": model.sha256, "image_folder": photos.name},
     )
     return open_layout(folder, layout, protocol)
@@ -120,7 +131,21 @@ def _with_moments(
     return found
 
 
-def _left_out(photos: Path, names: list[str], about: SceneFile) -> tuple[tuple[str, str], ...]:
+def _missing(model: Model, posed: Sequence[PosedPhoto]) -> dict[str, str]:
+    """Name of each photo that is not there: why it is left out. Raises: DataError if none is."""
+    missing = {p.name: f"{MISSING}: {p.path}" for p in posed if not p.path.is_file()}
+    if len(missing) == len(posed):
+        raise DataError(
+            f"{model.folder}: not one photo of its {len(posed)} images is there, expected "
+            f"{posed[0].path} and others; put them there"
+        )
+    return missing
+
+
+def _left_out(
+    photos: Path, names: list[str], missing: dict[str, str], about: SceneFile
+) -> tuple[tuple[str, str], ...]:
     """Every photo that is no view, and every one that the scene file knows to be missing."""
     others = (set(list_photos(photos)) | set(about.left_out)) - set(names)
-    return tuple((name, about.left_out.get(name, NOT_REGISTERED)) for name in sorted(others))
+    reasons = {name: about.left_out.get(name, NOT_REGISTERED) for name in others} | missing
+    return tuple(sorted(reasons.items()))

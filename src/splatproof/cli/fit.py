@@ -82,7 +82,8 @@ def fit(
         points: Where the sparse points come from that training starts from: the scene's own, or
             triangulated from the training photos under their given poses, for a scene that has poses
             and no points. None: as the protocol says.
-        strict: Refuse a scene that names photos which are not there, instead of leaving them out.
+        strict: Refuse a COLMAP model or transforms.json that names photos which are not there, instead of
+            leaving them out.
         seed: Number that every random draw depends on; equal seeds give equal models.
         pose_noise: Level of the noise on the poses of training views, drawn with the seed: L1 turns
             each by 0.5 degrees and shifts it by 0.001 of the scene's extent (standard deviations),

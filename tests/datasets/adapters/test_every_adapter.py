@@ -89,9 +89,9 @@ def _tracking(folder: Path) -> None:
 
 
 FIXTURES = {
-    "colmap": Fixture(partial(write_scene, flight=Flight())),
+    "colmap": Fixture(partial(write_scene, flight=Flight()), optional="photos/"),  # as nerfstudio
     "colmap, driven": Fixture(
-        _driven, optional=r"lidar/|depth/|sky/|views\.json", adapter="colmap"
+        _driven, optional=r"photos/|lidar/|depth/|sky/|views\.json", adapter="colmap"
     ),
     "photo-tourism": Fixture(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
     "nerfstudio": Fixture(_rich_nerfstudio, optional="images/"),  # what is there is opened

@@ -7,6 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
+from helpers.adapter_checks import refused
 from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.scene_file import SceneFile, write_scene_file
@@ -174,6 +175,40 @@ def test_unregistered_photos_are_listed_and_their_observations_left_out(tmp_path
         view_name(1): "structure from motion did not register it",
     }
     assert int(scene.points.track_views.max()) < len(scene.views)
+
+
+def test_photos_that_are_not_there_are_left_out_unless_the_protocol_is_strict(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    whole = open_scene(folder, protocol(hold=3))
+    gone = [folder / "photos" / view_name(i) for i in (1, 4)]
+    for path in gone:
+        path.unlink()
+    Image.new("RGB", (96, 72)).save(folder / "photos/extra.jpg")
+    scene = open_scene(folder, protocol(hold=3))
+    kept = [0, 2, 3, 5]
+    assert [view.name for view in scene.views] == [view_name(i) for i in kept]
+    assert scene.left_out == (
+        ("extra.jpg", "structure from motion did not register it"),
+        *((path.name, f"its photo is missing: {path}") for path in gone),
+    )
+    assert torch.equal(scene.points.positions + scene.shift, whole.points.positions + whole.shift)
+    assert tracks(scene) == [[view for view in track if view in kept] for track in tracks(whole)]
+    for view in scene.views:
+        before = next(one for one in whole.views if one.name == view.name)
+        assert torch.equal(view.camera.K, before.camera.K)
+        assert torch.equal(view.load(), before.load())
+    refused(folder, r"photos/photo_001\.png: photo is missing; put it back", strict=True)
+    for view in scene.views:
+        (folder / "photos" / view.name).unlink()
+    refused(folder, r"s/sparse/0: not one photo of its 6 images is there, .*photo_000\.png")
+
+
+def tracks(scene: Scene) -> list[list[int]]:
+    """Of every point the numbers in the names of the photos that see it."""
+    names = [int(view.name[-7:-4]) for view in scene.views]
+    starts = scene.points.track_starts.tolist()
+    views = scene.points.track_views.tolist()
+    return [[names[i] for i in views[a:b]] for a, b in pairwise(starts)]
 
 
 def test_a_prescaled_folder_gets_cameras_of_its_own_size(tmp_path):
