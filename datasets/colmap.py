@@ -26,6 +26,8 @@ from splatproof.datasets.view_times import Moment, read_moments, sky_path
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
+MASKS = "masks"
+"""Folder of COLMAP's masks beside the photos: a pixel that is black there is not used."""
 NOT_REGISTERED = "structure from motion did not register it"
 
 
@@ -33,9 +35,11 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     """Read a COLMAP scene; photos are only looked at (size), not decoded.
 
     Images whose photo is not there are left out with that reason, unless the protocol is strict.
+    Masks are found as COLMAP finds them: masks/NAME.png for the photo NAME, else that name with .png
+    for its suffix; photos without one are whole. Copies N times smaller have theirs in masks_N.
 
     Args:
-        folder: Has the model and the photos.
+        folder: Has the model, the photos, and masks where there are any.
         protocol: Image folder, sizes, undistortion and split.
 
     Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
@@ -114,7 +118,7 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
 def _with_moments(
     folder: Path, photos: list[PosedPhoto], moments: Mapping[str, Moment]
 ) -> list[PosedPhoto]:
-    """The photos with time, camera, and masks of sky and movers where the folder has them."""
+    """The photos with time, camera, and masks where the folder has them."""
     found = []
     for photo in photos:
         sky = sky_path(folder, photo.name)
@@ -122,6 +126,7 @@ def _with_moments(
         found.append(
             replace(
                 photo,
+                valid=_mask(folder, photo),
                 sky=sky if sky.is_file() else None,
                 moving=moving_masks(folder / FOLDER, str(Path(photo.name).with_suffix(".png"))),
                 time=moment.time if moment else None,
@@ -129,6 +134,26 @@ def _with_moments(
             )
         )
     return found
+
+
+def _mask(folder: Path, photo: PosedPhoto) -> Path | None:
+    """The photo's mask, None where it has none. Raises: DataError where only its larger original has."""
+    names = (f"{photo.name}.png", str(Path(photo.name).with_suffix(".png")))
+    whole = _first_file([folder / MASKS / name for name in names])
+    if photo.factor == 1:
+        return whole
+    copies = folder / f"{MASKS}_{photo.factor}"
+    mask = _first_file([copies / name for name in names])
+    if whole and not mask:
+        raise DataError(
+            f"{copies}: has no mask of {photo.name!r}, but {whole} is there; make the masks smaller as "
+            f"the photos, or remove {folder / MASKS} to go without"
+        )
+    return mask
+
+
+def _first_file(paths: Sequence[Path]) -> Path | None:
+    return next((path for path in paths if path.is_file()), None)
 
 
 def _missing(model: Model, posed: Sequence[PosedPhoto]) -> dict[str, str]:

@@ -7,8 +7,9 @@ import pytest
 import torch
 from PIL import Image
 
-from helpers.adapter_checks import refused
+from helpers.adapter_checks import refused, valid
 from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
+from splatproof.base.errors import DataError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.scene_file import SceneFile, write_scene_file
 from splatproof.datasets.splits import split_hash
@@ -201,6 +202,64 @@ def test_photos_that_are_not_there_are_left_out_unless_the_protocol_is_strict(tm
     for view in scene.views:
         (folder / "photos" / view.name).unlink()
     refused(folder, r"s/sparse/0: not one photo of its 6 images is there, .*photo_000\.png")
+
+
+def save_mask(path: Path, mask: np.ndarray) -> None:
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(255 * mask.astype(np.uint8)).save(path)
+
+
+def test_colmaps_masks_go_with_their_photos(tmp_path):
+    """Of one photo by NAME.png, of another by the name that ends in .png; the others are whole."""
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    bare = open_scene(folder, protocol())
+    mask = np.random.default_rng(0).integers(0, 30, (72, 96)) > 0
+    save_mask(folder / "masks" / f"{view_name(0)}.png", mask)
+    save_mask(folder / "masks" / view_name(0), ~mask)  # COLMAP takes the other one
+    save_mask(folder / "masks" / view_name(1), mask)
+    # red only where masked: no valid pixel of the truth may have any of it
+    red = np.zeros((72, 96, 3), np.uint8)
+    red[..., 0] = 255 * ~mask
+    for i in (0, 1):
+        Image.fromarray(red).save(folder / "photos" / view_name(i))
+    for rules in ({}, {"factor": 2.0}):
+        scene = open_scene(folder, protocol(**rules))
+        for view in scene.views[:2]:
+            good = valid(view)
+            assert 0.2 < good.float().mean() < 1
+            assert view.load()[good].max() < 1e-3
+        assert [view.load_mask for view in scene.views[2:]] == [None] * 4
+    assert len(scene.sources) == len(bare.sources) + 2
+    for found, wanted in zip(open_scene(folder, protocol()).views[2:], bare.views[2:], strict=True):
+        assert torch.equal(found.load(), wanted.load())
+
+
+def test_a_mask_that_allows_nothing_or_is_of_another_size(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    save_mask(folder / "masks" / f"{view_name(0)}.png", np.zeros((72, 96)))
+    save_mask(folder / "masks" / f"{view_name(1)}.png", np.ones((70, 96)))
+    black, small = open_scene(folder, protocol()).views[:2]
+    assert not valid(black).any()
+    with pytest.raises(
+        DataError, match=r"masks/photo_001\.png\.png: mask is 96 x 70, its photo is"
+    ):
+        small.load()
+
+
+def test_masks_of_smaller_copies_lie_in_a_folder_of_their_own(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    (folder / "images_2").mkdir()
+    for path in (folder / "photos").iterdir():
+        Image.open(path).resize((48, 36)).save(folder / "images_2" / path.name)
+    mask = np.arange(72 * 96).reshape(72, 96) % 96 > 30
+    name = f"{view_name(0)}.png"
+    save_mask(folder / "masks" / name, mask)
+    said = rf"s/masks_2: has no mask of 'photo_000\.png', but .*s/masks/{name} is there"
+    refused(folder, said, images="images_2")
+    save_mask(folder / "masks_2" / name, mask[::2, ::2])
+    first, second = open_scene(folder, protocol(images="images_2")).views[:2]
+    assert 0.5 < valid(first).float().mean() < 0.8
+    assert second.load_mask is None
 
 
 def tracks(scene: Scene) -> list[list[int]]:
