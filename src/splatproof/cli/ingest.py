@@ -24,7 +24,7 @@ def ingest(
     is a line: scene (its folder), registered, left_out, units, facts.
 
     Args:
-        photos: Folder of JPEG or PNG photos that overlap by 60 to 80 %.
+        photos: Folder of JPEG, PNG or TIFF photos that overlap by 60 to 80 %.
         out: Scene folder to make; must not exist yet.
         max_image_size: Longest side, in pixels, at which features are looked for; larger photos are
             scaled down for that.

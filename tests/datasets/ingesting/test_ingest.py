@@ -51,6 +51,10 @@ def flown(tmp_path_factory) -> tuple[Ingested, list[str]]:
     Image.new("RGB", (400, 300), (90, 120, 90)).save(photos / "blank.png")
     whole = (photos / "air_0.jpg").read_bytes()
     (photos / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    save_photo(
+        photos / "tagged.tif", aerial_photo(texture(0), 2.0, -3.0, (400, 300)), (2, -3, 40.0)
+    )
+    (photos / "phone 1.HEIC").write_bytes(b"what only other programs read")
     (photos / "notes.txt").write_text("not a photo")
     said: list[str] = []
     return run(photos, root / "scene", said), said
@@ -60,7 +64,7 @@ def test_the_scene_opens_and_is_metric(flown):
     made, _ = flown
     scene = open_scene(made.folder, PROTOCOL)
     places = {f"air_{i}.jpg": place for i, place in enumerate(PLACES)}
-    assert [view.name for view in scene.views] == [*sorted(places), "small_one.jpg"]
+    assert [view.name for view in scene.views] == [*sorted(places), "small_one.jpg", "tagged.tif"]
     assert scene.units == "metres"
     assert scene.up.tolist() == [0, 0, 1]
     for axis, name in ((0, "east"), (1, "north")):
@@ -77,12 +81,13 @@ def test_the_scene_opens_and_is_metric(flown):
 def test_every_photo_is_accounted_for(flown):
     made, said = flown
     reasons = made.scene.left_out
-    assert set(reasons) == {"blank.png", "cut.jpg", "elsewhere.jpg"}
+    assert set(reasons) == {"blank.png", "cut.jpg", "elsewhere.jpg", "phone 1.HEIC"}
     assert "no features found" in reasons["blank.png"] or "at most 0 points" in reasons["blank.png"]
     assert "not a readable image" in reasons["cut.jpg"]
     assert "shares at most" in reasons["elsewhere.jpg"]
-    assert made.registered == 7
-    assert made.scene.facts["registered"] == "7 of 10"
+    assert reasons["phone 1.HEIC"] == ".heic is not read; convert it to JPEG or PNG"
+    assert made.registered == 8
+    assert made.scene.facts["registered"] == "8 of 12"
     assert dict(open_scene(made.folder, PROTOCOL).left_out) == reasons
     assert any(line.startswith("cut.jpg: left out: not a readable") for line in said)
     assert any("photos of 3 cameras, one camera model each: 1 of 320 x 240" in x for x in said)
@@ -120,6 +125,14 @@ def damaged(folder: Path) -> Path:
     return folder
 
 
+def foreign(folder: Path) -> Path:
+    """Photos of a telephone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(3):
+        (folder / f"IMG_{i}.HEIC").write_bytes(b"what only other programs read")
+    return folder
+
+
 def deep(folder: Path) -> Path:
     folder.mkdir()
     for i in range(3):
@@ -145,6 +158,11 @@ def unrelated(folder: Path) -> Path:
     [
         (lambda folder: folder, "no such folder; give the folder that has the photos"),
         (nothing, r"no photo found; looked for \.jpg, \.jpeg, \.png"),
+        (foreign, r"no photo found; .*; IMG_0.HEIC and 2 more are not read; convert them to JPEG"),
+        (
+            lambda folder: foreign(blank(folder)),
+            r"only one photo can be used \(IMG_0.HEIC and 2 more are not read; .* PNG\); structure",
+        ),
         (blank, "only one photo can be used; structure from motion needs at least two"),
         (damaged, r"1 of 3 photos can be used \(flat_\d.jpg is damaged\)"),
         (deep, "0 of 3 photos can be used"),
@@ -152,7 +170,18 @@ def unrelated(folder: Path) -> Path:
         (lambda folder: blank(folder, 3), "no two of 3 photos could be joined .no pair has common"),
         (unrelated, "no two of 2 photos could be joined .*; take photos that overlap by 60 to 80"),
     ],
-    ids=["no folder", "no photo", "one", "damaged", "16 bit", "twins", "blank", "unrelated"],
+    ids=[
+        "no folder",
+        "no photo",
+        "HEIC",
+        "one and HEIC",
+        "one",
+        "damaged",
+        "16 bit",
+        "twins",
+        "blank",
+        "unrelated",
+    ],
 )
 def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, capfd, make, fault):
     photos = make(tmp_path / "photos")
