@@ -1,6 +1,7 @@
 """`bench ingest PHOTOS OUT`: a scene folder from photos, by structure from motion."""
 
 import os
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -64,5 +65,5 @@ def ingest(
         "facts": scene.facts,
     }
     output.emit(record, "\n".join(lines))
-    output.log(f"next: bench fit 3dgs {made.folder} --out MODEL")
+    output.log(f"next: bench fit auto {shlex.quote(str(made.folder))} --out MODEL --seconds 60")
     return 0

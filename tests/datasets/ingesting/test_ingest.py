@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,14 @@ def test_the_scenes_photos_are_copies_so_that_edits_never_reach_the_users_own(fl
     folder = flown[0].folder
     own = {photo.stat().st_ino for photo in (folder.parent / "photos").iterdir()}
     assert not own & {photo.stat().st_ino for photo in (folder / "photos").iterdir()}
+
+
+def test_the_command_names_the_one_that_comes_next(flown, tmp_path, monkeypatch, capfd):
+    made = replace(flown[0], folder=tmp_path / "my scene")
+    monkeypatch.setattr(f"{ingest_photos.__module__}.ingest_photos", lambda *args, **named: made)
+    assert ingest(tmp_path, tmp_path / "my scene") == 0
+    command = capfd.readouterr().err.splitlines()[-1]
+    assert command == f"next: bench fit auto '{tmp_path / 'my scene'}' --out MODEL --seconds 60"
 
 
 def test_nothing_but_the_scene_is_left(flown):
@@ -255,7 +264,8 @@ def test_brighton_beach(tmp_path, capfd):
     assert ingest(photos, tmp_path / "scene", threads=2) == 0
     seconds = time.process_time() - start
     out, err = capfd.readouterr()
-    assert err.splitlines()[-1] == f"next: bench fit 3dgs {tmp_path / 'scene'} --out MODEL"
+    next_one = f"bench fit auto {tmp_path / 'scene'} --out MODEL --seconds 60"
+    assert err.splitlines()[-1] == f"next: {next_one}"
     assert out.splitlines() == [
         f"{tmp_path / 'scene'}: 18 of 18 photos registered, units: metres",
         "GPS: positions and altitudes of 18 photos",
