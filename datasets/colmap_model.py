@@ -127,8 +127,9 @@ def _check_numbers(model: Model, suffix: str, pointless: bool) -> None:
         )
     if not pointless and not len(model.index.point_ids):
         raise DataError(
-            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; take a "
-            "protocol whose `points` is 'triangulated', or run a triangulator first"
+            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; "
+            "`--points triangulated` makes some from the training photos (in a protocol: "
+            'points = "triangulated")'
         )
     for image in model.images:
         pose = image.cam_from_world()
