@@ -1,6 +1,6 @@
 """Opens COLMAP scene folders: a model in sparse/0 or sparse, photos beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,13 @@ from splatproof.base.errors import DataError
 from splatproof.base.inside import inside
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap_model import Model, find_model, pose_matrix, read_model
-from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatproof.datasets.layout import (
+    FULL_SIZE_FOLDERS,
+    MISSING,
+    Layout,
+    PosedPhoto,
+    copy_factor,
+)
 from splatproof.datasets.moving_masks import FOLDER, moving_masks
 from splatproof.datasets.photos import list_photos
 from splatproof.datasets.scene_file import SceneFile, read_scene_file
@@ -20,14 +26,20 @@ from splatproof.datasets.view_times import Moment, read_moments, sky_path
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
+MASKS = "masks"
+"""Folder of COLMAP's masks beside the photos: a pixel that is black there is not used."""
 NOT_REGISTERED = "structure from motion did not register it"
 
 
 def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     """Read a COLMAP scene; photos are only looked at (size), not decoded.
 
+    Images whose photo is not there are left out with that reason, unless the protocol is strict.
+    Masks are found as COLMAP finds them: masks/NAME.png for the photo NAME, else that name with .png
+    for its suffix; photos without one are whole. Copies N times smaller have theirs in masks_N.
+
     Args:
-        folder: Has the model and the photos.
+        folder: Has the model, the photos, and masks where there are any.
         protocol: Image folder, sizes, undistortion and split.
 
     Raises: DataError naming the file and the fault; UsageError for a protocol that does not fit.
@@ -37,15 +49,18 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
     about = read_scene_file(folder)
     names = [image.name for image in model.images]
     moments = read_moments(folder, names)
+    posed = posed_photos(model, photos)
+    missing = {} if protocol.strict else _missing(model, posed)
+    there = tuple(image for image in model.images if image.name not in missing)
     layout = Layout(
         adapter="colmap",
-        photos=_with_moments(folder, posed_photos(model, photos), moments),
-        points=read_points(model),
+        photos=_with_moments(folder, [p for p in posed if p.name not in missing], moments),
+        points=read_points(replace(model, images=there)),
         sweeps=list_sweeps(folder) if moments else (),
         up=about.up,
         up_source="scene.toml",
         units=about.units,
-        left_out=_left_out(photos, names, about),
+        left_out=_left_out(photos, names, missing, about),
         facts=about.facts | {"model_sha256": model.sha256, "image_folder": photos.name},
     )
     return open_layout(folder, layout, protocol)
@@ -103,7 +118,7 @@ def posed_photos(model: Model, photos: Path) -> list[PosedPhoto]:
 def _with_moments(
     folder: Path, photos: list[PosedPhoto], moments: Mapping[str, Moment]
 ) -> list[PosedPhoto]:
-    """The photos with time, camera, and masks of sky and movers where the folder has them."""
+    """The photos with time, camera, and masks where the folder has them."""
     found = []
     for photo in photos:
         sky = sky_path(folder, photo.name)
@@ -111,6 +126,7 @@ def _with_moments(
         found.append(
             replace(
                 photo,
+                valid=_mask(folder, photo),
                 sky=sky if sky.is_file() else None,
                 moving=moving_masks(folder / FOLDER, str(Path(photo.name).with_suffix(".png"))),
                 time=moment.time if moment else None,
@@ -120,7 +136,41 @@ def _with_moments(
     return found
 
 
-def _left_out(photos: Path, names: list[str], about: SceneFile) -> tuple[tuple[str, str], ...]:
+def _mask(folder: Path, photo: PosedPhoto) -> Path | None:
+    """The photo's mask, None where it has none. Raises: DataError where only its larger original has."""
+    names = (f"{photo.name}.png", str(Path(photo.name).with_suffix(".png")))
+    whole = _first_file([folder / MASKS / name for name in names])
+    if photo.factor == 1:
+        return whole
+    copies = folder / f"{MASKS}_{photo.factor}"
+    mask = _first_file([copies / name for name in names])
+    if whole and not mask:
+        raise DataError(
+            f"{copies}: has no mask of {photo.name!r}, but {whole} is there; make the masks smaller as "
+            f"the photos, or remove {folder / MASKS} to go without"
+        )
+    return mask
+
+
+def _first_file(paths: Sequence[Path]) -> Path | None:
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _missing(model: Model, posed: Sequence[PosedPhoto]) -> dict[str, str]:
+    """Name of each photo that is not there: why it is left out. Raises: DataError if none is."""
+    missing = {p.name: f"{MISSING}: {p.path}" for p in posed if not p.path.is_file()}
+    if len(missing) == len(posed):
+        raise DataError(
+            f"{model.folder}: not one photo of its {len(posed)} images is there, expected "
+            f"{posed[0].path} and others; put them there"
+        )
+    return missing
+
+
+def _left_out(
+    photos: Path, names: list[str], missing: dict[str, str], about: SceneFile
+) -> tuple[tuple[str, str], ...]:
     """Every photo that is no view, and every one that the scene file knows to be missing."""
     others = (set(list_photos(photos)) | set(about.left_out)) - set(names)
-    return tuple((name, about.left_out.get(name, NOT_REGISTERED)) for name in sorted(others))
+    reasons = {name: about.left_out.get(name, NOT_REGISTERED) for name in others} | missing
+    return tuple(sorted(reasons.items()))

@@ -91,6 +91,9 @@ def read_model(folder: Path, *, pointless: bool = False) -> Model:
     except (ValueError, IndexError, RuntimeError, MemoryError) as error:
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise DataError(f"{folder}: COLMAP cannot read this model ({said})") from None
+    names = dict(zip(index.image_ids, index.image_names, strict=True))
+    for number, image in reconstruction.images.items():
+        image.name = names[number]  # COLMAP's reader of text ends a name at its first blank
     images = tuple(
         sorted(
             (image for image in reconstruction.images.values() if image.has_pose),
@@ -124,8 +127,9 @@ def _check_numbers(model: Model, suffix: str, pointless: bool) -> None:
         )
     if not pointless and not len(model.index.point_ids):
         raise DataError(
-            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; take a "
-            "protocol whose `points` is 'triangulated', or run a triangulator first"
+            f"{model.folder / f'points3D{suffix}'}: has no points, which methods start from; "
+            "`--points triangulated` makes some from the training photos (in a protocol: "
+            'points = "triangulated")'
         )
     for image in model.images:
         pose = image.cam_from_world()

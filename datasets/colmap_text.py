@@ -16,12 +16,12 @@ NAMES = {"cameras": "cameras", "images": "images", "points3D": "points"}
 """What the header of each file calls what it counts."""
 
 
-def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, list[str]]]:
-    """(place, fields) of every line that is no comment; empty lines only where they mean something."""
+def _lines(path: Path, *, keep_empty: bool = False) -> Iterator[tuple[str, str]]:
+    """(place, text) of every line that is no comment; empty lines only where they mean something."""
     # not splitlines: COLMAP ends lines at line feeds alone, Python at form feeds and others too
     for number, line in enumerate(_text(path).removesuffix("\n").split("\n"), start=1):
         if not line.startswith("#") and (keep_empty or line.strip()):
-            yield f"{path}: line {number}", line.split()
+            yield f"{path}: line {number}", line.strip()
 
 
 def _text(path: Path) -> str:
@@ -70,7 +70,8 @@ def _expect(place: str, fields: list[str], count: int, layout: str) -> None:
 
 def _cameras(path: Path) -> list[int]:
     ids = []
-    for place, fields in _lines(path):
+    for place, line in _lines(path):
+        fields = line.split()
         _expect(place, fields, 4, "CAMERA_ID MODEL WIDTH HEIGHT PARAMS")
         ids += _numbers(place, fields[:1], int)
         _numbers(place, fields[2:4], int)
@@ -87,7 +88,8 @@ def _images(path: Path) -> list[tuple[int, str, int, int]]:
         lines.pop()  # an empty line at the end of the file is no image's list of points
     if len(lines) % 2:
         raise DataError(f"{path}: has {len(lines)} lines, expected two for each image")
-    for (place, fields), (place2, points) in zip(lines[::2], lines[1::2], strict=True):
+    for (place, line), (place2, line2) in zip(lines[::2], lines[1::2], strict=True):
+        fields, points = line.split(None, 9), line2.split()  # the name may have blanks
         _expect(place, fields, 10, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
         number, camera = _numbers(place, [fields[0], fields[8]], int)
         _numbers(place, fields[1:8], float)
@@ -95,13 +97,14 @@ def _images(path: Path) -> list[tuple[int, str, int, int]]:
             raise DataError(
                 f"{place2}: has {len(points)} fields, expected (X Y POINT3D_ID) triples"
             )
-        images.append((number, " ".join(fields[9:]), camera, len(points) // 3))
+        images.append((number, fields[9], camera, len(points) // 3))
     return images
 
 
 def _points(path: Path) -> list[tuple[int, list[int]]]:
     points = []
-    for place, fields in _lines(path):
+    for place, line in _lines(path):
+        fields = line.split()
         _expect(place, fields, 8, "POINT3D_ID X Y Z R G B ERROR TRACK")
         _numbers(place, fields[1:4] + fields[7:8], float)
         number, _, _, _, *track = _numbers(place, fields[:1] + fields[4:7] + fields[8:], int)
@@ -123,8 +126,8 @@ def index_text(folder: Path) -> ModelIndex:
         _check_count(folder / f"{name}.txt", NAMES[name], len(found))
     for name, least in (("rigs", 4), ("frames", 10)):
         if (folder / f"{name}.txt").exists():
-            for place, fields in _lines(folder / f"{name}.txt"):
-                _expect(place, fields, least, f"at least {least} fields of a {name[:-1]}")
+            for place, line in _lines(folder / f"{name}.txt"):
+                _expect(place, line.split(), least, f"at least {least} fields of a {name[:-1]}")
     tracks = np.array([i for _, track in points for i in track], dtype=np.int64).reshape(-1, 2)
     return ModelIndex(
         cameras=cameras,

@@ -15,6 +15,8 @@ from splatproof.reference.types.scene import SparsePoints
 
 FULL_SIZE_FOLDERS = ("photos", "images")
 """Two names of the folder that has the photos as calibrated."""
+MISSING = "its photo is missing"
+"""Why a view is left out whose photo is not there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

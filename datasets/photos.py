@@ -21,6 +21,14 @@ from splatproof.base.memory import check_growth, check_room
 from splatproof.datasets.png_rows import CHANNELS, lacks_rows
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
+UNREAD_SUFFIXES = (
+    ".heic", ".heif", ".hif", ".avif", ".webp", ".jxl", ".jp2", ".jfif", ".jpe", ".mpo", ".insp",
+    ".bmp", ".gif", ".tga", ".psd", ".exr",
+    ".dng", ".raw", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".sr2", ".srf", ".raf", ".orf",
+    ".rw2", ".rwl", ".pef", ".srw", ".3fr", ".fff", ".iiq", ".x3f", ".gpr",
+)  # fmt: skip
+"""Images of telephones, of the web and of cameras as their sensors saw them, none of which is taken for a photo:
+who has photos of these kinds is told so."""
 PEAK = 32
 """Bytes a pixel while a photo is read, at the most. RGB takes 23: twice 4 in Pillow, 3 as an array, 12 as floats;
 what is transparent takes more."""
@@ -38,14 +46,18 @@ BITS_PER_SAMPLE = 258
 Image.MAX_IMAGE_PIXELS = None
 
 
-def list_photos(folder: Path) -> list[str]:
-    """Names of all photos below a folder, relative to it with "/", sorted; hidden ones left out."""
+def list_photos(folder: Path, suffixes: tuple[str, ...] = PHOTO_SUFFIXES) -> list[str]:
+    """Names of all photos below a folder, relative to it with "/", sorted; hidden ones left out.
+
+    Args:
+        folder: Where to look.
+        suffixes: Ends of the names that count, in small letters.
+    """
     names = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
     return sorted(
         name.as_posix()
         for name in names
-        if name.suffix.lower() in PHOTO_SUFFIXES
-        and not any(part.startswith(".") for part in name.parts)
+        if name.suffix.lower() in suffixes and not any(part.startswith(".") for part in name.parts)
     )
 
 

@@ -25,7 +25,7 @@ from splatproof.datasets.adapters.posed import (
 )
 from splatproof.datasets.assemble import open_layout
 from splatproof.datasets.colmap_library import pycolmap
-from splatproof.datasets.layout import FULL_SIZE_FOLDERS, Layout, PosedPhoto, copy_factor
+from splatproof.datasets.layout import FULL_SIZE_FOLDERS, MISSING, Layout, PosedPhoto, copy_factor
 from splatproof.datasets.photos import PHOTO_SUFFIXES, list_photos, photo_size
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
@@ -34,8 +34,6 @@ PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 """Nerfstudio reads all of these with the same parameters: k1, k2, k3 radial, p1, p2 tangential."""
 FISHEYE = "OPENCV_FISHEYE"
 BLENDER_FILES = ("transforms_train.json", "transforms_test.json")
-MISSING = "its photo is missing"
-"""Why a frame is left out that names a photo which is not there."""
 VALIDATION = "validation view: the paper trains on the training and tests on the test views"
 
 

@@ -48,7 +48,7 @@ def ingest_photos(
     again with the same photos and settings goes on there. Mapping, the last step, starts anew.
 
     Args:
-        photos: Folder of JPEG and PNG photos; only read.
+        photos: Folder of JPEG, PNG and TIFF photos; only read.
         out: Scene folder to make; must not exist.
         max_image_size: Longest side in pixels at which features are looked for.
         threads: CPU threads.

@@ -10,9 +10,7 @@ from PIL import ExifTags, Image
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.ingesting.upright import AS_STORED, QUARTERS, orientation
-from splatproof.datasets.photos import check_photo, list_photos
-
-SUFFIXES = (".jpg", ".jpeg", ".png")
+from splatproof.datasets.photos import PHOTO_SUFFIXES, UNREAD_SUFFIXES, check_photo, list_photos
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +37,7 @@ class Survey:
     photos: tuple[Photo, ...]
     """Readable ones, sorted by name."""
     unreadable: dict[str, str]
-    """Name: what is wrong with it."""
+    """Name: what is wrong with it, or that files of its kind are not read."""
 
     @property
     def lenses(self) -> list[tuple[int, int, str]]:
@@ -48,7 +46,7 @@ class Survey:
 
 
 def survey_photos(folder: Path, report: Callable[[int, int], None]) -> Survey:
-    """Look at every JPEG and PNG below a folder; every file is decoded to find damaged ones.
+    """Look at every JPEG, PNG and TIFF below a folder; every file is decoded to find damaged ones.
 
     Args:
         folder: Folder of photos; subfolders count, hidden files do not.
@@ -58,9 +56,10 @@ def survey_photos(folder: Path, report: Callable[[int, int], None]) -> Survey:
     """
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder; give the folder that has the photos")
-    files = [name for name in list_photos(folder) if name.lower().endswith(SUFFIXES)]
+    files, unread = list_photos(folder), list_photos(folder, UNREAD_SUFFIXES)
     if not files:
-        raise DataError(f"{folder}: no photo found; looked for {', '.join(SUFFIXES)} files")
+        looked = f"looked for {', '.join(PHOTO_SUFFIXES)} files"
+        raise DataError(f"{folder}: no photo found; {'; '.join([looked, *_unread(unread)])}")
     photos: dict[str, Photo] = {}
     unreadable: dict[str, str] = {}
     for i, file in enumerate(files):
@@ -76,12 +75,26 @@ def survey_photos(folder: Path, report: Callable[[int, int], None]) -> Survey:
     report(len(files), len(files))
     if len(photos) < 2:
         found = "only one photo" if len(files) == 1 else f"{len(photos)} of {len(files)} photos"
-        why = f" ({next(iter(unreadable.items()))[0]} is damaged)" if unreadable else ""
+        faults = [f"{name} is damaged" for name in [*unreadable][:1]] + _unread(unread)
+        why = f" ({'; '.join(faults)})" if faults else ""
         raise DataError(
             f"{folder}: {found} can be used{why}; structure from motion needs at least two, "
             "better ten, that show the same things from different places"
         )
-    return Survey(photos=tuple(photos[name] for name in sorted(photos)), unreadable=unreadable)
+    others = {
+        name: f"{Path(name).suffix.lower()} is not read; convert it to JPEG or PNG"
+        for name in unread
+    }
+    return Survey(
+        photos=tuple(photos[name] for name in sorted(photos)), unreadable=unreadable | others
+    )
+
+
+def _unread(names: list[str]) -> list[str]:
+    """What is said of photos of kinds that are not read, nothing where there are none."""
+    if len(names) < 2:
+        return [f"{name} is not read; convert it to JPEG or PNG" for name in names]
+    return [f"{names[0]} and {len(names) - 1} more are not read; convert them to JPEG or PNG"]
 
 
 def _read(path: Path, name: str) -> Photo:
@@ -91,6 +104,12 @@ def _read(path: Path, name: str) -> Photo:
         words = [exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)]
         words += [details.get(ExifTags.Base.FocalLength)]
         text = " ".join(str(word).strip("\0 ") for word in words if word is not None)
+        tag = exif.get(ExifTags.Base.Orientation, AS_STORED)
+        if image.format == "TIFF" and tag != AS_STORED:  # Pillow turns it, COLMAP does not
+            raise DataError(
+                f"{path}: its orientation is {tag}, which is obeyed in JPEGs alone; save it upright, "
+                "or as JPEG"
+            )
         turned = orientation(image)
         width, height = image.size if turned not in QUARTERS else (image.height, image.width)
         return Photo(

@@ -35,8 +35,8 @@ class Protocol:
     hold_unit: Literal["view", "time"] = "view"
     """What is counted: name-sorted views, or moments in time, each with all its cameras."""
     strict: bool = False
-    """Refuse a scene whose description names photos that are not there; False: they are left out,
-    and the scene's `left_out` says so."""
+    """Refuse a scene whose COLMAP model or transforms.json names photos that are not there; False: they
+    are left out, and the scene's `left_out` says so. Other layouts are refused anyway."""
     least_seen: float = 0.0
     """Share of a view's pixels, 0 to 1, that training photos must show where it is held out: a view
     at the survey's rim that they show less of is left to training, and the next one that they show

@@ -1,11 +1,13 @@
 import json
 import shlex
+from dataclasses import replace
 
 import pytest
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.cli import main
 from splatproof.datasets.catalogue import opening
+from splatproof.methods.auto.fit import planned
 from splatproof.suites import city_plan
 
 CITY = city_plan.City()
@@ -69,7 +71,7 @@ def tiny(monkeypatch):
 
     def opened(scene, protocol):
         rules.append(protocol)
-        return tiny_scene(views=9)
+        return replace(tiny_scene(views=9), left_out=(("x.jpg", "its photo is missing: a/x.jpg"),))
 
     monkeypatch.setattr(opening, "open_scene", opened)
     return rules
@@ -112,15 +114,32 @@ def test_the_command_that_a_plan_names_is_the_plan(tiny, capsys):
         "48",
         "--seed",
         "7",
+        "--points",
+        "triangulated",
+        "--threads",
+        "1",
     ]
-    assert main([*PLAN, *given]) == 0
+    flags = ["--strict", "--allow-outside"]
+    assert main([*PLAN, *given, *flags]) == 0
     told = capsys.readouterr().err
     command = shlex.split(told[told.index("`") + 1 : told.rindex("`")])
     assert command[:4] == ["bench", "fit", "auto", "my scene"]
-    assert dict(zip(command[4::2], command[5::2], strict=True)) == {
+    assert command[-2:] == flags
+    assert dict(zip(command[4:-2:2], command[5:-2:2], strict=True)) == {
         "--out": "OUT", "--seconds": "2", **dict(zip(given[::2], given[1::2], strict=True)),
     }  # fmt: skip
-    assert tiny[0].width == 48
+    assert (tiny[0].width, tiny[0].points, tiny[0].strict) == (48, "triangulated", True)
+    assert tiny[0].name == "city_400-48px-triangulated"  # as `bench fit` calls it
+    assert "left out: x.jpg: its photo is missing" in told
+
+
+def test_a_plan_is_made_with_the_threads_that_it_is_given(tiny, capsys, monkeypatch):
+    found = []
+    monkeypatch.setattr(f"{planned.__module__}.planned", lambda scene, asked, run, photos: (
+        found.append(run.threads), planned(scene, asked, run, photos))[1])  # fmt: skip
+    assert main([*PLAN, "--threads", "1"]) == 0
+    assert main(PLAN) == 0
+    assert found == [1, None]
 
 
 def test_what_is_for_cities_is_refused_for_a_scene(tiny, capsys):
@@ -131,3 +150,11 @@ def test_what_is_for_cities_is_refused_for_a_scene(tiny, capsys):
         assert said.out == ""
         assert f"{option[0]} is for the plan of a city; leave 'my scene' or it out" in said.err
     assert tiny == []
+
+
+def test_what_is_for_scenes_is_refused_for_a_city(capsys):
+    for option in (["--seconds", "5"], ["--points", "scene"], ["--strict"], ["--threads", "1"]):
+        assert main(["plan", *option]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert f"{option[0]} is for the plan of a scene; name the scene or leave it out" in said.err

@@ -81,7 +81,7 @@ def test_a_world_that_nobody_names_a_folder_for_says_where_it_went(capsys, tmp_p
     assert run("make", "city", "--seed", "5") == 0
     said = capsys.readouterr()
     assert said.out.strip() == "city-small-5"
-    assert "bench fit 3dgs city-small-5" in said.err
+    assert "bench fit auto city-small-5 --out MODEL --seconds 60" in said.err
 
 
 @pytest.mark.parametrize(

@@ -281,7 +281,6 @@ BAD: list[tuple[str, str, Callable[[Path], None], str]] = [
     ),
     ("text frames", "txt", write(f"{MODEL}/frames.txt", "1 1 0.5\n"), r"frames.txt: line 1: has 3"),
     ("text images odd", "txt", append("images.txt", b"9 1 0 0 0 0 0 0 1 x.png"), r"expected two"),
-    ("photo gone", "bin", remove(f"photos/{view_name(1)}"), r"photo_001.png: photo is missing"),
     (
         "photo is text",
         "bin",

@@ -149,7 +149,7 @@ def test_a_model_of_poses_alone_is_opened(tmp_path):
     for number in list(model.point3D_ids()):
         model.delete_point3D(number)
     model.write(sparse)
-    with pytest.raises(DataError, match="has no points, .* protocol whose `points` is 'triang"):
+    with pytest.raises(DataError, match="has no points, .*; `--points triangulated` makes some"):
         open_scene(folder, Protocol(name="p", source="test"))
     scene = open_scene(folder, Protocol(name="p", source="test", hold=3, points="triangulated"))
     assert scene.train == with_points.train

@@ -129,6 +129,8 @@ COMMANDS = {
         module="plan",
         functions={"": "plan"},
         help="Plan a city: blocks, memory and wall time on n machines, where it stops scaling.",
+        plugins=True,
+        scenes=True,
     ),
     "report": Command(
         module="report",

@@ -23,11 +23,10 @@ from splatproof.cli.running import (
     prepare,
     record,
 )
+from splatproof.cli.scene_opening import Points, scene_rules, tell_left_out
 from splatproof.cli.short_runs import short_run
 
 if TYPE_CHECKING:
-    from splatproof.reference.types.protocol import Protocol
-    from splatproof.reference.types.scene import Scene
     from splatproof.suites.run_case import Job
     from splatproof.suites.runner import Outcome
 
@@ -47,7 +46,7 @@ def fit(
     out: Path,
     protocol: str = "default",
     width: int | None = None,
-    points: Literal["scene", "triangulated"] | None = None,
+    points: Points | None = None,
     strict: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     seed: int = 0,
     pose_noise: Literal["none", "L1", "L2", "L3"] = "none",
@@ -82,7 +81,8 @@ def fit(
         points: Where the sparse points come from that training starts from: the scene's own, or
             triangulated from the training photos under their given poses, for a scene that has poses
             and no points. None: as the protocol says.
-        strict: Refuse a scene that names photos which are not there, instead of leaving them out.
+        strict: Refuse a COLMAP model or transforms.json that names photos which are not there, instead of
+            leaving them out.
         seed: Number that every random draw depends on; equal seeds give equal models.
         pose_noise: Level of the noise on the poses of training views, drawn with the seed: L1 turns
             each by 0.5 degrees and shifts it by 0.001 of the scene's extent (standard deviations),
@@ -109,7 +109,7 @@ def fit(
     uri = default_uri(out)
     where = str(Path(scene).resolve()) if Path(scene).is_dir() else scene
     suite, job = job_of_one(
-        method, where, settings, out=out, protocol=_rules(protocol, width, points, strict),
+        method, where, settings, out=out, protocol=scene_rules(protocol, width, points, strict),
         seed=seed, pose_noise=pose_noise,
         depth_prior=resolved(depth_prior, Path.cwd(), "--depth-prior"), **options(running, blocks),
     )  # fmt: skip
@@ -123,7 +123,7 @@ def fit(
     check_chosen(job)
     prepare(suite)
     opened = check_opens(job.case)
-    _tell_left_out(opened)
+    tell_left_out(opened)
     if not (out / RECORD_NAME).exists():
         output.log(expected_time(job.case, opened, running.backend))
     if short := short_run(settings):
@@ -146,28 +146,6 @@ def _watched(job: "Job") -> "Iterator[Job]":
     case = job.case
     with watched(case.scene, case.protocol, f"{case.method} in training", output.log) as folder:
         yield replace(job, snapshots=folder)
-
-
-def _rules(
-    name: str, width: int | None, points: Literal["scene", "triangulated"] | None, strict: bool
-) -> "Protocol":
-    """The protocol of that name with what the command line says of it, under a name that says so."""
-    from splatproof.metrics.protocol_files import load_protocol, resized
-
-    rules = resized(load_protocol(name), width)
-    if points is not None and points != rules.points:
-        rules = replace(rules, points=points, name=f"{rules.name}-{points}")
-    return replace(rules, strict=True) if strict else rules
-
-
-def _tell_left_out(scene: "Scene") -> None:
-    """Say which photos take no part, and why: all reasons, an example each."""
-    reasons: dict[str, list[str]] = {}
-    for name, reason in scene.left_out:
-        reasons.setdefault(reason.partition(": ")[0], []).append(name)
-    for reason, names in reasons.items():
-        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-        output.log(f"left out: {names[0]}{more}: {reason}")
 
 
 def _print_scores(outcome: "Outcome") -> None:

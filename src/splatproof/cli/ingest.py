@@ -1,6 +1,7 @@
 """`bench ingest PHOTOS OUT`: a scene folder from photos, by structure from motion."""
 
 import os
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -24,7 +25,7 @@ def ingest(
     is a line: scene (its folder), registered, left_out, units, facts.
 
     Args:
-        photos: Folder of JPEG or PNG photos that overlap by 60 to 80 %.
+        photos: Folder of JPEG, PNG or TIFF photos that overlap by 60 to 80 %.
         out: Scene folder to make; must not exist yet.
         max_image_size: Longest side, in pixels, at which features are looked for; larger photos are
             scaled down for that.
@@ -64,5 +65,5 @@ def ingest(
         "facts": scene.facts,
     }
     output.emit(record, "\n".join(lines))
-    output.log(f"next: bench fit 3dgs {made.folder} --out MODEL")
+    output.log(f"next: bench fit auto {shlex.quote(str(made.folder))} --out MODEL --seconds 60")
     return 0

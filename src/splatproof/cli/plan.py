@@ -8,6 +8,8 @@ import tyro
 
 from splatproof.base.errors import UsageError
 from splatproof.cli import output
+from splatproof.cli.plan_scene import plan_scene
+from splatproof.cli.scene_opening import Points
 
 if TYPE_CHECKING:
     from splatproof.suites.city_plan import City, Plan
@@ -32,6 +34,9 @@ def plan(
     megabytes: float | None = None,
     db: float | None = None,
     protocol: str | None = None,
+    points: Points | None = None,
+    strict: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    threads: int | None = None,
     views: int = VIEWS,
     gaussians: int = GAUSSIANS,
     width: int | None = None,
@@ -69,6 +74,11 @@ def plan(
         db: With SCENE: PSNR in dB at which training ends before its seconds are over, on every sixth training
             photo, 12 at most, which are kept back for that. None: the seconds are used.
         protocol: With SCENE: name or file of the rules by which it is opened. None: default.
+        points: With SCENE: where the sparse points come from that training starts from: the scene's own, or
+            triangulated from the training photos under their given poses. None: as the protocol says.
+        strict: With SCENE: refuse a COLMAP model or transforms.json that names photos which are not there,
+            instead of leaving them out.
+        threads: With SCENE: threads of torch and the kernels. None: as many as torch takes by itself.
         views: Number of training views.
         gaussians: Number of Gaussians in the finished model.
         width: Width of a view in pixels. None: as the protocol says; of a city 1600.
@@ -98,9 +108,14 @@ def plan(
         for option, given in for_cities.items():
             if given:
                 raise UsageError(f"{option} is for the plan of a city; leave {scene!r} or it out")
-        return _of_scene(scene, seconds, megabytes, db, protocol, width, seed)
+        return plan_scene(
+            scene, seconds=60.0 if seconds is None else seconds, megabytes=megabytes or 0.0,
+            db=db or 0.0, protocol=protocol or "default", width=width, points=points, strict=strict,
+            seed=seed or 0, threads=threads,
+        )  # fmt: skip
     for_scenes = {
-        "--seconds": seconds, "--megabytes": megabytes, "--db": db, "--protocol": protocol,
+        "--seconds": seconds, "--megabytes": megabytes, "--db": db, "--protocol": protocol, "--points": points,
+        "--strict": strict or None, "--threads": threads,
     }  # fmt: skip
     for option, value in for_scenes.items():
         if value is not None:
@@ -145,23 +160,6 @@ def plan(
         )
     _notes(city, fewest, told)
     return 0
-
-
-def _of_scene(
-    scene: str,
-    seconds: float | None,
-    megabytes: float | None,
-    db: float | None,
-    protocol: str | None,
-    width: int | None,
-    seed: int | None,
-) -> int:
-    from splatproof.cli.plan_scene import plan_scene
-
-    return plan_scene(
-        scene, seconds=60.0 if seconds is None else seconds, megabytes=megabytes or 0.0,
-        db=db or 0.0, protocol=protocol or "default", width=width, seed=seed or 0,
-    )  # fmt: skip
 
 
 def _line(found: "Plan") -> str:

@@ -6,7 +6,10 @@ from dataclasses import asdict
 
 from rich.table import Table
 
+from splatproof.base.inside import outside_is_allowed
+from splatproof.base.plugin_files import plugin_files
 from splatproof.cli import output
+from splatproof.cli.scene_opening import Points, scene_rules, tell_left_out
 
 
 def plan_scene(
@@ -17,7 +20,10 @@ def plan_scene(
     db: float,
     protocol: str,
     width: int | None,
+    points: Points | None,
+    strict: bool,
     seed: int,
+    threads: int | None,
 ) -> int:
     """Measure, probe and print a table; nothing is trained to its end and nothing is written.
 
@@ -28,7 +34,10 @@ def plan_scene(
         db: PSNR in dB at which training is to end, on photos that are kept back; 0: no such end.
         protocol: Rules by which the scene is opened.
         width: Width of the images in pixels; None: the protocol's.
+        points: Where the sparse points come from; None: as the protocol says.
+        strict: Whether a scene that names photos which are not there is refused.
         seed: Seed of the probe.
+        threads: Threads of torch and the kernels; None: as many as torch takes.
     """
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.auto.fit import planned, remembering
@@ -37,12 +46,13 @@ def plan_scene(
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
-    from splatproof.metrics.protocol_files import load_protocol, resized
 
     asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
-    rules = resized(load_protocol(protocol), width)
-    run = Run(seed=seed, background=rules.background)
-    opened = open_scene(scene, rules).for_training()
+    rules = scene_rules(protocol, width, points, strict)
+    run = Run(seed=seed, background=rules.background, threads=threads)
+    whole = open_scene(scene, rules)
+    tell_left_out(whole)
+    opened = whole.for_training()
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)
         photos = planned_photos(opened, asked, run)
@@ -61,12 +71,15 @@ def plan_scene(
     given = {
         "--seconds": f"{seconds:g}", "--megabytes": f"{megabytes:g}" if megabytes else "",
         "--db": f"{db:g}" if db else "", "--protocol": "" if protocol == "default" else protocol,
-        "--width": str(width or ""), "--seed": str(seed or ""),
+        "--width": str(width or ""), "--points": points or "", "--seed": str(seed or ""),
+        "--threads": str(threads or ""),
     }  # fmt: skip
-    options = " ".join(f"{option} {shlex.quote(value)}" for option, value in given.items() if value)
+    words = ["bench", "fit", "auto", scene, "--out", "OUT"]
+    words += [word for option, value in given.items() if value for word in (option, value)]
+    words += [word for file in plugin_files() for word in ("--plugin", str(file.path))]
+    words += ["--strict"] * strict + ["--allow-outside"] * outside_is_allowed()
     output.log(
-        f"training would take about {found.plan.seconds:.0f} s; "
-        f"`bench fit auto {shlex.quote(scene)} --out OUT {options}` does it"
+        f"training would take about {found.plan.seconds:.0f} s; `{shlex.join(words)}` does it"
     )
     return 0
 

@@ -148,7 +148,8 @@ def make(
         chosen = Path(f"{world}-{preset}-{seed}") if out is None else out
         path = worlds.make(world, preset, seed, chosen, report)
     if out is None:
-        output.log(f"made in the current folder; train on it: bench fit 3dgs {path} --out MODEL")
+        fit = f"bench fit auto {path} --out MODEL --seconds 60"
+        output.log(f"made in the current folder; train on it: {fit}")
     record = {"world": world, "preset": preset, "seed": seed, "path": str(path)}
     output.emit(record, str(path))
 

@@ -63,11 +63,12 @@ def _driven(folder: Path) -> None:
     names = [path.name for path in sorted((folder / "photos").iterdir())]
     moments = {name: Moment(time=0.1 * i, sensor="front") for i, name in enumerate(names)}
     write_moments(folder, moments)
-    for part in ("depth", "sky", "moving/vehicles", "moving/people", "lidar"):
+    for part in ("depth", "sky", "masks", "moving/vehicles", "moving/people", "lidar"):
         (folder / part).mkdir(parents=True)
     for name, moment in moments.items():
         np.savez(depth_path(folder, name), depth=np.full((72, 96), 4, np.float32))
-        for mask in (sky_path(folder, name), *moving_masks_of(folder, name)):
+        masks = [folder / "masks" / f"{name}.png", *moving_masks_of(folder, name)]
+        for mask in (sky_path(folder, name), *masks):
             Image.new("L", (96, 72), 255).save(mask)
         file = folder / "lidar" / f"{Path(name).stem}.npz"
         np.savez(file, points=np.ones((5, 3)), origin=np.zeros(3), time=moment.time)
@@ -89,9 +90,9 @@ def _tracking(folder: Path) -> None:
 
 
 FIXTURES = {
-    "colmap": Fixture(partial(write_scene, flight=Flight())),
+    "colmap": Fixture(partial(write_scene, flight=Flight()), optional="photos/"),  # as nerfstudio
     "colmap, driven": Fixture(
-        _driven, optional=r"lidar/|depth/|sky/|views\.json", adapter="colmap"
+        _driven, optional=r"photos/|lidar/|depth/|sky/|masks/|views\.json", adapter="colmap"
     ),
     "photo-tourism": Fixture(_tourism, unread=r"photo_003\.png", counted=r"gate\.tsv"),
     "nerfstudio": Fixture(_rich_nerfstudio, optional="images/"),  # what is there is opened

@@ -7,7 +7,9 @@ import pytest
 import torch
 from PIL import Image
 
+from helpers.adapter_checks import refused, valid
 from helpers.colmap_scenes import Flight, reconstruction, view_name, write_scene
+from splatproof.base.errors import DataError
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.scene_file import SceneFile, write_scene_file
 from splatproof.datasets.splits import split_hash
@@ -46,6 +48,32 @@ def test_text_binary_with_and_without_rigs_are_one_scene(tmp_path):
         [v.name for v in binary.views], binary.train, (0, 3)
     )
     assert binary.facts["model_sha256"] != text.facts["model_sha256"]
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("name", ["my view {}.png", "IMG {}.png", "a  b/two  blanks {}.png"])
+def test_blanks_in_names_of_photos_are_kept(tmp_path, text, name):
+    plain = open_scene(write_scene(tmp_path / "plain", FLIGHT), protocol())
+    folder = write_scene(tmp_path / "blanks", FLIGHT)
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    names = {view_name(i): name.format(f"{i:03d}") for i in range(FLIGHT.views)}
+    for image in model.images.values():
+        photo = folder / "photos" / names[image.name]
+        photo.parent.mkdir(exist_ok=True)
+        (folder / "photos" / image.name).rename(photo)
+        image.name = names[image.name]
+    if text:
+        for path in (folder / "sparse/0").iterdir():
+            path.unlink()
+        model.write_text(folder / "sparse/0")
+    else:
+        model.write_binary(folder / "sparse/0")
+    scene = open_scene(folder, protocol())
+    assert [view.name for view in scene.views] == [names[view.name] for view in plain.views]
+    assert scene.left_out == ()
+    for found, wanted in zip(scene.views, plain.views, strict=True):
+        assert torch.equal(found.load(), wanted.load())
+    assert torch.equal(scene.points.track_views, plain.points.track_views)
 
 
 @pytest.mark.parametrize(("model", "photos"), [("sparse", "photos"), ("sparse/0", "images")])
@@ -148,6 +176,98 @@ def test_unregistered_photos_are_listed_and_their_observations_left_out(tmp_path
         view_name(1): "structure from motion did not register it",
     }
     assert int(scene.points.track_views.max()) < len(scene.views)
+
+
+def test_photos_that_are_not_there_are_left_out_unless_the_protocol_is_strict(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    whole = open_scene(folder, protocol(hold=3))
+    gone = [folder / "photos" / view_name(i) for i in (1, 4)]
+    for path in gone:
+        path.unlink()
+    Image.new("RGB", (96, 72)).save(folder / "photos/extra.jpg")
+    scene = open_scene(folder, protocol(hold=3))
+    kept = [0, 2, 3, 5]
+    assert [view.name for view in scene.views] == [view_name(i) for i in kept]
+    assert scene.left_out == (
+        ("extra.jpg", "structure from motion did not register it"),
+        *((path.name, f"its photo is missing: {path}") for path in gone),
+    )
+    assert torch.equal(scene.points.positions + scene.shift, whole.points.positions + whole.shift)
+    assert tracks(scene) == [[view for view in track if view in kept] for track in tracks(whole)]
+    for view in scene.views:
+        before = next(one for one in whole.views if one.name == view.name)
+        assert torch.equal(view.camera.K, before.camera.K)
+        assert torch.equal(view.load(), before.load())
+    refused(folder, r"photos/photo_001\.png: photo is missing; put it back", strict=True)
+    for view in scene.views:
+        (folder / "photos" / view.name).unlink()
+    refused(folder, r"s/sparse/0: not one photo of its 6 images is there, .*photo_000\.png")
+
+
+def save_mask(path: Path, mask: np.ndarray) -> None:
+    path.parent.mkdir(exist_ok=True)
+    Image.fromarray(255 * mask.astype(np.uint8)).save(path)
+
+
+def test_colmaps_masks_go_with_their_photos(tmp_path):
+    """Of one photo by NAME.png, of another by the name that ends in .png; the others are whole."""
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    bare = open_scene(folder, protocol())
+    mask = np.random.default_rng(0).integers(0, 30, (72, 96)) > 0
+    save_mask(folder / "masks" / f"{view_name(0)}.png", mask)
+    save_mask(folder / "masks" / view_name(0), ~mask)  # COLMAP takes the other one
+    save_mask(folder / "masks" / view_name(1), mask)
+    # red only where masked: no valid pixel of the truth may have any of it
+    red = np.zeros((72, 96, 3), np.uint8)
+    red[..., 0] = 255 * ~mask
+    for i in (0, 1):
+        Image.fromarray(red).save(folder / "photos" / view_name(i))
+    for rules in ({}, {"factor": 2.0}):
+        scene = open_scene(folder, protocol(**rules))
+        for view in scene.views[:2]:
+            good = valid(view)
+            assert 0.2 < good.float().mean() < 1
+            assert view.load()[good].max() < 1e-3
+        assert [view.load_mask for view in scene.views[2:]] == [None] * 4
+    assert len(scene.sources) == len(bare.sources) + 2
+    for found, wanted in zip(open_scene(folder, protocol()).views[2:], bare.views[2:], strict=True):
+        assert torch.equal(found.load(), wanted.load())
+
+
+def test_a_mask_that_allows_nothing_or_is_of_another_size(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    save_mask(folder / "masks" / f"{view_name(0)}.png", np.zeros((72, 96)))
+    save_mask(folder / "masks" / f"{view_name(1)}.png", np.ones((70, 96)))
+    black, small = open_scene(folder, protocol()).views[:2]
+    assert not valid(black).any()
+    with pytest.raises(
+        DataError, match=r"masks/photo_001\.png\.png: mask is 96 x 70, its photo is"
+    ):
+        small.load()
+
+
+def test_masks_of_smaller_copies_lie_in_a_folder_of_their_own(tmp_path):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    (folder / "images_2").mkdir()
+    for path in (folder / "photos").iterdir():
+        Image.open(path).resize((48, 36)).save(folder / "images_2" / path.name)
+    mask = np.arange(72 * 96).reshape(72, 96) % 96 > 30
+    name = f"{view_name(0)}.png"
+    save_mask(folder / "masks" / name, mask)
+    said = rf"s/masks_2: has no mask of 'photo_000\.png', but .*s/masks/{name} is there"
+    refused(folder, said, images="images_2")
+    save_mask(folder / "masks_2" / name, mask[::2, ::2])
+    first, second = open_scene(folder, protocol(images="images_2")).views[:2]
+    assert 0.5 < valid(first).float().mean() < 0.8
+    assert second.load_mask is None
+
+
+def tracks(scene: Scene) -> list[list[int]]:
+    """Of every point the numbers in the names of the photos that see it."""
+    names = [int(view.name[-7:-4]) for view in scene.views]
+    starts = scene.points.track_starts.tolist()
+    views = scene.points.track_views.tolist()
+    return [[names[i] for i in views[a:b]] for a, b in pairwise(starts)]
 
 
 def test_a_prescaled_folder_gets_cameras_of_its_own_size(tmp_path):

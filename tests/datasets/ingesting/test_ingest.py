@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,10 @@ def flown(tmp_path_factory) -> tuple[Ingested, list[str]]:
     Image.new("RGB", (400, 300), (90, 120, 90)).save(photos / "blank.png")
     whole = (photos / "air_0.jpg").read_bytes()
     (photos / "cut.jpg").write_bytes(whole[: len(whole) // 2])
+    save_photo(
+        photos / "tagged.tif", aerial_photo(texture(0), 2.0, -3.0, (400, 300)), (2, -3, 40.0)
+    )
+    (photos / "phone 1.HEIC").write_bytes(b"what only other programs read")
     (photos / "notes.txt").write_text("not a photo")
     said: list[str] = []
     return run(photos, root / "scene", said), said
@@ -60,7 +65,7 @@ def test_the_scene_opens_and_is_metric(flown):
     made, _ = flown
     scene = open_scene(made.folder, PROTOCOL)
     places = {f"air_{i}.jpg": place for i, place in enumerate(PLACES)}
-    assert [view.name for view in scene.views] == [*sorted(places), "small_one.jpg"]
+    assert [view.name for view in scene.views] == [*sorted(places), "small_one.jpg", "tagged.tif"]
     assert scene.units == "metres"
     assert scene.up.tolist() == [0, 0, 1]
     for axis, name in ((0, "east"), (1, "north")):
@@ -77,12 +82,13 @@ def test_the_scene_opens_and_is_metric(flown):
 def test_every_photo_is_accounted_for(flown):
     made, said = flown
     reasons = made.scene.left_out
-    assert set(reasons) == {"blank.png", "cut.jpg", "elsewhere.jpg"}
+    assert set(reasons) == {"blank.png", "cut.jpg", "elsewhere.jpg", "phone 1.HEIC"}
     assert "no features found" in reasons["blank.png"] or "at most 0 points" in reasons["blank.png"]
     assert "not a readable image" in reasons["cut.jpg"]
     assert "shares at most" in reasons["elsewhere.jpg"]
-    assert made.registered == 7
-    assert made.scene.facts["registered"] == "7 of 10"
+    assert reasons["phone 1.HEIC"] == ".heic is not read; convert it to JPEG or PNG"
+    assert made.registered == 8
+    assert made.scene.facts["registered"] == "8 of 12"
     assert dict(open_scene(made.folder, PROTOCOL).left_out) == reasons
     assert any(line.startswith("cut.jpg: left out: not a readable") for line in said)
     assert any("photos of 3 cameras, one camera model each: 1 of 320 x 240" in x for x in said)
@@ -92,6 +98,14 @@ def test_the_scenes_photos_are_copies_so_that_edits_never_reach_the_users_own(fl
     folder = flown[0].folder
     own = {photo.stat().st_ino for photo in (folder.parent / "photos").iterdir()}
     assert not own & {photo.stat().st_ino for photo in (folder / "photos").iterdir()}
+
+
+def test_the_command_names_the_one_that_comes_next(flown, tmp_path, monkeypatch, capfd):
+    made = replace(flown[0], folder=tmp_path / "my scene")
+    monkeypatch.setattr(f"{ingest_photos.__module__}.ingest_photos", lambda *args, **named: made)
+    assert ingest(tmp_path, tmp_path / "my scene") == 0
+    command = capfd.readouterr().err.splitlines()[-1]
+    assert command == f"next: bench fit auto '{tmp_path / 'my scene'}' --out MODEL --seconds 60"
 
 
 def test_nothing_but_the_scene_is_left(flown):
@@ -120,6 +134,14 @@ def damaged(folder: Path) -> Path:
     return folder
 
 
+def foreign(folder: Path) -> Path:
+    """Photos of a telephone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(3):
+        (folder / f"IMG_{i}.HEIC").write_bytes(b"what only other programs read")
+    return folder
+
+
 def deep(folder: Path) -> Path:
     folder.mkdir()
     for i in range(3):
@@ -145,6 +167,11 @@ def unrelated(folder: Path) -> Path:
     [
         (lambda folder: folder, "no such folder; give the folder that has the photos"),
         (nothing, r"no photo found; looked for \.jpg, \.jpeg, \.png"),
+        (foreign, r"no photo found; .*; IMG_0.HEIC and 2 more are not read; convert them to JPEG"),
+        (
+            lambda folder: foreign(blank(folder)),
+            r"only one photo can be used \(IMG_0.HEIC and 2 more are not read; .* PNG\); structure",
+        ),
         (blank, "only one photo can be used; structure from motion needs at least two"),
         (damaged, r"1 of 3 photos can be used \(flat_\d.jpg is damaged\)"),
         (deep, "0 of 3 photos can be used"),
@@ -152,7 +179,18 @@ def unrelated(folder: Path) -> Path:
         (lambda folder: blank(folder, 3), "no two of 3 photos could be joined .no pair has common"),
         (unrelated, "no two of 2 photos could be joined .*; take photos that overlap by 60 to 80"),
     ],
-    ids=["no folder", "no photo", "one", "damaged", "16 bit", "twins", "blank", "unrelated"],
+    ids=[
+        "no folder",
+        "no photo",
+        "HEIC",
+        "one and HEIC",
+        "one",
+        "damaged",
+        "16 bit",
+        "twins",
+        "blank",
+        "unrelated",
+    ],
 )
 def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, capfd, make, fault):
     photos = make(tmp_path / "photos")
@@ -226,7 +264,8 @@ def test_brighton_beach(tmp_path, capfd):
     assert ingest(photos, tmp_path / "scene", threads=2) == 0
     seconds = time.process_time() - start
     out, err = capfd.readouterr()
-    assert err.splitlines()[-1] == f"next: bench fit 3dgs {tmp_path / 'scene'} --out MODEL"
+    next_one = f"bench fit auto {tmp_path / 'scene'} --out MODEL --seconds 60"
+    assert err.splitlines()[-1] == f"next: {next_one}"
     assert out.splitlines() == [
         f"{tmp_path / 'scene'}: 18 of 18 photos registered, units: metres",
         "GPS: positions and altitudes of 18 photos",

@@ -1,7 +1,7 @@
 import math
 
 import pytest
-from PIL import ExifTags
+from PIL import ExifTags, Image
 
 from helpers.aerial_photos import save_photo, texture
 from splatproof.datasets.ingesting.survey import gps_position, survey_photos
@@ -73,3 +73,43 @@ def test_sizes_makers_subfolders_and_blanks_in_names(tmp_path):
     assert survey.photos[0].gps is None
     assert survey.photos[1].gps == pytest.approx((46.00018, -90.99987, 330.0), abs=1e-4)
     assert told == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_photos_of_kinds_that_are_not_read_are_named(tmp_path):
+    pixels = texture(0, 60)
+    for name in ("a.jpg", "b.JPG", "e.tif"):
+        save_photo(tmp_path / name, pixels)
+    Image.fromarray(pixels).save(tmp_path / "d.webp")
+    for name in ("c 1.HEIC", "c_1.HEIC", "f.dng", "deep/g.CR3", ".h.heic", "film.mov", "notes.txt"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"what only other programs read")
+    survey = survey_photos(tmp_path, lambda done, total: None)
+    assert [photo.name for photo in survey.photos] == ["a.jpg", "b.JPG", "e.tif"]
+    assert {photo.lens for photo in survey.photos} == {(60, 60, "splatproof")}
+    assert survey.unreadable == {
+        name: f"{kind} is not read; convert it to JPEG or PNG"
+        for name, kind in (
+            ("c 1.HEIC", ".heic"),
+            ("c_1.HEIC", ".heic"),
+            ("d.webp", ".webp"),
+            ("deep/g.CR3", ".cr3"),
+            ("f.dng", ".dng"),
+        )
+    }
+
+
+@pytest.mark.parametrize("turned", [3, 6])
+def test_a_tiff_that_its_tag_turns_is_left_out(tmp_path, turned):
+    """Pillow turns it, COLMAP does not: their pixels are not the same."""
+    pixels = texture(0, 60)[:40]
+    for name in ("a.tif", "b.tiff"):
+        save_photo(tmp_path / name, pixels)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = turned
+    Image.fromarray(pixels).save(tmp_path / "c.tif", exif=exif)
+    survey = survey_photos(tmp_path, lambda done, total: None)
+    assert [photo.name for photo in survey.photos] == ["a.tif", "b.tiff"]
+    said = (
+        f"its orientation is {turned}, which is obeyed in JPEGs alone; save it upright, or as JPEG"
+    )
+    assert survey.unreadable == {"c.tif": said}
