@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8, UInt16
-from PIL import Image
+from PIL import ExifTags, Image
 from torch import Tensor
 
 from splatproof.base.errors import DataError
@@ -172,7 +172,13 @@ def check_photo(path: Path) -> None:
 
 
 def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None:
-    """Decode, and refuse what is not 8-bit RGB or grey, or is transparent where it must not be."""
+    """Decode, and refuse what is not 8-bit RGB or grey, is transparent where it must not be, or would be turned."""
+    turned = image.getexif().get(ExifTags.Base.Orientation, 1)
+    if image.format == "TIFF" and turned != 1:  # Pillow turns it while it decodes, COLMAP does not
+        raise DataError(
+            f"{path}: its orientation is {turned}, which is obeyed in JPEGs alone; save it upright, or "
+            "as JPEG"
+        )
     bits, mode = _bits(path, image), image.mode
     if mode not in MODES or (bits > 8 and not _is_16_bit(path)):
         depth = f" of {bits} bits" if bits > 8 else ""

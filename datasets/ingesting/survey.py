@@ -104,12 +104,6 @@ def _read(path: Path, name: str) -> Photo:
         words = [exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)]
         words += [details.get(ExifTags.Base.FocalLength)]
         text = " ".join(str(word).strip("\0 ") for word in words if word is not None)
-        tag = exif.get(ExifTags.Base.Orientation, AS_STORED)
-        if image.format == "TIFF" and tag != AS_STORED:  # Pillow turns it, COLMAP does not
-            raise DataError(
-                f"{path}: its orientation is {tag}, which is obeyed in JPEGs alone; save it upright, "
-                "or as JPEG"
-            )
         turned = orientation(image)
         width, height = image.size if turned not in QUARTERS else (image.height, image.width)
         return Photo(

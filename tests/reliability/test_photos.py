@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 from splatproof.base import memory
 from splatproof.base.errors import DataError, MissingError
@@ -186,6 +186,21 @@ def test_formats_of_8_bits_and_16_bit_rgb_are_read_as_stored(tmp_path):
     assert read_photo(tmp_path / "bits.png").unique().tolist() == [0, 1]
     cv2.imwrite(str(tmp_path / "b.png"), pixels.astype(np.uint16)[..., ::-1] * 257)
     assert torch.equal(read_photo(tmp_path / "b.png"), read_photo(tmp_path / "a.png"))
+
+
+@pytest.mark.parametrize("turned", [1, 2, 6])
+def test_a_tiff_that_would_be_turned_while_it_is_read_is_refused(tmp_path, turned):
+    """Pillow turns it and COLMAP does not: a model's pixels would be others'."""
+    pixels = np.random.default_rng(0).integers(0, 256, (8, 12, 3), dtype=np.uint8)
+    path, exif = tmp_path / "a.tif", Image.Exif()
+    exif[ExifTags.Base.Orientation] = turned
+    Image.fromarray(pixels).save(path, exif=exif)
+    if turned == 1:
+        assert np.array_equal((read_photo(path) * 255).round().numpy(), pixels)
+        return
+    for read in (read_photo, check_photo):
+        with pytest.raises(DataError, match=f"its orientation is {turned}, .*save it upright"):
+            read(path)
 
 
 def test_damaged_16_bit_png(tmp_path):
