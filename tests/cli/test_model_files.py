@@ -74,6 +74,19 @@ def test_every_kind_is_exported_again_and_keeps_the_mode(kind, tmp_path, capsys)
     assert loaded.mode == mode
 
 
+@pytest.mark.parametrize(("far", "said"), [(1.0, ""), (1e5, "1 of 400 Gaussians")])
+def test_a_packed_file_that_one_far_gaussian_makes_coarser_says_so(tmp_path, capsys, far, said):
+    model = random_gaussians(400)
+    model.means[7] = torch.tensor([0.0, -far, 0.0])
+    save_model(ExplicitModel(model=model), tmp_path / "model", Origin())
+    packed = str(tmp_path / "m.spgs")
+    assert main(["export", str(tmp_path / "model"), "--packed", packed]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "as coarse as asked" in line]
+    assert len(lines) == bool(said)
+    assert all(said in line and "the farthest 100000;" in line for line in lines)
+    assert all(line.startswith(packed) for line in lines)
+
+
 @pytest.fixture
 def on_the_tiny_scene(monkeypatch):
     scene = tiny_scene()

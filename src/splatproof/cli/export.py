@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from splatproof.methods.contracts.reconstruction import Reconstruction
+    from splatproof.methods.storage.packed.coded_writer import CodeSettings
     from splatproof.methods.storage.packed.writer import PackedReport
+    from splatproof.reference.compression.quantisers import Steps
     from splatproof.reference.rasterizer.rasterize import Mode
     from splatproof.reference.types.gaussians import Gaussians
     from splatproof.reference.types.scene import View
@@ -85,7 +87,12 @@ def export(
     from splatproof.base.numbers import in_range
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.storage.gltf import write_gltf
-    from splatproof.methods.storage.packed.coded_writer import QUALITIES, write_coded
+    from splatproof.methods.storage.packed.coded_writer import (
+        QUALITIES,
+        chosen_steps,
+        write_coded,
+    )
+    from splatproof.methods.storage.packed.rows import MemoryRows
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
     from splatproof.methods.storage.spz import write_spz
 
@@ -125,7 +132,9 @@ def export(
         origin = load_origin(model_path(model))
         told = PackedFacts(**_known(loaded), origin=origin)
         if gate is None:
+            steps = steps or chosen_steps(MemoryRows(gaussians), kept)
             report = write_coded(packed, gaussians, settings=kept, steps=steps, facts=told)
+            _tell_cells(packed, gaussians, kept, steps)
         else:
             report = write_packed(packed, gaussians, settings=FileSettings(gate=gate), facts=told)
         _tell_packed(packed, report, view)
@@ -192,3 +201,17 @@ def _tell_packed(path: Path, report: "PackedReport", view: "View | None") -> Non
     output.emit(
         record | seen, f"{path}: {report.primitives} Gaussians{words}, {each:.1f} bytes each"
     )
+
+
+def _tell_cells(path: Path, gaussians: "Gaussians", kept: "CodeSettings", steps: "Steps") -> None:
+    """Say where a few far Gaussians make the positions of all coarser than asked."""
+    from splatproof.methods.storage.packed.cell_size import widened
+
+    found = widened(gaussians, kept.position, steps.position)
+    if found is not None:
+        output.log(
+            f"{path}: positions are stored in steps of {steps.position:.3g}, {found.times:.3g} times as "
+            f"coarse as asked, because {found.beyond} of {len(gaussians)} Gaussians lie more than "
+            f"{found.reach:.4g} from the origin along an axis, the farthest {found.farthest:.6g}; remove "
+            "them, or shift a model that lies out there as a whole, and export again"
+        )
