@@ -13,21 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError, MissingError
-from splatproof.base.files import CHUNK, size_of, whole_file
-from splatproof.base.memory import check_room
+from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
+from splatproof.methods.storage.spz_claims import check_claims
 from splatproof.reference.types.gaussians import Gaussians
 
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
-GZIP = b"\x1f\x8b"
 GZIP_TIME = range(4, 8)
 """Bytes of gzip's header that say when it was written (RFC 1952, Section 2.3.1); 0: not said."""
-HEAD = struct.Struct("<III4x")
-"""Magic, version and number of Gaussians, and 4 bytes of flags, of an unpacked file."""
-MOST_EACH = 100
-"""Bytes of a Gaussian, at the most: 9 of position, 9 of opacity, colour and scale, 4 of rotation, 45 of
-harmonics of degree 3 or 72 of degree 4."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 ALL_BITS = (8, 8)
@@ -109,7 +103,7 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     gsply = _package()
-    check_room(path, _unpacked(path))
+    check_claims(path)
     try:
         data = gsply.read_spz(path)
     except (
@@ -131,38 +125,13 @@ def read_spz(path: str | Path) -> Gaussians:
     parts = {"means": data.means, "quaternions": data.quats, "log_scales": data.scales,
              "opacity_logits": data.opacities, "sh": sh}  # fmt: skip
     model = Gaussians(
-        **{name: torch.from_numpy(np.array(part, dtype=np.float32)) for name, part in parts.items()}
+        **{
+            name: torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32))
+            for name, part in parts.items()
+        }
     )
     check_gaussians(model, path)
     return model
-
-
-def _unpacked(path: Path) -> int:
-    """Bytes that a file unpacks to. Raises: DataError if they are more than its Gaussians can take."""
-    size = size_of(path)
-    with path.open("rb") as file:
-        if file.read(2) != GZIP:
-            return size
-        file.seek(0)
-        unpacked, stream = 0, zlib.decompressobj(wbits=31)
-        head = b""
-        try:
-            while chunk := file.read(CHUNK):
-                while chunk:
-                    part = stream.decompress(chunk, CHUNK)
-                    chunk = stream.unconsumed_tail
-                    head, unpacked = (head + part)[: HEAD.size], unpacked + len(part)
-                    if (
-                        len(head) == HEAD.size
-                        and unpacked > HEAD.size + MOST_EACH * HEAD.unpack(head)[2]
-                    ):
-                        raise DataError(
-                            f"{path}: unpacks to more than its {HEAD.unpack(head)[2]} Gaussians can take; "
-                            "it is damaged or made to fill the memory, get it again"
-                        )
-        except zlib.error as error:
-            raise DataError(f"{path}: not a whole .spz file ({error})") from None
-    return unpacked
 
 
 def _package() -> ModuleType:
