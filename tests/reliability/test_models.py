@@ -19,20 +19,21 @@ from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.array_files import read_arrays
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.storage.camera_files import read_cameras
+from splatproof.methods.storage.packed.coded_writer import write_coded
 from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
-from splatproof.methods.storage.packed.records import RecordWriter, records
+from splatproof.methods.storage.packed.records import CODED, VERSION, RecordWriter, records
 from splatproof.methods.storage.packed.writer import write_packed
 from splatproof.methods.storage.ply import read_ply
 from splatproof.methods.storage.spz import read_spz, write_spz
 
 
-def claiming(path: Path, primitives: int) -> None:
-    """A packed file, sealed again, whose header says that it has so many Gaussians."""
-    write_packed(path, random_gaussians(40, degree=3))
+def claiming(path: Path, version: int, **changed: int) -> None:
+    """A packed file, sealed again, whose header says other numbers."""
+    (write_packed if version == VERSION else write_coded)(path, random_gaussians(40, degree=3))
     header, *others = records(path)
-    told = json.dumps(json.loads(header) | {"primitives": primitives}).encode()
+    told = json.dumps(json.loads(header) | changed).encode()
     with path.open("wb") as file:
-        writer = RecordWriter(file)
+        writer = RecordWriter(file, version)
         for content in (told, *others):
             writer.add(content)
 
@@ -98,14 +99,42 @@ def test_cameras_that_nothing_can_be_rendered_from(tmp_path, changed, monkeypatc
     assert len(str(caught.value)) < 500
 
 
-def test_a_small_packed_file_that_claims_many_gaussians(tmp_path):
+@pytest.mark.parametrize(
+    ("version", "changed", "said"),
+    [(VERSION, {"primitives": 15_000_000}, r"says that its \d+ bytes hold 3376 MB"),
+     (CODED, {"primitives": 15_000_000}, r"claims 15000000 primitives, which need 375000 chunks, and has 1:"),
+     (CODED, {"primitives": 15_000_000, "chunk": 2**16}, r"claims 15000000 primitives, which need 229 chunks, and has 1:"),
+     (CODED, {"primitives": 2**20, "chunk": 2**20}, r"chunks of 1048576 primitives, expected up to 65536"),
+     (CODED, {"primitives": 2**16, "chunk": 2**16}, r"a chunk that is none")],
+)  # fmt: skip
+def test_a_small_packed_file_that_claims_many_gaussians(tmp_path, version, changed, said):
     path = tmp_path / "model.spgs"
-    claiming(path, 15_000_000)
-    before = peak_memory_mb()
+    claiming(path, version, **changed)
     for read in (read_packed, lambda path: unpack_packed(path, tmp_path / "out")):
-        with pytest.raises(DataError, match=r"model\.spgs: says that its \d+ bytes hold 3376 MB"):
+        peaks: dict[str, float] = {}
+        with peak_within(peaks, "before"):
+            pass
+        with peak_within(peaks, "after"), pytest.raises(DataError, match=rf"model\.spgs: {said}"):
             read(path)
-    assert peak_memory_mb() - before < 100
+        assert peaks["after"] - peaks["before"] < 30
+
+
+@pytest.mark.parametrize("content", [b"", bytes(24), bytes(200)])
+def test_chunks_of_nothing_take_no_memory(tmp_path, content):
+    path = tmp_path / "model.spgs"
+    write_coded(path, random_gaussians(40, degree=3))
+    header, _ = records(path)
+    told = json.loads(header) | {"primitives": 100 * 2**16, "chunk": 2**16}
+    with path.open("wb") as file:
+        writer = RecordWriter(file, CODED)
+        for part in (json.dumps(told).encode(), *[content] * 100):
+            writer.add(part)
+    peaks: dict[str, float] = {}
+    with peak_within(peaks, "before"):
+        pass
+    with peak_within(peaks, "after"), pytest.raises(DataError, match="a chunk that is none"):
+        read_packed(path)  # 1.5 GB are claimed
+    assert peaks["after"] - peaks["before"] < 100
 
 
 def ply(path: Path, kind: str, count: int) -> None:
