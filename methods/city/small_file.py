@@ -9,13 +9,13 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from splatproof.methods.city.settings import CitySettings
+from splatproof.methods.storage.morton import morton_order
 from splatproof.methods.storage.packed.coded_writer import (
     chosen_steps,
     file_order,
     with_room,
     write_coded,
 )
-from splatproof.methods.storage.packed.morton import morton_order
 from splatproof.methods.storage.packed.rows import MemoryRows
 from splatproof.methods.storage.packed.writer import PackedFacts, write_packed
 from splatproof.reference.compression.quantisers import Steps

@@ -14,7 +14,7 @@ from torch import Tensor
 from splatproof.base.errors import UsageError
 from splatproof.methods.city.block_model import BlockModel
 from splatproof.methods.city.voxel_region import VoxelRegion
-from splatproof.methods.storage.packed.morton import morton_order
+from splatproof.methods.storage.morton import morton_order
 from splatproof.reference.partition.boxes import Region, WidenedRegion
 from splatproof.reference.stitching.stochastic import (
     COMPETITIVE,

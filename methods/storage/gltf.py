@@ -13,15 +13,19 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes, size_of, whole_file
 from splatproof.methods.models.explicit import check_gaussians
+from splatproof.methods.storage.gltf_values import EXTENSION, FLOAT, TYPES, values
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 
-EXTENSION = "KHR_gaussian_splatting"
 OURS = "splatproof"
 """Key of the node's extras that holds shift and mode, which the extension has no place for."""
-FLOAT, POINTS = 5126, 0
-"""glTF's numbers for float32 components and for primitives that are points."""
-TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+POINTS = 0
+"""glTF's number for primitives that are points."""
+LOOK = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+"""What the extension must say of its Gaussians for them to be ours."""
+STILL = {"matrix": [[float(i % 5 == 0) for i in range(16)]], "translation": [[0, 0, 0]],
+         "rotation": [[0, 0, 0, 1], [0, 0, 0, -1]], "scale": [[1, 1, 1]]}  # fmt: skip
+"""Values of a node's properties that move nothing."""
 HEAD, CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 LARGEST = 1 - 2.0**-24
 """Largest opacity that float32 tells from 1, whose logit would be infinite."""
@@ -50,23 +54,26 @@ def write_gltf(
             frame. None: zero.
         mode: How the model is rasterized; the extension knows "classic" alone, ours reads it back.
 
+    Raises: DataError for a model of no Gaussians, which glTF has no place for, or of more than 4 GiB.
+
     Source: Khronos, glTF 2.0, section 4.4 (GLB), and the extension KHR_gaussian_splatting.
     """
     path = Path(path)
+    if not len(gaussians):
+        raise DataError(f"{path}: 0 Gaussians. Expected at least one")
     columns = _columns(gaussians)
     views, accessors, at = [], [], 0
-    for values in columns.values():
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": values.nbytes, "target": 34962})
+    for column in columns.values():
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": column.nbytes, "target": 34962})
         accessors.append(
-            {"bufferView": len(views) - 1, "componentType": FLOAT, "count": len(values),
-             "type": TYPES[values.shape[1]]}
+            {"bufferView": len(views) - 1, "componentType": FLOAT, "count": len(column),
+             "type": TYPES[column.shape[1]]}
         )  # fmt: skip
-        at += values.nbytes
+        at += column.nbytes
     position = columns["POSITION"]
     accessors[0] |= {"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()}
     told = {"shift": [0.0] * 3 if shift is None else shift.double().tolist(), "mode": mode}
-    look = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display",
-            "sortingMethod": "cameraDistance", "projection": "perspective"}  # fmt: skip
+    look = LOOK | {"sortingMethod": "cameraDistance", "projection": "perspective"}
     primitive = {"mode": POINTS, "attributes": {name: i for i, name in enumerate(columns)},
                  "extensions": {EXTENSION: look}}  # fmt: skip
     document = {
@@ -84,8 +91,8 @@ def write_gltf(
         file.write(HEAD.pack(b"glTF", 2, length))
         file.write(CHUNK.pack(len(text), b"JSON") + text)
         file.write(CHUNK.pack(at, b"BIN\0"))
-        for values in columns.values():
-            file.write(values.tobytes())
+        for column in columns.values():
+            file.write(column.tobytes())
 
 
 def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
@@ -94,8 +101,9 @@ def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
     Opacities beyond 1 - 2^-24 come back as that, scales below 1e-37 as 1e-37.
 
     Args:
-        path: A file with one primitive of the extension, in float32, under a node that does not
-            move it; of this project or another tool.
+        path: A file with one primitive of the extension, of ellipses in display-referred sRGB, under nodes
+            that do not move it, in any type of number that the extension allows; of this project or
+            another tool.
     Returns: The Gaussians in float32, the float64 shift to add to their means (zero where the file
         says none) and the mode ("classic" where it says none).
     Raises: DataError, in one line, naming the file and the fault.
@@ -105,11 +113,14 @@ def read_gltf(path: str | Path) -> tuple[Gaussians, Float[Tensor, "3"], Mode]:
     try:
         node, primitive = _primitive(document, path)
         found = primitive["attributes"]
-        columns = {name: _values(document, body, found[name]) for name in found if _known(name)}
+        columns = {
+            name: values(document, body, name, found[name], path) for name in found if _known(name)
+        }
         degree = max(d for d in range(4) if f"{EXTENSION}:SH_DEGREE_{d}_COEF_0" in found)
         told = node.get("extras", {}).get(OURS, {})
         shift = torch.tensor(told.get("shift", [0.0] * 3), dtype=torch.float64)
         mode = told.get("mode", "classic")
+        _check_ranges(columns, path)
         sh = np.stack([columns[name] for name in _harmonics(degree)], axis=1)
         model = Gaussians(
             means=_tensor(columns["POSITION"]),
@@ -140,6 +151,22 @@ def _columns(gaussians: Gaussians) -> dict[str, Float32[np.ndarray, "n k"]]:
     names = _harmonics(gaussians.degree)
     columns |= dict(zip(names, gaussians.sh.unbind(dim=1), strict=True))
     return {n: np.ascontiguousarray(v.detach().numpy(), "<f4") for n, v in columns.items()}
+
+
+def _check_ranges(columns: dict[str, Float32[np.ndarray, "n k"]], path: Path) -> None:
+    """Refuse scales below 0 and opacities beyond 0 and 1."""
+    for name, most, said in (
+        (
+            "SCALE",
+            np.inf,
+            "0 or more: a draft of the extension had logarithms, write the file anew",
+        ),
+        ("OPACITY", 1.0, "0 to 1: write the file anew"),
+    ):
+        column = columns[f"{EXTENSION}:{name}"]
+        beyond = column[(column < 0) | (column > most)]
+        if len(beyond):
+            raise DataError(f"{path}: {name} of {beyond[0]:.9g}, expected {said}")
 
 
 def _harmonics(degree: int) -> list[str]:
@@ -194,24 +221,29 @@ def _primitive(document: dict[str, Any], path: Path) -> tuple[dict[str, Any], di
         raise DataError(
             f"{path}: its Gaussians are compressed by another extension; unpack it first"
         )
-    nodes = [node for node in document["nodes"] if node.get("mesh") == number]
-    if not nodes:
+    for name, expected in LOOK.items():
+        if (told := primitive["extensions"][EXTENSION].get(name)) != expected:
+            raise DataError(
+                f"{path}: {name} of its Gaussians is {told!r:.80}, expected {expected!r}; convert it "
+                "with the tool that wrote it"
+            )
+    nodes = document["nodes"]
+    shown = [i for i, node in enumerate(nodes) if node.get("mesh") == number]
+    if not shown:
         raise DataError(f"{path}: no node shows its Gaussians, expected one")
-    node = nodes[0]
-    moves = {"matrix", "translation", "rotation", "scale"} & set(node)
-    parents = [n for n in document["nodes"] if n.get("children")]
-    if moves or parents:
-        raise DataError(f"{path}: a node moves its Gaussians; write them in the frame of the world")
-    return node, primitive
+    _check_still(nodes, shown[0], path)
+    return nodes[shown[0]], primitive
 
 
-def _values(document: dict[str, Any], body: bytes, number: int) -> Float32[np.ndarray, "n k"]:
-    """An accessor's values. Raises: ValueError for what is no float32 array inside the body."""
-    accessor = document["accessors"][number]
-    view = document["bufferViews"][accessor["bufferView"]]
-    width = {name: k for k, name in TYPES.items()}[accessor["type"]]
-    if accessor["componentType"] != FLOAT or view.get("byteStride", 4 * width) != 4 * width:
-        raise ValueError(f"accessor {number} is not of packed float32")
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    values = np.frombuffer(body, "<f4", count=accessor["count"] * width, offset=start)
-    return values.reshape(-1, width)
+def _check_still(nodes: list[dict[str, Any]], shown: int, path: Path) -> None:
+    """Refuse a node that moves what it shows, by itself or by one above it."""
+    parents = {child: i for i, node in enumerate(nodes) for child in node.get("children", ())}
+    above: set[int] = set()
+    at: int | None = shown
+    while at is not None and at not in above:
+        if any(nodes[at].get(name, still[0]) not in still for name, still in STILL.items()):
+            raise DataError(
+                f"{path}: a node moves its Gaussians; write them in the frame of the world"
+            )
+        above.add(at)
+        at = parents.get(at)

@@ -13,25 +13,26 @@ from jaxtyping import Float
 from torch import Tensor
 
 from splatproof.base.errors import DataError, MissingError
-from splatproof.base.files import CHUNK, size_of, whole_file
-from splatproof.base.memory import check_room
+from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
+from splatproof.methods.storage.morton import morton_order
+from splatproof.methods.storage.spz_claims import check_claims
 from splatproof.reference.types.gaussians import Gaussians
 
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
-GZIP = b"\x1f\x8b"
 GZIP_TIME = range(4, 8)
 """Bytes of gzip's header that say when it was written (RFC 1952, Section 2.3.1); 0: not said."""
-HEAD = struct.Struct("<III4x")
-"""Magic, version and number of Gaussians, and 4 bytes of flags, of an unpacked file."""
-MOST_EACH = 100
-"""Bytes of a Gaussian, at the most: 9 of position, 9 of opacity, colour and scale, 4 of rotation, 45 of
-harmonics of degree 3 or 72 of degree 4."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 ALL_BITS = (8, 8)
 """Bits of a harmonic that are kept, in degree 1 and above: all that the format has room for."""
+SCALES = (-10.0, 5.9375, 1 / 16)
+"""Lowest and highest log scale, and the step between two."""
+DC = (-0.5 / 0.15, 0.5 / 0.15, 1 / (255 * 0.15))
+"""The same of SH coefficient 0."""
+HARMONICS = (-1.0, 127 / 128, 1 / 128)
+"""The same of the others."""
 USUAL_BITS = (5, 4)
 """The same as the format's own encoder keeps them, which makes the file about half as large."""
 
@@ -45,7 +46,8 @@ def write_spz(
 ) -> None:
     """Write positions in fixed point, 8-bit colour, opacity and scale, harmonics in 8 bits or what `harmonics` says.
 
-    Positions get as many fractional bits as their extent leaves of 24: the package's fixed 12 are
+    Gaussians lie in the order of the Morton curve through their positions, which makes the file smaller; what is
+    beyond the format's ranges is clipped (`clipped` counts it). Positions get as many fractional bits as their extent leaves of 24: the package's fixed 12 are
     0.24 mm in metres, and anything in other units.
 
     Args:
@@ -54,16 +56,21 @@ def write_spz(
         version: Version of the format: 3 opens in every viewer, 4 is compressed with zstd.
         harmonics: Bits of each that are kept, 1 to 8, in degree 1 and above; the others are 0, and compress.
 
-    Raises: MissingError without the package; DataError for positions beyond 2^23.
+    Raises: MissingError without the package; DataError for no Gaussians, which no reader takes, and for positions
+        beyond 2^23.
 
     Source: the format's public description and its encoder's bits of harmonics (Niantic Labs, spz); extent-aware bits: ours.
     """
     path = Path(path)
     gsply = _package()
-    reach = float(gaussians.means.abs().max()) if len(gaussians) else 1.0
+    if not len(gaussians):
+        raise DataError(f"{path}: 0 Gaussians. Expected at least one")
+    reach = float(gaussians.means.abs().max())
     whole = max(0, int(np.floor(np.log2(max(reach, 1e-6)))) + 1) + 1  # and the sign
     if whole > WHOLE_BITS:
         raise DataError(f"{path}: positions up to {reach:.3g}; .spz holds less than 2^23")
+    order = morton_order(gaussians.means)
+    gaussians = Gaussians(**{name: values[order] for name, values in vars(gaussians).items()})
     data = gsply.GSData(
         means=gaussians.means.numpy(), scales=gaussians.log_scales.numpy(),
         quats=gaussians.unit_quaternions.numpy(), opacities=gaussians.opacity_logits.numpy(),
@@ -73,6 +80,27 @@ def write_spz(
         gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
         if version == 3:
             _forget_time(partial)
+
+
+def clipped(gaussians: Gaussians) -> dict[str, int]:
+    """Gaussians of which a number is off by more than half a step because .spz has no room for it, by what it is of.
+
+    Args:
+        gaussians: The model that is written.
+    Returns: "log scales", "colours" (SH coefficient 0) and "harmonics" (the others), those alone that lose something.
+
+    Source: ranges of the format's public description (Niantic Labs, spz).
+    """
+    parts = {
+        "log scales": (gaussians.log_scales, SCALES),
+        "colours": (gaussians.sh[:, 0], DC),
+        "harmonics": (gaussians.sh[:, 1:].flatten(start_dim=1), HARMONICS),
+    }
+    found = {
+        name: int(((values < low - step / 2) | (values > high + step / 2)).any(dim=1).sum())
+        for name, (values, (low, high, step)) in parts.items()
+    }
+    return {name: count for name, count in found.items() if count}
 
 
 def _forget_time(path: Path) -> None:
@@ -109,7 +137,7 @@ def read_spz(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     gsply = _package()
-    check_room(path, _unpacked(path))
+    check_claims(path)
     try:
         data = gsply.read_spz(path)
     except (
@@ -131,38 +159,13 @@ def read_spz(path: str | Path) -> Gaussians:
     parts = {"means": data.means, "quaternions": data.quats, "log_scales": data.scales,
              "opacity_logits": data.opacities, "sh": sh}  # fmt: skip
     model = Gaussians(
-        **{name: torch.from_numpy(np.array(part, dtype=np.float32)) for name, part in parts.items()}
+        **{
+            name: torch.from_numpy(np.ascontiguousarray(part, dtype=np.float32))
+            for name, part in parts.items()
+        }
     )
     check_gaussians(model, path)
     return model
-
-
-def _unpacked(path: Path) -> int:
-    """Bytes that a file unpacks to. Raises: DataError if they are more than its Gaussians can take."""
-    size = size_of(path)
-    with path.open("rb") as file:
-        if file.read(2) != GZIP:
-            return size
-        file.seek(0)
-        unpacked, stream = 0, zlib.decompressobj(wbits=31)
-        head = b""
-        try:
-            while chunk := file.read(CHUNK):
-                while chunk:
-                    part = stream.decompress(chunk, CHUNK)
-                    chunk = stream.unconsumed_tail
-                    head, unpacked = (head + part)[: HEAD.size], unpacked + len(part)
-                    if (
-                        len(head) == HEAD.size
-                        and unpacked > HEAD.size + MOST_EACH * HEAD.unpack(head)[2]
-                    ):
-                        raise DataError(
-                            f"{path}: unpacks to more than its {HEAD.unpack(head)[2]} Gaussians can take; "
-                            "it is damaged or made to fill the memory, get it again"
-                        )
-        except zlib.error as error:
-            raise DataError(f"{path}: not a whole .spz file ({error})") from None
-    return unpacked
 
 
 def _package() -> ModuleType:

@@ -16,7 +16,7 @@ from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from splatproof.base.files import read_bytes
-from splatproof.methods.storage.packed.morton import morton_order
+from splatproof.methods.storage.morton import morton_order
 from splatproof.reference.compression.quantisers import rotation_codes, rotations
 from splatproof.reference.types.gaussians import Gaussians
 

@@ -14,6 +14,7 @@ from splatproof.datasets.catalogue import opening
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.storage.spz import read_spz
 from splatproof.reference.types.scene import camera_view
 
 KINDS = {"ply": ".ply", "spz": ".spz", "gltf": ".glb", "packed": ".spgs"}
@@ -72,6 +73,45 @@ def test_every_kind_is_exported_again_and_keeps_the_mode(kind, tmp_path, capsys)
     loaded = load_reconstruction(again)
     assert isinstance(loaded, ExplicitModel)
     assert loaded.mode == mode
+
+
+@pytest.mark.parametrize(("far", "said"), [(1.0, ""), (1e5, "1 of 400 Gaussians")])
+def test_a_packed_file_that_one_far_gaussian_makes_coarser_says_so(tmp_path, capsys, far, said):
+    model = random_gaussians(400)
+    model.means[7] = torch.tensor([0.0, -far, 0.0])
+    save_model(ExplicitModel(model=model), tmp_path / "model", Origin())
+    packed = str(tmp_path / "m.spgs")
+    assert main(["export", str(tmp_path / "model"), "--packed", packed]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if "as coarse as asked" in line]
+    assert len(lines) == bool(said)
+    assert all(said in line and "the farthest 100000;" in line for line in lines)
+    assert all(line.startswith(packed) for line in lines)
+
+
+def test_what_an_spz_clips_is_counted_in_a_line(tmp_path, capsys):
+    model = random_gaussians(40)
+    model.sh.clamp_(-0.9, 0.9)
+    path = str(tmp_path / "m.spz")
+    for clips in (False, True):
+        if clips:
+            model.log_scales[0, 1], model.log_scales[7, 0] = -11.1, 6.9
+            model.sh[4, 0, 2], model.sh[5, 2, 0] = 5.0, 1.7
+        save_model(ExplicitModel(model=model), tmp_path / "model", Origin())
+        assert main(["export", str(tmp_path / "model"), "--spz", path]) == 0
+        lines = [line for line in capsys.readouterr().err.splitlines() if "clipped" in line]
+        assert len(lines) == clips
+    assert lines[0].startswith(path)
+    assert "clipped: log scales of 2, colours of 1, harmonics of 1;" in lines[0]
+
+
+@pytest.mark.parametrize(("words", "few"), [((), False), (("--quality=coarse",), True)])
+def test_a_coarse_spz_keeps_fewer_bits_of_harmonics(tmp_path, words, few):
+    save_model(ExplicitModel(model=random_gaussians(50, degree=3)), tmp_path / "model", Origin())
+    path = tmp_path / "m.spz"
+    assert main(["export", str(tmp_path / "model"), "--spz", str(path), *words]) == 0
+    stored = read_spz(path).sh[:, 4:] * 128 + 128
+    kept = (stored % 16 == 0) | (stored == 255)
+    assert bool(kept.all()) == few
 
 
 @pytest.fixture

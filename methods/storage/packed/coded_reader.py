@@ -10,14 +10,38 @@ import numpy as np
 from splatproof.base.errors import DataError
 from splatproof.base.numbers import finite
 from splatproof.methods.storage.packed.coded_chunk import PARTS, read_streams, restore
-from splatproof.methods.storage.packed.records import split_streams
+from splatproof.methods.storage.packed.records import number_of_records, split_streams
 from splatproof.reference.compression.quantisers import MOST_CELL, Steps
 from splatproof.reference.types.gaussians import Gaussians
 
 ADDED: dict[str, type] = {"steps": dict, "corner": list}
 """Types of the header's fields beside those of version 2."""
+MOST_CHUNK = 2**16
+"""Gaussians of the largest chunk that a writer wrote."""
 MOST_WEIGHT = 2**26
 WEIGHTS = 6
+
+
+def check_chunks(path: Path, header: dict[str, Any]) -> None:
+    """Refuse a file that has not the chunks which its Gaussians need, before anything is allocated.
+
+    How far a chunk may grow is not asked: equal Gaussians, as many as it may have, need some hundred bytes. Each is
+    unpacked to what the header says or not at all.
+
+    Args:
+        path: The file.
+        header: Its header, checked but for what version 3 adds.
+    Raises: DataError for such a file.
+    """
+    count, size = header["primitives"], header["chunk"]
+    if size > MOST_CHUNK:
+        raise DataError(f"{path}: chunks of {size} primitives, expected up to {MOST_CHUNK}")
+    needed, found = -(-count // size), number_of_records(path) - 1
+    if found != needed:
+        raise DataError(
+            f"{path}: claims {count} primitives, which need {needed} chunks, and has {found}: the file was cut "
+            "or joined, or made to fill the memory; get it again"
+        )
 
 
 def decoder(path: Path, header: dict[str, Any]) -> Callable[[int, bytes], Gaussians]:

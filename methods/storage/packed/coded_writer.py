@@ -21,6 +21,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.base.files import whole_file
 from splatproof.methods.kernels import codec
+from splatproof.methods.storage.packed.cell_size import asked_cell, least_cell
 from splatproof.methods.storage.packed.coded_chunk import PARTS, Profile, quantise, write_streams
 from splatproof.methods.storage.packed.records import CODED, RecordWriter
 from splatproof.methods.storage.packed.rows import MemoryRows, Rows
@@ -206,9 +207,9 @@ def chosen_steps(rows: Rows, settings: CodeSettings) -> Steps:
         felt.append(quantisers.weighed(codes, opacity, tuple(weights)))
     if felt:
         weights[0] = -int(np.median(np.concatenate(felt)))
-    median = float(np.exp(np.median(np.concatenate(scales)))) if scales else 1.0
+    asked = asked_cell(np.concatenate(scales) if scales else np.zeros(0), settings.position)
     return Steps(
-        position=max(settings.position * median, _least_cell(reach)), log_scale=settings.log_scale,
+        position=max(asked, least_cell(reach)), log_scale=settings.log_scale,
         opacity=settings.opacity, rotation_bits=settings.rotation_bits, dc=settings.dc,
         harmonics=settings.harmonics, weights=tuple(weights),
     )  # fmt: skip
@@ -231,12 +232,7 @@ def with_room(steps: Steps, rows: Rows) -> Steps:
         if not bool(means.isfinite().all()):
             raise DataError("positions are not all finite: clean the model first")
         reach = max(reach, float(means.double().abs().max()))
-    return replace(steps, position=max(steps.position, _least_cell(reach)))
-
-
-def _least_cell(reach: float) -> float:
-    """Side of the smallest cells that reach so far from the origin, in units of the frame."""
-    return max(reach / quantisers.MOST_CELL * (1 + 1e-9), 1e-12)
+    return replace(steps, position=max(steps.position, least_cell(reach)))
 
 
 def file_order(rows: Rows, steps: Steps) -> tuple[Int64[np.ndarray, "3"], Int64[Tensor, " n"]]:

@@ -62,7 +62,7 @@ def read_header(path: Path, content: bytes, added: Mapping[str, type]) -> dict[s
 
 
 def check_claims(path: Path, header: dict[str, Any], most_bytes: int) -> None:
-    """Refuse headers that claim more than the file can hold, before anything is allocated.
+    """Refuse headers that claim more than is allowed.
 
     Args:
         path: The file.
@@ -70,13 +70,24 @@ def check_claims(path: Path, header: dict[str, Any], most_bytes: int) -> None:
         most_bytes: Largest unpacked size that is allowed.
     Raises: DataError for such a header.
     """
+    count, bands = header["primitives"], header["bands"]
+    if 4 * count * (11 + 3 * bands) > most_bytes:
+        raise DataError(f"{path}: claims {count} primitives; that is over {most_bytes} bytes")
+
+
+def check_held(path: Path, header: dict[str, Any]) -> None:
+    """Refuse headers of version 2 that claim more than the file can hold, before anything is allocated.
+
+    Args:
+        path: The file.
+        header: Its header.
+    Raises: DataError for such a header.
+    """
     count, bands, size = header["primitives"], header["bands"], header["chunk"]
     stored = path.stat().st_size
     if -(-count // size) * 32 > stored:
         raise DataError(f"{path}: claims {count} primitives, more than it can hold")
     check_growth(path, 4 * count * (11 + 3 * bands), stored)
-    if 4 * count * (11 + 3 * bands) > most_bytes:
-        raise DataError(f"{path}: claims {count} primitives; that is over {most_bytes} bytes")
 
 
 def facts_of(header: dict[str, Any]) -> PackedFacts:

@@ -22,7 +22,7 @@ from splatproof.methods.contracts.reconstruction import (
 from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
 from splatproof.methods.storage.packed import coded_reader
-from splatproof.methods.storage.packed.header import check_claims, facts_of, read_header
+from splatproof.methods.storage.packed.header import check_claims, check_held, facts_of, read_header
 from splatproof.methods.storage.packed.records import (
     CODED,
     VERSION,
@@ -132,8 +132,10 @@ def _opened(
     header = read_header(path, next(stream, b""), coded_reader.ADDED if coded else {})
     check_claims(path, header, most_bytes)
     if coded:
+        coded_reader.check_chunks(path, header)
         decode = coded_reader.decoder(path, header)
     else:
+        check_held(path, header)
         bands = header["bands"]
         decode = partial(_gaussians, bands, _table(path, next(stream, b""), 3 * (bands - 1)))
     return facts_of(header), header, _chunks(path, stream, header, decode, workers)

@@ -21,6 +21,8 @@ CODED = 3
 START = struct.Struct("<4sH")
 LENGTH = struct.Struct("<Q")
 STREAM = struct.Struct("<I")
+SEAL = hashlib.sha256().digest_size
+"""Bytes of a seal."""
 
 
 class RecordWriter:
@@ -68,9 +70,9 @@ def records(path: Path) -> Iterator[bytes]:
     with path.open("rb") as file:
         seal = file.read(START.size)
         while head := file.read(LENGTH.size):
-            found = file.read(32)
+            found = file.read(SEAL)
             length = LENGTH.unpack(head)[0] if len(head) == LENGTH.size else size
-            if len(found) < 32 or length > size - file.tell():
+            if len(found) < SEAL or length > size - file.tell():
                 raise DataError(
                     f"{path}: ends in the middle of a record: it was cut; copy it again"
                 )
@@ -82,6 +84,23 @@ def records(path: Path) -> Iterator[bytes]:
                     "altered; copy it again"
                 )
             yield content
+
+
+def number_of_records(path: Path) -> int:
+    """How many records a file of version 2 or 3 says it has, by their lengths alone; one that is cut counts.
+
+    Args:
+        path: The file.
+    """
+    size, found = path.stat().st_size, 0
+    with path.open("rb") as file:
+        at = file.seek(START.size)
+        while at < size:
+            found += 1
+            length = LENGTH.unpack(file.read(LENGTH.size).ljust(LENGTH.size, b"\0"))[0]
+            at += LENGTH.size + SEAL + length
+            file.seek(min(at, size))
+    return found
 
 
 def chunk_records(

@@ -29,7 +29,7 @@ from torch.nn import functional
 from splatproof.base.errors import DataError
 from splatproof.base.files import whole_file
 from splatproof.methods.contracts.reconstruction import Origin
-from splatproof.methods.storage.packed.morton import morton_codes
+from splatproof.methods.storage.morton import morton_codes
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import MemoryRows, Rows
 from splatproof.methods.storage.packed.streams import Entropy, squeeze

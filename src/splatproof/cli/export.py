@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from splatproof.methods.contracts.reconstruction import Reconstruction
+    from splatproof.methods.storage.packed.coded_writer import CodeSettings
     from splatproof.methods.storage.packed.writer import PackedReport
+    from splatproof.reference.compression.quantisers import Steps
     from splatproof.reference.rasterizer.rasterize import Mode
     from splatproof.reference.types.gaussians import Gaussians
     from splatproof.reference.types.scene import View
@@ -44,7 +46,7 @@ def export(
     render`, `bench score` and `bench export` take every kind wherever they take a model folder.
 
     A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
-    opacity, scale and colour, and fewer for what depends on the view: small, and not the same. A packed
+    opacity, scale and colour, and 8 or fewer for what depends on the view: small, and not the same. A packed
     file is the smallest: every number in steps that the image hardly sees, entropy-coded. `bench study
     size` measures what each costs. Fewer Gaussians (--thin) and training through the file's own steps
     (--tune) make it smaller still.
@@ -66,7 +68,8 @@ def export(
         spz: Path of the .spz file to write, the small format of web viewers.
         gltf: Path of the .glb file to write: binary glTF with the extension KHR_gaussian_splatting.
         packed: Path of the packed file to write.
-        quality: With --packed: how fine its steps are. None: standard.
+        quality: With --packed: how fine its steps are. With --spz: coarse keeps 5 and 4 bits of what
+            depends on the view, as the format's own encoder does, in place of 8. None: standard.
         profile: With --packed: how its codes become bytes. small: the smallest file; fast: up to a
             quarter larger, and read several times as fast. None: small.
         gate: With --packed: write version 2 of the file instead, which older versions of splatproof
@@ -87,9 +90,14 @@ def export(
     from splatproof.methods.loading import load_origin, load_reconstruction
     from splatproof.methods.models.decoded import DecodedModel
     from splatproof.methods.storage.gltf import write_gltf
-    from splatproof.methods.storage.packed.coded_writer import QUALITIES, write_coded
+    from splatproof.methods.storage.packed.coded_writer import (
+        QUALITIES,
+        chosen_steps,
+        write_coded,
+    )
+    from splatproof.methods.storage.packed.rows import MemoryRows
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
-    from splatproof.methods.storage.spz import write_spz
+    from splatproof.methods.storage.spz import ALL_BITS, USUAL_BITS, clipped, write_spz
 
     if ply is None and spz is None and gltf is None and packed is None:
         raise UsageError("nothing to write: expected --ply, --spz, --gltf or --packed with a FILE")
@@ -106,9 +114,14 @@ def export(
             remove_stale(path)
     if packed is None and gate is not None:
         raise UsageError("--gate is for --packed FILE; add it or leave --gate out")
-    for name, asked in (("quality", quality), ("profile", profile), ("tune", tune)):
+    if packed is None and spz is None and quality is not None:
+        raise UsageError(
+            "--quality is for --packed FILE or --spz FILE; add one or leave --quality out"
+        )
+    for name, asked in (("profile", profile), ("tune", tune)):
         if asked is not None and packed is None:
             raise UsageError(f"--{name} is for --packed FILE; add it or leave --{name} out")
+    for name, asked in (("quality", quality), ("profile", profile), ("tune", tune)):
         if asked is not None and gate is not None:
             raise UsageError(
                 f"--gate writes version 2 of the file, which has no --{name}; leave one out"
@@ -129,7 +142,9 @@ def export(
         origin = load_origin(model_path(model))
         told = PackedFacts(**_known(loaded), origin=origin)
         if gate is None:
+            steps = steps or chosen_steps(MemoryRows(gaussians), kept)
             report = write_coded(packed, gaussians, settings=kept, steps=steps, facts=told)
+            _tell_cells(packed, gaussians, kept, steps)
         else:
             report = write_packed(packed, gaussians, settings=FileSettings(gate=gate), facts=told)
         _tell_packed(packed, report, view)
@@ -143,8 +158,14 @@ def export(
     if ply is not None:
         _ply(gaussians, view, ply, None if local else facts.shift, facts.mode)
     if spz is not None:
-        write_spz(spz, gaussians)
+        write_spz(spz, gaussians, harmonics=USUAL_BITS if quality == "coarse" else ALL_BITS)
         _tell("spz", spz, gaussians, view)
+        if lost := clipped(gaussians):
+            counts = ", ".join(f"{name} of {count}" for name, count in lost.items())
+            output.log(
+                f"{spz}: .spz has no room for all numbers of {len(gaussians)} Gaussians, and what is beyond its "
+                f"ranges was clipped: {counts}; a .ply or a packed file keeps them"
+            )
     if gltf is not None:
         write_gltf(gltf, gaussians, facts.shift, facts.mode)
         _tell("gltf", gltf, gaussians, view)
@@ -196,3 +217,17 @@ def _tell_packed(path: Path, report: "PackedReport", view: "View | None") -> Non
     output.emit(
         record | seen, f"{path}: {report.primitives} Gaussians{words}, {each:.1f} bytes each"
     )
+
+
+def _tell_cells(path: Path, gaussians: "Gaussians", kept: "CodeSettings", steps: "Steps") -> None:
+    """Say where a few far Gaussians make the positions of all coarser than asked."""
+    from splatproof.methods.storage.packed.cell_size import widened
+
+    found = widened(gaussians, kept.position, steps.position)
+    if found is not None:
+        output.log(
+            f"{path}: positions are stored in steps of {steps.position:.3g}, {found.times:.3g} times as "
+            f"coarse as asked, because {found.beyond} of {len(gaussians)} Gaussians lie more than "
+            f"{found.reach:.4g} from the origin along an axis, the farthest {found.farthest:.6g}; remove "
+            "them, or shift a model that lies out there as a whole, and export again"
+        )

@@ -4,12 +4,21 @@ import builtins
 import time
 
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError, MissingError
 from splatproof.methods.storage import spz
+from splatproof.methods.storage.morton import morton_order
+from splatproof.reference.types.gaussians import Gaussians
+
+
+def in_order(model: Gaussians) -> Gaussians:
+    """As they lie in the file."""
+    order = morton_order(model.means)
+    return Gaussians(**{name: values[order] for name, values in vars(model).items()})
 
 
 @settings(max_examples=15)
@@ -24,7 +33,7 @@ def test_what_comes_back_is_within_the_formats_steps(
     whole = random_gaussians(count, degree=degree, seed=seed)
     whole.means[:] *= reach / whole.means.abs().max()
     spz.write_spz(path, whole, version=version)
-    back = spz.read_spz(path)
+    back, whole = spz.read_spz(path), in_order(whole)
     assert back.degree == degree
     # 24 bits over at most four times the extent, 23 of them fraction at most; half a step
     assert (back.means - whole.means).abs().max() <= max(2 * reach, 1) * 2.0**-23
@@ -37,7 +46,7 @@ def test_what_comes_back_is_within_the_formats_steps(
 
 
 def test_harmonics_in_the_usual_bits_are_off_by_half_a_bucket_and_half_as_large(tmp_path):
-    whole = random_gaussians(2000, degree=3)
+    whole = in_order(random_gaussians(2000, degree=3))
     sizes = []
     for bits in (spz.ALL_BITS, spz.USUAL_BITS):
         spz.write_spz(tmp_path / "m.spz", whole, version=4, harmonics=bits)
@@ -55,6 +64,49 @@ def test_harmonics_in_the_usual_bits_are_off_by_half_a_bucket_and_half_as_large(
 
 
 @pytest.mark.parametrize("version", [3, 4])
+def test_the_order_of_gaussians_changes_no_byte_and_neighbours_make_the_file_smaller(
+    tmp_path, version
+):
+    whole = random_gaussians(3000, degree=0)
+    whole.log_scales[:] = whole.means.sin()  # as trained ones, they change slowly along a surface
+    whole.sh[:, 0] = whole.means.cos()
+    whole.quaternions[:, 1:] = whole.means
+    whole.opacity_logits[:] = whole.means[:, 1]
+    whole.means[:, 2] = whole.means[:, 0].sin()
+    mixed = Gaussians(**{name: values.flip(0) for name, values in vars(whole).items()})
+    written = []
+    for model in (whole, mixed):
+        spz.write_spz(tmp_path / "m.spz", model, version=version)
+        written.append((tmp_path / "m.spz").read_bytes())
+    assert written[0] == written[1]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(spz, "morton_order", lambda means: torch.arange(len(means)))
+        spz.write_spz(tmp_path / "m.spz", whole, version=version)
+    assert len(written[0]) < (tmp_path / "m.spz").stat().st_size
+
+
+@given(
+    name=st.sampled_from(["log_scales", "dc", "rest"]), sign=st.sampled_from([-1, 1]),
+    beyond=st.sampled_from([-3.0, -0.45, 0.45, 1.0, 1.6, 40.0]), hit=st.integers(1, 5),
+)  # fmt: skip
+@settings(max_examples=40)
+def test_what_is_clipped_is_what_comes_back_off(tmp_path_factory, name, sign, beyond, hit):
+    path = tmp_path_factory.mktemp("spz") / "m.spz"
+    low, high, step = {"log_scales": spz.SCALES, "dc": spz.DC, "rest": spz.HARMONICS}[name]
+    whole = in_order(random_gaussians(20, degree=2))
+    whole.sh.clamp_(-0.9, 0.9)
+    part = {"log_scales": whole.log_scales, "dc": whole.sh[:, 0], "rest": whole.sh[:, 1:]}[name]
+    part[-hit:] = (high if sign > 0 else low) + sign * beyond * step
+    spz.write_spz(path, whole)
+    back = spz.read_spz(path)
+    found = {"log_scales": back.log_scales, "dc": back.sh[:, 0], "rest": back.sh[:, 1:]}[name]
+    off = ((found - part).abs() > step / 2 * (1 + 1e-3)).flatten(start_dim=1).any(dim=1)
+    told = {"log_scales": "log scales", "dc": "colours", "rest": "harmonics"}[name]
+    assert int(off.sum()) == (hit if beyond > 0.5 else 0)
+    assert spz.clipped(whole) == ({told: hit} if beyond > 0.5 else {})
+
+
+@pytest.mark.parametrize("version", [3, 4])
 def test_the_same_model_gives_the_same_bytes_at_any_time(tmp_path, monkeypatch, version):
     written = []
     for seconds in (1e9, 2e9):
@@ -62,6 +114,13 @@ def test_the_same_model_gives_the_same_bytes_at_any_time(tmp_path, monkeypatch, 
         spz.write_spz(tmp_path / "m.spz", random_gaussians(40), version=version)
         written.append((tmp_path / "m.spz").read_bytes())
     assert written[0] == written[1]
+
+
+def test_a_model_of_no_gaussians_is_refused_and_leaves_nothing(tmp_path):
+    nothing = Gaussians(**{name: values[:0] for name, values in vars(random_gaussians(1)).items()})
+    with pytest.raises(DataError, match=r"m\.spz: 0 Gaussians\. Expected at least one"):
+        spz.write_spz(tmp_path / "m.spz", nothing)
+    assert not list(tmp_path.iterdir())
 
 
 def test_far_positions_missing_and_damaged_files_are_refused(tmp_path):

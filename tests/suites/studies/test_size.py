@@ -7,7 +7,7 @@ from helpers.tiny_scene import random_gaussians, tiny_scene
 from splatproof.base.errors import MissingError
 from splatproof.methods.compression.tuning import TuneSettings
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.storage.packed.morton import morton_order
+from splatproof.methods.storage.morton import morton_order
 from splatproof.methods.storage.packed.writer import PARTS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.suites.studies import size, size_formats, size_images, size_page, size_plot

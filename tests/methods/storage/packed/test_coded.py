@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from helpers.baking import baked
 from helpers.sh_models import model
 from splatproof.base.errors import DataError
+from splatproof.base.memory import GROWTH, SMALL
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.methods.models.explicit import ExplicitModel
-from splatproof.methods.storage.packed import coded_chunk, coded_writer
+from splatproof.methods.storage.packed import coded_chunk, coded_reader, coded_writer
 from splatproof.methods.storage.packed.coded_writer import CodeSettings, chosen_steps, write_coded
 from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import CODED, RecordWriter, records
@@ -244,7 +245,7 @@ STEPS = asdict(chosen_steps(MemoryRows(small_model(40, 2, 3)), CodeSettings()))
     "change",
     [
         {"primitives": 2**50}, {"primitives": -1}, {"primitives": 39}, {"bands": 16}, {"bands": 5},
-        {"chunk": 0}, {"chunk": 15}, {"corner": [0, 0]}, {"corner": [0, 0, 2**40]}, {"corner": [0, 0, 0.5]},
+        {"chunk": 0}, {"chunk": 15}, {"chunk": 2**16 + 1}, {"corner": [0, 0]}, {"corner": [0, 0, 2**40]}, {"corner": [0, 0, 0.5]},
         {"packing": {}}, {"packing": {"profile": "none"}}, {"steps": {}}, {"steps": STEPS | {"dc": "1"}},
         {"steps": STEPS | {"position": 1e300}}, {"steps": STEPS | {"rotation_bits": 64}},
         {"steps": STEPS | {"weights": [1]}}, {"steps": STEPS | {"weights": [0, 2**30, 0, 0, 0, 0]}},
@@ -267,6 +268,20 @@ def test_a_claim_beyond_the_limit_is_refused(folder):
     write_coded(folder / "big", small_model(500, 3, 0))
     with pytest.raises(DataError, match="over 1000 bytes"):
         read_packed(folder / "big", most_bytes=1000)
+
+
+def test_equal_gaussians_however_many_are_read_again(tmp_path):
+    one, path = small_model(1, 3, 0), tmp_path / "m.spgs"
+    many = {name: values.expand(300_000, *values.shape[1:]) for name, values in vars(one).items()}
+    stored = write_coded(path, Gaussians(**many), settings=CodeSettings(profile="fast")).bytes
+    assert 4 * 59 * 300_000 > max(GROWTH * stored, SMALL)  # more than a file of version 2 may grow
+    found, _ = read_packed(path)
+    assert len(found) == 300_000
+    assert all((values == values[:1]).all() for values in vars(found).values())
+
+
+def test_no_writer_makes_larger_chunks_than_are_read():
+    assert max(coded_writer.CHUNK.values()) <= coded_reader.MOST_CHUNK
 
 
 @pytest.mark.parametrize("count", [2**16 - 1, 2**16, 2**16 + 1])

@@ -21,12 +21,12 @@ from splatproof.base.errors import DataError
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.loading import load_origin, load_reconstruction
 from splatproof.methods.models.explicit import ExplicitModel
+from splatproof.methods.storage.morton import morton_codes, morton_order
 from splatproof.methods.storage.packed import records as packing_records
 from splatproof.methods.storage.packed import rows as packing_rows
 from splatproof.methods.storage.packed import streams as packing_streams
 from splatproof.methods.storage.packed import writer as packing
 from splatproof.methods.storage.packed.header import ADDED
-from splatproof.methods.storage.packed.morton import morton_codes, morton_order
 from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.records import RecordWriter
 from splatproof.methods.storage.packed.rows import FolderRows
