@@ -37,7 +37,9 @@ def draw_views(
                       if (row.row, row.protocol) == (name, protocol) and row.scene in scenes)
                 for protocol in protocols.values()
             ]  # fmt: skip
-            panel.plot(list(protocols), means, color=COLOURS[number], marker="o", markersize=3, label=name)
+            panel.plot(
+                list(protocols), means, color=COLOURS[number], marker="o", markersize=3, label=name
+            )
             panel.set_title(title, fontsize=9)
             panel.set_xlabel("training views", fontsize=8)
             panel.set_xticks(list(protocols))
