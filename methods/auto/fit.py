@@ -198,7 +198,7 @@ def planned(
         readers = photos.readers or reading_threads(1.0, scene.train_views, run.image_bytes)
         read_ahead(scene, share * settings.seconds, readers)
         bare, pointed = not len(scene.points), with_enough(scene, run.seed)
-        own = facts_of(pointed if bare else scene, run.image_bytes)
+        own = facts_of(pointed if bare else scene)
         if bare:
             own = without_points(own)
         moves, motion = planned_motion(scene, settings, own)

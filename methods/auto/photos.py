@@ -10,9 +10,10 @@ import torch
 
 from splatproof.datasets.truth_image import Truth
 from splatproof.methods.auto.choices import Choice
-from splatproof.methods.auto.probe import kept, spread
+from splatproof.methods.auto.probe import kept
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import VIEWS, Speed, measure
+from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.auto.usual import usual_for
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.image_room import READING_BYTES
@@ -177,7 +178,7 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
         ))  # fmt: skip
     spent = time.perf_counter() - began
     return Photos(
-        factor=factor, train=tuple(sorted(spread(scene.train, count))), choices=tuple(told),
+        factor=factor, train=evenly(scene.train, count), choices=tuple(told),
         readers=reading.readers, seconds=spent,
     )  # fmt: skip
 
@@ -306,7 +307,7 @@ def _has_more(view: View) -> bool:
 
 def _speed(scene: Scene, asked: AutoSettings, run: Run) -> Speed:
     """How fast steps on a few photos of `MEASURED` pixels are, or as many as they have."""
-    few = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
+    few = evenly(scene.train, VIEWS)
     views = list(scene.views)
     for index in few:
         factor = max(1.0, math.sqrt(_pixels(views[index]) / MEASURED))

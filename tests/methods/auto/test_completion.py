@@ -28,7 +28,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.training import initialise
 from splatproof.methods.training.fewer_points import with_at_most
 
-FACTS = facts_of(aerial_scene(), 2**20)
+FACTS = facts_of(aerial_scene())
 ASKED = AutoSettings(seconds=20.0, probe_share=0.0)
 
 

@@ -145,10 +145,11 @@ def test_small_photos_are_left_alone_and_nothing_is_read():
 
 @pytest.mark.usefixtures("large")
 def test_no_more_photos_are_read_than_there_is_time_for(monkeypatch):
-    scene = slowly(tiny_scene(views=11), 0.05)
+    scene = tiny_scene(views=11)
+    monkeypatch.setattr(photos, "read_seconds", lambda *_: 0.05)
     monkeypatch.setattr(photos, "FEWEST", 2)
     found = planned_photos(scene, replace(ASKED, seconds=1.0), RUN)
-    assert 2 <= len(found.train) <= photos.READING * 1.0 / 0.05
+    assert 5 <= len(found.train) <= photos.READING * 1.0 / 0.05
     gaps = {b - a for a, b in zip(found.train, found.train[1:], strict=False)}
     assert max(gaps) - min(gaps) <= 1  # evenly
     assert found.train[-1] - found.train[0] >= 6  # along the whole flight
