@@ -12,6 +12,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from splatproof.datasets.resize import resample
+from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import swept_moments, timed_points
 from splatproof.methods.training.initialise import require_points
@@ -103,8 +104,7 @@ def facts_of(scene: Scene) -> SceneFacts:
     positions = scene.points.positions
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
     counts = np.asarray(seen.sum(axis=0)).ravel()
-    step = max(1, len(views) // SAMPLES)
-    chosen = [(row, views[row]) for row in range(0, len(views), step)][:SAMPLES]
+    chosen = [(row, views[row]) for row in evenly(range(len(views)), SAMPLES)]
     told = [_told(view, positions, seen, row) for row, view in chosen]
     sizes = torch.tensor([view.size for view in views]).double()
     height, width = sizes[sizes.prod(dim=1).argsort(stable=True)[len(views) // 2]].int().tolist()

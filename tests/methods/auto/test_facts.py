@@ -69,6 +69,15 @@ def test_planted_exposure_comes_out():
     assert planted == pytest.approx(0.693 * (0.4 * 0.6) ** 0.5, abs=0.1)
 
 
+def test_a_change_of_light_in_the_last_third_of_a_flight_is_seen():
+    """13 of 40 photos at half: ln 0.5 times the standard deviation of an 8 in 24 draw, to a photo more or fewer."""
+    few = tiny_scene()
+    views = tuple(few.train_views[index % 5] for index in range(41))
+    scene = tracked(replace(few, views=views, train=tuple(range(1, 41))))
+    facts = facts_of(shaded(scene, dict.fromkeys(range(28, 41), 0.5)))
+    assert facts.exposure == pytest.approx(0.693 * (1 / 3 * 2 / 3) ** 0.5, rel=0.1)
+
+
 def test_photos_are_held_one_at_a_time():
     """The first photo is gone when the second is read: 24 of twelve million pixels take 3 GiB."""
     scene, alive, most = tracked(tiny_scene(views=12)), [0], []

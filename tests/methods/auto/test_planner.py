@@ -32,7 +32,7 @@ from splatproof.methods.training.schedules import Rates
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
-    angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, swept=False, moving=0.0,
+    angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.2, moments=0, swept=False, moving=0.0,
     image_bytes=1,
 )  # fmt: skip
 FEW = replace(FACTS, views=MANY_PHOTOS - 1)
@@ -313,9 +313,9 @@ def test_what_larger_steps_learn_is_narrower_on_points():
 
 @pytest.mark.parametrize(
     ("asked", "exposure", "pull", "split"),
-    [({}, 0.01, 4e-4, SPLITTING * 4e-4), ({}, ONE_LIGHT, 4e-4, SPLITTING * 4e-4), ({}, 0.1, 4e-4, 0.0), ({}, math.nan, 4e-4, 0.0),
+    [({}, 0.01, 4e-4, SPLITTING * 4e-4), ({}, ONE_LIGHT, 4e-4, SPLITTING * 4e-4), ({}, 1.01 * ONE_LIGHT, 4e-4, 0.0), ({}, math.nan, 4e-4, 0.0),
      ({"gradient": 1e-3}, 0.01, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 0.01, 4e-4, 0.0),
-     ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.1, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
+     ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.2, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("looks", [10, DROPOUT_FROM])
 def test_large_gaussians_are_split_by_absolute_gradients_where_photos_of_one_light_are_looked_at_seldom(
