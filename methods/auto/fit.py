@@ -204,7 +204,7 @@ def planned(
         moves, motion = planned_motion(scene, settings, own)
         few = not moves and len(scene.points) < LEAST_POINTS
         facts = replace(own, points=len(pointed.points)) if few else own
-        chosen = bounded(settings, usual(settings, facts), facts, free)
+        chosen = bounded(settings, usual(settings, facts), facts, free, run.image_bytes)
         matching = planned_matching(scene, settings, own, chosen.most_points, run)
         chosen = replace(
             chosen, dense_cell=matching.cell,
@@ -248,7 +248,10 @@ def planned(
     lacking = (lacking_points(len(matched.points)),) if drawn else ()
     choices = (*photos.choices, *lacking, matching.choice, *motion, *completion, *choices)
     points = len(start.points) if start else facts.points
-    made = plan(settings, replace(facts, points=points), chosen, choices, speed, left, free, base)
+    made = plan(
+        settings, replace(facts, points=points), chosen, choices, speed, left, free, base,
+        run.image_bytes,
+    )  # fmt: skip
     return Planned(plan=made, facts=facts, start=start)
 
 

@@ -30,6 +30,7 @@ def plan_scene(
         width: Width of the images in pixels; None: the protocol's.
         seed: Seed of the probe.
     """
+    from splatproof.base.memory import available_mb
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.auto.fit import planned, remembering
     from splatproof.methods.auto.goal import keep_back
@@ -37,11 +38,13 @@ def plan_scene(
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
+    from splatproof.methods.training.image_room import image_allowance
     from splatproof.metrics.protocol_files import load_protocol, resized
 
     asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
     rules = resized(load_protocol(protocol), width)
-    run = Run(seed=seed, background=rules.background)
+    allowance = image_allowance(available_mb())  # as `bench fit` has it
+    run = Run(seed=seed, background=rules.background, image_bytes=allowance)
     opened = open_scene(scene, rules).for_training()
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)

@@ -230,6 +230,17 @@ def test_photos_are_read_once_and_only_as_long_as_there_is_time():
     assert sorted(reads) == [view.name for view in scene.train_views]
 
 
+def test_gaussians_are_bounded_by_what_photos_leave_of_the_memory(monkeypatch):
+    seen = []
+    for name in ("bounded", "plan"):
+        real = getattr(auto, name)
+        monkeypatch.setattr(
+            auto, name, lambda *given, real=real: seen.append(given[-1]) or real(*given)
+        )
+    planned(tiny_scene(), ASKED, Run(threads=1, image_bytes=12_345_678))
+    assert seen == [12_345_678, 12_345_678]
+
+
 @pytest.mark.parametrize("asked", [{"steps": 5}, {"steps": None, "coarsest": 1.0}])
 def test_photos_that_keep_their_size_are_read_side_by_side_as_far_as_memory_goes(
     monkeypatch, asked

@@ -75,6 +75,29 @@ def test_a_file_has_a_bound():
     assert any("2 MB" in choice.because for choice in found.choices)
 
 
+@pytest.mark.parametrize(("views", "kept"), [(10, 10), (90, 90), (300, 100)])
+def test_photos_in_memory_leave_less_for_gaussians(views, kept):
+    one = 2000 * 1500 * 12
+    facts = replace(FACTS, views=views, width=2000, height=1500, image_bytes=views * one)
+    none = replace(facts, image_bytes=0)
+    taken = training_mb(facts, 5, 3, 100 * one) - training_mb(none, 5, 3, 100 * one)
+    assert taken == pytest.approx(kept * one / 2**20)
+    asked = AutoSettings()
+    found = [
+        plan(asked, facts, usual(asked, facts), (), SPEED, 50.0, 9000.0, "3dgs", count * one)
+        for count in (0, 100)
+    ]
+    without, much = (one.settings.density.most or 0 for one in found)
+    assert without >= much
+    assert (without > much) == (views > 10)
+    assert training_mb(facts, much, 3, 100 * one) <= 0.8 * 9000.0
+    room = [
+        bounded(asked, usual(asked, facts), facts, 9000.0, count * one).most_points or 0
+        for count in (0, 100)
+    ]
+    assert room[0] >= room[1]
+
+
 @given(free=st.floats(100, 1e5), views=st.integers(1, 3000))
 def test_training_fits_into_memory_or_is_as_small_as_it_gets(free, views):
     facts = replace(FACTS, views=views, width=2000, height=1500, image_bytes=views * 36_000_000)
