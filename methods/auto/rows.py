@@ -235,7 +235,7 @@ def cap(made: Made) -> Choice:
     return Choice(
         component="Gaussians",
         value=f"at most {made.most:,}" + (", at an even pace" if found.pace == "even" else ""),
-        because=made.cap if made.most == found.most else f"training starts from as many; more come only up to {found.most or 0:,}",
+        because=made.cap + ("" if made.most == found.most else f"; training starts from more than these {found.most or 0:,}"),
         expects=NOT_MEASURED if made.base == "pvg"
         else f"{megabytes:.1f} MB of file at most" + (" beside virtual Gaussians" if made.base == "stratosplat" else ""),
     )  # fmt: skip

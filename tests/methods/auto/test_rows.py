@@ -107,7 +107,7 @@ def test_there_may_be_as_many_gaussians_as_training_starts_from():
     facts = replace(FACTS, views=1, points=9000)
     row = told(made(facts=facts))["Gaussians"]
     assert row.value == "at most 9,000"
-    assert row.because == "training starts from as many; more come only up to 4,800"
+    assert row.because.endswith("25 a Gaussian; training starts from more than these 4,800")
     assert row.expects == f"{file_mb(9000, 3, 1):.1f} MB of file at most"
 
 
