@@ -44,6 +44,16 @@ class TensorCache:
         """Return the number of tensors kept."""
         return len(self._kept)
 
+    def bound(self, limit: int) -> None:
+        """Keep at most so many bytes from now on; what was least recently asked for leaves until that holds.
+
+        Args:
+            limit: Most bytes kept.
+        """
+        with self._lock:
+            self.limit = limit
+            self._leave(0)
+
     def get(self, key: Hashable, make: Callable[[], Tensor]) -> Tensor:
         """Return the tensor of a key, from memory or by calling `make`.
 
@@ -71,16 +81,18 @@ class TensorCache:
 
     def _keep(self, key: Hashable, value: Tensor) -> None:
         size = value.numel() * value.element_size()
-        if size > self.limit:
-            return
         with self._lock:
-            if not self.drops and self.held + size > self.limit:
+            if size > self.limit or not self.drops and self.held + size > self.limit:
                 return
-            while self.held + size > self.limit:
-                _, dropped = self._kept.popitem(last=False)
-                self.held -= dropped.numel() * dropped.element_size()
+            self._leave(size)
             self._kept[key] = value
             self.held += size
+
+    def _leave(self, size: int) -> None:
+        """Drop until so many bytes find room."""
+        while self._kept and self.held + size > self.limit:
+            _, dropped = self._kept.popitem(last=False)
+            self.held -= dropped.numel() * dropped.element_size()
 
 
 class ImageCache:

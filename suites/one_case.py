@@ -4,8 +4,12 @@ from pathlib import Path
 from typing import Any
 
 from splatproof.base.errors import UsageError
+from splatproof.base.memory import available_mb
 from splatproof.base.names import unknown
 from splatproof.datasets.pose_noise import LEVELS
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.registry import get_method
+from splatproof.methods.training.image_room import image_allowance
 from splatproof.reference.types.protocol import Protocol
 from splatproof.suites.run_case import Job
 from splatproof.suites.suite_files import Case, Suite
@@ -38,7 +42,7 @@ def job_of_one(
         pose_noise: Level of the noise on training poses.
         depth_prior: What `methods.priors.kinds.resolved` made of the user's words.
         **options: Further fields of Job.
-    Raises: UsageError for a negative seed or an unknown level of pose noise.
+    Raises: UsageError for a negative seed, an unknown level of pose noise or an unknown method.
     """
     if seed < 0:
         raise UsageError(f"seed {seed}: expected a whole number from 0")
@@ -48,8 +52,11 @@ def job_of_one(
         scene=scene, method=method, settings=settings, seed=seed, protocol=protocol,
         pose_noise=pose_noise, depth_prior=depth_prior,
     )  # fmt: skip
+    # blocks divide what every run has: how many are trained at once goes by what they take
+    image_bytes = Run.image_bytes if get_method(method).blocks else image_allowance(available_mb())
     suite = Suite(name=SUITE, description="", cases=(case,), scenes=())
     job = Job(
-        case=case, suite=SUITE, suite_scenes=suite.scenes, folder=out, unscored=True, **options
-    )
+        case=case, suite=SUITE, suite_scenes=suite.scenes, folder=out, unscored=True,
+        image_bytes=image_bytes, **options,
+    )  # fmt: skip
     return suite, job

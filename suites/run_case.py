@@ -92,6 +92,8 @@ class Job:
     """Seconds of training between two checkpoints."""
     workers: int = 1
     """Blocks of a city that are trained at the same time."""
+    image_bytes: int = Run.image_bytes
+    """Bytes for photos in memory, see `Run`."""
     engine: str = "processes"
     """Where blocks are trained, see splatproof.methods.city.executor."""
     unscored: bool = False
@@ -319,6 +321,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
             on_count=spent.counters.__setitem__,
             on_elsewhere=elsewhere,
             checkpoint_seconds=job.checkpoint_seconds,
+            image_bytes=job.image_bytes,
             workers=job.workers,
             engine=job.engine,
             cache=job.cache,

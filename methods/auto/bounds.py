@@ -23,7 +23,11 @@ MEMORY_SHARE = 0.8
 
 
 def most_gaussians(
-    asked: AutoSettings, facts: SceneFacts, degree: int, free: float
+    asked: AutoSettings,
+    facts: SceneFacts,
+    degree: int,
+    free: float,
+    image_bytes: int = Run.image_bytes,
 ) -> tuple[int, str]:
     """Cap on the number of Gaussians, and why.
 
@@ -32,18 +36,19 @@ def most_gaussians(
         facts: What was measured.
         degree: Degree of the harmonics.
         free: Megabytes of this machine's memory that are free.
+        image_bytes: Bytes for photos in memory.
     """
     pixels = facts.views * facts.width * facts.height
     shown = (
         pixels // PIXELS_A_GAUSSIAN,
         f"all photos together have {pixels:,} pixels, {PIXELS_A_GAUSSIAN} a Gaussian",
     )
-    most, why = min([shown, *_room(asked, facts, degree, free)])
+    most, why = min([shown, *_room(asked, facts, degree, free, image_bytes)])
     return max(1 if asked.megabytes else LEAST_GAUSSIANS, most), why
 
 
 def _room(
-    asked: AutoSettings, facts: SceneFacts, degree: int, free: float
+    asked: AutoSettings, facts: SceneFacts, degree: int, free: float, image_bytes: int
 ) -> list[tuple[int, str]]:
     """Gaussians that fit into the file and into memory, and why; nothing where neither has a bound."""
     bounds = []
@@ -51,13 +56,19 @@ def _room(
         room = asked.megabytes * MEBIBYTE - HEAD_BYTES - VIEW_BYTES * facts.views
         bounds.append((int(room / gaussian_bytes(degree)), f"what {asked.megabytes:g} MB hold"))
     if math.isfinite(free):
-        none, one = (training_mb(facts, count, degree) for count in (0, 1))
+        none, one = (training_mb(facts, count, degree, image_bytes) for count in (0, 1))
         room = max(0.0, MEMORY_SHARE * free - none) / (one - none)
         bounds.append((int(room), f"what training may hold of {free:,.0f} MB of free memory"))
     return bounds
 
 
-def bounded(asked: AutoSettings, settings: Settings, facts: SceneFacts, free: float) -> Settings:
+def bounded(
+    asked: AutoSettings,
+    settings: Settings,
+    facts: SceneFacts,
+    free: float,
+    image_bytes: int = Run.image_bytes,
+) -> Settings:
     """Settings whose start has no more points than file and memory hold Gaussians: nothing takes the others away later.
 
     A file that holds fewer Gaussians than there are points gets harmonics of the highest degree with which it holds as many,
@@ -70,16 +81,18 @@ def bounded(asked: AutoSettings, settings: Settings, facts: SceneFacts, free: fl
         settings: What has been chosen.
         facts: What was measured.
         free: Megabytes of this machine's memory that are free.
+        image_bytes: Bytes for photos in memory.
     """
     points = min(facts.points, settings.most_points or facts.points)
     if asked.megabytes and asked.sh_degree is None:
         fitting = (
             degree for degree in range(settings.sh_degree, 0, -1)
-            if _room(asked, facts, degree, math.inf)[0][0] >= points
+            if _room(asked, facts, degree, math.inf, image_bytes)[0][0] >= points
         )  # fmt: skip
         settings = replace(settings, sh_degree=next(fitting, 0))
     fewest = 1 if asked.megabytes else LEAST_GAUSSIANS
-    room = [max(fewest, most) for most, _ in _room(asked, facts, settings.sh_degree, free)]
+    bounds = _room(asked, facts, settings.sh_degree, free, image_bytes)
+    room = [max(fewest, most) for most, _ in bounds]
     allowed = [] if settings.most_points is None else [settings.most_points]
     return replace(settings, most_points=min([*allowed, *room], default=None))
 
@@ -104,15 +117,18 @@ def file_mb(gaussians: int, degree: int, views: int) -> float:
     return (HEAD_BYTES + VIEW_BYTES * views + gaussian_bytes(degree) * gaussians) / MEBIBYTE
 
 
-def training_mb(facts: SceneFacts, gaussians: int, degree: int) -> float:
+def training_mb(
+    facts: SceneFacts, gaussians: int, degree: int, image_bytes: int = Run.image_bytes
+) -> float:
     """Peak memory of a training process, 2^20 bytes.
 
     Args:
         facts: Number and size of the photos.
         gaussians: Number of Gaussians at the end.
         degree: Degree of the harmonics.
+        image_bytes: Bytes for photos in memory.
     """
     return training_memory_mb(
-        float(gaussians), image_bytes=float(min(facts.image_bytes, Run.image_bytes)),
+        float(gaussians), image_bytes=float(min(facts.image_bytes, image_bytes)),
         pixels=float(facts.width * facts.height), sh_degree=degree,
     )  # fmt: skip

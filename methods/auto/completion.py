@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from splatproof.methods.auto.choices import Choice
+from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
 from splatproof.methods.auto.measured import COMPLETED, EXPLICIT
 from splatproof.methods.auto.settings import AutoSettings
@@ -61,7 +61,7 @@ def planned_completion(
     if not points:
         return False, (_choice(False, "the scene has no point"),)
     if not facts.coverage < SEEN:
-        return False, (_choice(False, told),)
+        return False, (_choice(False, told, str(EXPLICIT)),)
     if facts.down < DOWN:
         angle = math.degrees(math.acos(max(-1.0, facts.down)))
         return False, (
@@ -69,7 +69,7 @@ def planned_completion(
         )
     if asked.megabytes:
         return False, (_choice(False, "megabytes is given, and virtual Gaussians alone take 5"),)
-    return True, (_choice(True, told),)
+    return True, (_choice(True, told, f"{COMPLETED}; the pictures are better"),)
 
 
 def too_slow(steps: int) -> Choice:
@@ -118,11 +118,11 @@ def shortened(settings: Settings, steps: int) -> Settings:
     return replace(settings, density=replace(settings.density, reset_interval=0))
 
 
-def _choice(done: bool, because: str) -> Choice:
+def _choice(done: bool, because: str, expects: str = NOT_MEASURED) -> Choice:
     return Choice(
         component="completed depths",
         value="of each photo, and virtual Gaussians (as method stratosplat's)" if done else "none",
-        because=because, expects=f"{COMPLETED}; the pictures are better" if done else str(EXPLICIT),
+        because=because, expects=expects,
     )  # fmt: skip
 
 

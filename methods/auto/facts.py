@@ -11,8 +11,8 @@ from jaxtyping import Float
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from splatproof.datasets.image_cache import ImageCache
 from splatproof.datasets.resize import resample
+from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import swept_moments, timed_points
 from splatproof.methods.training.initialise import require_points
@@ -77,12 +77,23 @@ class SceneFacts:
     """Bytes of all training photos as float32."""
 
 
-def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
-    """Measure a scene: its training views alone, of which 24 photos are read.
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What one photo says."""
+
+    detail: float
+    """As `SceneFacts` has its mean."""
+    noise: float
+    """As `SceneFacts` has its median."""
+    brightness: tuple[np.ndarray, np.ndarray]
+    """Points that its view sees, and the logarithm of its brightness at each."""
+
+
+def facts_of(scene: Scene) -> SceneFacts:
+    """Measure a scene: its training views alone, of which 24 photos are read, one after the other.
 
     Args:
         scene: As a method gets it.
-        image_bytes: Most bytes of photos kept in memory while they are read.
 
     Raises: DataError if there is no point or no training view.
 
@@ -93,10 +104,8 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
     positions = scene.points.positions
     seen = observations(scene.points, len(scene.views))[list(scene.train)]
     counts = np.asarray(seen.sum(axis=0)).ravel()
-    images = ImageCache(image_bytes)
-    step = max(1, len(views) // SAMPLES)
-    chosen = [(row, views[row]) for row in range(0, len(views), step)][:SAMPLES]
-    photos = [images.load(view) for _, view in chosen]
+    chosen = [(row, views[row]) for row in evenly(range(len(views)), SAMPLES)]
+    told = [_told(view, positions, seen, row) for row, view in chosen]
     sizes = torch.tensor([view.size for view in views]).double()
     height, width = sizes[sizes.prod(dim=1).argsort(stable=True)[len(views) // 2]].int().tolist()
     swept = all(view.time is not None for view in scene.views) and any(
@@ -113,12 +122,9 @@ def facts_of(scene: Scene, image_bytes: int) -> SceneFacts:
         angle=_angle(torch.stack([view.camera.centre for view in views]), positions, seen),
         down=min(float(view.camera.rotation[2] @ -scene.up.double()) for view in views),
         bare=float(np.mean([_bare(view, positions, seen, row) for row, view in chosen])),
-        detail=float(np.mean([_detail(photo) for photo in photos])),
-        noise=float(np.median([noise(photo) for photo in photos])),
-        exposure=_exposure([
-            _brightness(view, photo, positions, seen, row)
-            for (row, view), photo in zip(chosen, photos, strict=True)
-        ]),
+        detail=float(np.mean([one.detail for one in told])),
+        noise=float(np.median([one.noise for one in told])),
+        exposure=_exposure([one.brightness for one in told]),
         moments=len({view.time for view in views if view.time is not None}),
         swept=swept,
         moving=moving_share(scene) if swept else 0.0,
@@ -167,6 +173,15 @@ def noise(photo: Float[Tensor, "h w 3"]) -> float:
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = np.abs(cv2.filter2D(level, -1, kernel))[1:-1, 1:-1]
     return float(np.median(response) / 0.6745 / 6) if response.size else 0.0
+
+
+def _told(view: View, positions: Float[Tensor, "n 3"], seen: csr_array, row: int) -> Told:
+    """Read a view's photo, which nothing keeps here: photos may be large."""
+    photo = view.load()
+    return Told(
+        detail=_detail(photo), noise=noise(photo),
+        brightness=_brightness(view, photo, positions, seen, row),
+    )  # fmt: skip
 
 
 def _detail(photo: Float[Tensor, "h w 3"]) -> float:

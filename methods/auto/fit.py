@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import pairwise
 
-import torch
-
 from splatproof.base.files import read_json, write_text
 from splatproof.base.memory import available_mb
 from splatproof.base.typed_toml import build
@@ -37,7 +35,7 @@ from splatproof.methods.auto.full_size import enlarge
 from splatproof.methods.auto.goal import Goal, keep_back
 from splatproof.methods.auto.matching import planned_matching
 from splatproof.methods.auto.motion import planned_motion
-from splatproof.methods.auto.photos import Photos, planned_photos, working
+from splatproof.methods.auto.photos import Photos, planned_photos, reading_threads, working
 from splatproof.methods.auto.planner import AutoPlan, plan
 from splatproof.methods.auto.points import LEAST_POINTS, lacking_points, with_enough
 from splatproof.methods.auto.probe import PIXELS, better, probe_of
@@ -197,15 +195,16 @@ def planned(
     free = available_mb()
     with threads(run.threads):
         share = ALL_READ if photos.readers else READING
-        read_ahead(scene, share * settings.seconds, photos.readers or torch.get_num_threads())
+        readers = photos.readers or reading_threads(1.0, scene.train_views, run.image_bytes)
+        read_ahead(scene, share * settings.seconds, readers)
         bare, pointed = not len(scene.points), with_enough(scene, run.seed)
-        own = facts_of(pointed if bare else scene, run.image_bytes)
+        own = facts_of(pointed if bare else scene)
         if bare:
             own = without_points(own)
         moves, motion = planned_motion(scene, settings, own)
         few = not moves and len(scene.points) < LEAST_POINTS
         facts = replace(own, points=len(pointed.points)) if few else own
-        chosen = bounded(settings, usual(settings, facts), facts, free)
+        chosen = bounded(settings, usual(settings, facts), facts, free, run.image_bytes)
         matching = planned_matching(scene, settings, own, chosen.most_points, run)
         chosen = replace(
             chosen, dense_cell=matching.cell,
@@ -249,7 +248,10 @@ def planned(
     lacking = (lacking_points(len(matched.points)),) if drawn else ()
     choices = (*photos.choices, *lacking, matching.choice, *motion, *completion, *choices)
     points = len(start.points) if start else facts.points
-    made = plan(settings, replace(facts, points=points), chosen, choices, speed, left, free, base)
+    made = plan(
+        settings, replace(facts, points=points), chosen, choices, speed, left, free, base,
+        run.image_bytes,
+    )  # fmt: skip
     return Planned(plan=made, facts=facts, start=start)
 
 

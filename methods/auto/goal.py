@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import torch
 
 from splatproof.base.errors import DataError
-from splatproof.methods.auto.probe import HELD, psnr, spread, valid_of
+from splatproof.methods.auto.probe import HELD, psnr, valid_of
+from splatproof.methods.auto.spreading import spread
 from splatproof.methods.contracts.model import Model
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.reference.types.scene import Scene, View

@@ -10,9 +10,10 @@ import torch
 
 from splatproof.datasets.truth_image import Truth
 from splatproof.methods.auto.choices import Choice
-from splatproof.methods.auto.probe import kept, spread
+from splatproof.methods.auto.probe import kept
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import VIEWS, Speed, measure
+from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.auto.usual import usual_for
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.image_room import READING_BYTES
@@ -28,7 +29,7 @@ at full and at half size, before Gaussians were enlarged again (which gains 0.0 
 27.6 and 29.1 dB, 850 at half 30.8; 1,000 30.8, 1,700 at half 31.6; 1,700 31.9, 3,400 at half 32.1, 4,000 at a quarter 29.6. Seneca (808 x 603) 700
 25.2, 2,400 at half 26.4. Brighton_beach (993 x 557) 600 18.5, 2,000 at half 19.7. A minute on two cores: seneca 1,919 steps 26.9, 2,663 at half 26.4."""
 SHORT_SIDE = 300
-"""Pixels that the short side of a photo keeps, however few steps fit."""
+"""Pixels that the short side of a photo keeps, however few steps fit; one that has fewer stays as it is."""
 MEASURED = 400_000
 """Pixels that the photos have at most on which the speed of this machine is measured."""
 COARSE = 0.76
@@ -42,6 +43,8 @@ FEWEST = 12
 """Photos that are read however long it takes."""
 BYTES = 12
 """Bytes of a pixel in memory: three float32."""
+JPEG = frozenset({".jpg", ".jpeg"})
+"""How the names of files end that are decoded at a part of their size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,15 +52,33 @@ class Photos:
     """What is trained on."""
 
     factor: float = 1.0
-    """Factor, >= 1, by which both sides of every training photo are shrunk before anything looks at it."""
+    """Factor, >= 1, by which both sides of training photos are shrunk before anything looks at them: of small ones
+    by less, see `own_factor`."""
     train: tuple[int, ...]
     """Indices of the training views that are read."""
     choices: tuple[Choice, ...] = ()
     """Each decision and why; none where nothing is left out."""
     readers: int | None = None
-    """How many are read at once; None: as many as there are threads."""
+    """How many are read at once; None: that was not asked, as all are there as they are."""
     seconds: float = 0.0
     """Wall seconds that the decision took."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """How photos are read."""
+
+    each: float
+    """Wall seconds in which one thread reads one."""
+    readers: int
+    """How many are read at once."""
+    count: int
+    """How many are read: no more than take `READING` of the seconds, where they are not the fewest."""
+
+    @property
+    def seconds(self) -> float:
+        """Wall seconds of all of them."""
+        return self.count * self.each / self.readers
 
 
 def working(scene: Scene, photos: Photos) -> Scene:
@@ -70,8 +91,18 @@ def working(scene: Scene, photos: Photos) -> Scene:
     views = list(scene.views)
     if photos.factor > 1:
         for index in photos.train:
-            views[index] = smaller(views[index], photos.factor)
+            views[index] = smaller(views[index], own_factor(views[index], photos.factor))
     return replace(scene, views=tuple(views), train=photos.train)
+
+
+def own_factor(view: View, factor: float) -> float:
+    """Factor by which one photo is shrunk: its short side keeps `SHORT_SIDE` pixels, or as many as it has.
+
+    Args:
+        view: One to train on.
+        factor: Factor, >= 1, that the photo in the middle is shrunk by.
+    """
+    return max(1.0, min(factor, min(view.size) / SHORT_SIDE))
 
 
 def smaller(view: View, factor: float) -> View:
@@ -103,51 +134,66 @@ def planned_photos(scene: Scene, asked: AutoSettings, run: Run) -> Photos:
     """
     began = time.perf_counter()
     views = scene.train_views
-    pixels = middle_pixels(views) if views else 0  # whoever trains on none says so
     fixed = asked.steps is not None or asked.coarsest is not None
-    if pixels <= LARGE or fixed or any(map(_has_more, views)):
+    if not views or fixed or any(map(_has_more, views)):  # whoever trains on none says so
+        return Photos(train=scene.train)
+    middle = middle_photo(views)
+    pixels, short, points = _pixels(middle), min(middle.size), len(scene.points)
+    if pixels <= LARGE:
         return Photos(train=scene.train)
     with threads(run.threads):
         shrink = max(1.0, math.sqrt(pixels / MEASURED))
-        speed = _speed(scene, asked, run, shrink)
+        speed = _speed(scene, asked, run)
         speed = replace(speed, pixels=speed.pixels * shrink**2)
-        each = read_seconds(views, shrink)
-        left = asked.seconds - (time.perf_counter() - began) - len(views) * each
-        short = min(min(view.size) for view in views)
+        reading = planned_reading(views, shrink, asked.seconds, run.image_bytes)
+        left = asked.seconds - (time.perf_counter() - began) - reading.seconds
         factor = size_factor(
-            pixels, points=len(scene.points), speed=speed, seconds=left,
-            most=max(1.0, short / SHORT_SIDE),
-        )  # fmt: skip
-        each = read_seconds(views, factor)
-        readers = reading_threads(factor, views, run.image_bytes)
-    readable = max(FEWEST, int(READING * asked.seconds * readers / each))
-    count, because = min(len(views), readable), f"reading one takes {each:.2f} s"
+            pixels, points=points, speed=speed, seconds=left, most=max(1.0, short / SHORT_SIDE)
+        )
+        whole = left / step_seconds(pixels, 1.0, points, speed)
+        reading = planned_reading(views, factor, asked.seconds, run.image_bytes)
+    count, because, memory = reading.count, f"reading one takes {reading.each:.2f} s", ""
     if factor > 1:  # else reading one again takes no longer than a step
+        wanted, full = factor, f"{run.image_bytes >> 20:,} MB hold no more"
         factor, fitting = _in_memory(count, pixels, factor, short, run.image_bytes)
         if fitting < count:
-            count, because = fitting, f"{run.image_bytes >> 20:,} MB hold no more"
-    whole, small = (
-        max(0.0, left) / step_seconds(pixels, size, len(scene.points), speed)
-        for size in (1.0, factor)
-    )
+            count, because = fitting, full
+        if factor > wanted:
+            memory = f"; {full} of {reading.count} photos"
+    left = asked.seconds - (time.perf_counter() - began) - count * reading.each / reading.readers
+    small = left / step_seconds(pixels, factor, points, speed)
     told = []
     if factor > 1:
-        height, width = views[0].size
+        height, width = middle.size
         told.append(Choice(
             component="photos' size", value=f"1/{factor:g} of {width:,} x {height:,} pixels",
-            because=f"at full size about {whole:.0f} steps would fit, and {ENOUGH:,} are wanted",
-            expects=f"about {small:.0f} steps",
+            because=_why(whole, reading, asked.seconds) + memory,
+            expects=f"about {small:.0f} steps" if small >= 1 else "hardly any step",
         ))  # fmt: skip
     if count < len(views):
+        saved = (len(views) - count) * reading.each / reading.readers
         told.append(Choice(
             component="photos", value=f"{count} of {len(views)}, evenly", because=because,
-            expects=f"{(len(views) - count) * each / readers:.0f} s of reading saved",
+            expects=f"{saved:.0f} s of reading saved",
         ))  # fmt: skip
     spent = time.perf_counter() - began
     return Photos(
-        factor=factor, train=tuple(sorted(spread(scene.train, count))), choices=tuple(told),
-        readers=readers, seconds=spent,
+        factor=factor, train=evenly(scene.train, count), choices=tuple(told),
+        readers=reading.readers, seconds=spent,
     )  # fmt: skip
+
+
+def _why(whole: float, reading: Reading, seconds: float) -> str:
+    """Why photos are made smaller, in words.
+
+    Args:
+        whole: Steps that fit at full size; below 0 where reading alone takes longer than the seconds.
+        reading: How photos are read.
+        seconds: Wall seconds of the budget.
+    """
+    if whole <= 0:
+        return f"reading {reading.count} photos takes {reading.seconds:.0f} s of {seconds:g}"
+    return f"at full size about {whole:.0f} steps would fit, and {ENOUGH:,} are wanted"
 
 
 def _in_memory(count: int, pixels: int, factor: float, short: int, room: int) -> tuple[float, int]:
@@ -161,27 +207,42 @@ def _in_memory(count: int, pixels: int, factor: float, short: int, room: int) ->
     return factor, max(FEWEST, fitting())
 
 
+def planned_reading(
+    views: Sequence[View], factor: float, seconds: float, image_bytes: int
+) -> Reading:
+    """How many photos are read, and how long that takes.
+
+    Args:
+        views: What may be read, at least one.
+        factor: Factor by which they are shrunk, >= 1.
+        seconds: Wall seconds of the budget.
+        image_bytes: Bytes for photos.
+    """
+    each, readers = read_seconds(views, factor), reading_threads(factor, views, image_bytes)
+    readable = max(FEWEST, int(READING * seconds * readers / each))
+    return Reading(each=each, readers=readers, count=min(len(views), readable))
+
+
 def read_seconds(views: Sequence[View], factor: float) -> float:
-    """Wall seconds in which one thread reads the view in the middle, so many times smaller.
+    """Wall seconds in which one thread reads the photo in the middle, so many times smaller.
 
     Args:
         views: At least one.
         factor: Factor by which it is shrunk, >= 1.
     """
     began = time.perf_counter()
-    view = views[len(views) // 2]
+    view = middle_photo(views)
     (view if factor == 1 else smaller(view, factor)).load()
     return time.perf_counter() - began
 
 
-def middle_pixels(views: Sequence[View]) -> int:
-    """Pixels of the photo in the middle, by size.
+def middle_photo(views: Sequence[View]) -> View:
+    """The photo in the middle, by number of pixels.
 
     Args:
         views: At least one.
     """
-    sizes = sorted(view.camera.width * view.camera.height for view in views)
-    return sizes[len(sizes) // 2]
+    return sorted(views, key=_pixels)[len(views) // 2]
 
 
 def reading_threads(factor: float, views: Sequence[View], image_bytes: int) -> int:
@@ -192,11 +253,19 @@ def reading_threads(factor: float, views: Sequence[View], image_bytes: int) -> i
         views: What is read.
         image_bytes: Bytes for photos.
     """
-    view = max(views, key=lambda view: view.camera.width * view.camera.height)
-    pixels = view.camera.width * view.camera.height
-    if factor > 1 and isinstance(view.load, Truth):  # decoded at up to twice the size
-        pixels *= min(1.0, 4 / factor**2)
-    return max(1, min(torch.get_num_threads(), int(image_bytes / (READING_BYTES * pixels))))
+    largest = max((_decoded(view, own_factor(view, factor)) for view in views), default=1.0)
+    return max(1, min(torch.get_num_threads(), int(image_bytes / (READING_BYTES * largest))))
+
+
+def _decoded(view: View, factor: float) -> float:
+    """Pixels of a photo in memory while it is read so many times smaller: a JPEG file has up to twice as many on a
+    side, and not below an eighth of its own; all others have all of theirs."""
+    jpeg = isinstance(view.load, Truth) and view.load.path.suffix.lower() in JPEG
+    return _pixels(view) * (min(1.0, max(4 / factor**2, 1 / 64)) if jpeg and factor > 1 else 1.0)
+
+
+def _pixels(view: View) -> int:
+    return view.camera.width * view.camera.height
 
 
 def size_factor(pixels: int, *, points: int, speed: Speed, seconds: float, most: float) -> float:
@@ -236,11 +305,12 @@ def _has_more(view: View) -> bool:
     return any(load is not None for load in (view.load_prior, view.load_sweep, view.load_sky))
 
 
-def _speed(scene: Scene, asked: AutoSettings, run: Run, factor: float) -> Speed:
-    """How fast steps on a few small photos are."""
-    few = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
+def _speed(scene: Scene, asked: AutoSettings, run: Run) -> Speed:
+    """How fast steps on a few photos of `MEASURED` pixels are, or as many as they have."""
+    few = evenly(scene.train, VIEWS)
     views = list(scene.views)
     for index in few:
+        factor = max(1.0, math.sqrt(_pixels(views[index]) / MEASURED))
         views[index] = kept(smaller(views[index], factor))
     width, height = views[few[0]].camera.width, views[few[0]].camera.height
     small = replace(scene, views=tuple(views), train=few)

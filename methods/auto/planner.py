@@ -14,6 +14,7 @@ from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.speed import Speed
 from splatproof.methods.auto.steps import most_steps, steps_in
 from splatproof.methods.auto.usual import PACE, by_larger_steps
+from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 
 
@@ -38,6 +39,7 @@ def plan(
     seconds: float,
     free: float = math.inf,
     base: Base = "3dgs",
+    image_bytes: int = Run.image_bytes,
 ) -> AutoPlan:
     """Number of Gaussians and of steps for the seconds that are left.
 
@@ -50,8 +52,9 @@ def plan(
         seconds: Wall seconds that training may take.
         free: Megabytes of this machine's memory that are free; inf: not known, memory bounds nothing.
         base: What is trained.
+        image_bytes: Bytes for photos in memory.
     """
-    most, cap = most_gaussians(asked, facts, settings.sh_degree, free)
+    most, cap = most_gaussians(asked, facts, settings.sh_degree, free, image_bytes)
     if base == "stratosplat" and facts.points > most:
         most, cap = facts.points, "one for each completed point"
     pace = asked.pace or PACE
@@ -74,7 +77,8 @@ def plan(
         told.append(unopposed(asked, settings, facts))
     if math.isfinite(free):
         wanted, _ = most_gaussians(asked, facts, settings.sh_degree, math.inf)
-        told.append(blocks(training_mb(facts, wanted, settings.sh_degree), free))
+        needed = training_mb(facts, wanted, settings.sh_degree, image_bytes)
+        told.append(blocks(needed, free))
     told.extend(rows(made, sized="resolution" in components))
     return AutoPlan(settings=settings, base=base, choices=tuple(told), seconds=made.takes())
 

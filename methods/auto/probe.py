@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from splatproof.methods.auto.base import started
+from splatproof.methods.auto.spreading import spread
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.exposure import explicit, exposed
 from splatproof.methods.threedgs.fit import prepare
@@ -88,16 +89,6 @@ def probe_of(scene: Scene, run: Run) -> Probe | None:
         photos=tuple(view.load() for view in views),
         run=replace(run, folder=None),
     )  # fmt: skip
-
-
-def spread(indices: Sequence[int], count: int) -> set[int]:
-    """So many of some indices, evenly spread over their order.
-
-    Args:
-        indices: What is chosen from.
-        count: How many, at most as many as there are.
-    """
-    return {indices[(2 * place + 1) * len(indices) // (2 * count)] for place in range(count)}
 
 
 def nearest(scene: Scene) -> list[int]:

@@ -234,8 +234,8 @@ def cap(made: Made) -> Choice:
     megabytes = file_mb(made.most, made.settings.sh_degree, made.facts.views)
     return Choice(
         component="Gaussians",
-        value=f"at most {found.most:,}" + (", at an even pace" if found.pace == "even" else ""),
-        because=made.cap,
+        value=f"at most {made.most:,}" + (", at an even pace" if found.pace == "even" else ""),
+        because=made.cap + ("" if made.most == found.most else f"; training starts from more than these {found.most or 0:,}"),
         expects=NOT_MEASURED if made.base == "pvg"
         else f"{megabytes:.1f} MB of file at most" + (" beside virtual Gaussians" if made.base == "stratosplat" else ""),
     )  # fmt: skip

@@ -5,6 +5,7 @@ import time
 from dataclasses import dataclass, replace
 
 from splatproof.methods.auto.base import Base, prepare, started
+from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.loop import Trainer
@@ -14,7 +15,7 @@ from splatproof.reference.types.scene import Scene
 WARM, TIMED = 2, 7
 """Steps before the clock starts, and steps of which the median counts."""
 VIEWS = 3
-"""Photos that are trained on while the clock runs."""
+"""Photos that are trained on while the clock runs, spread evenly."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +51,10 @@ def measure(scene: Scene, settings: Settings, run: Run, base: Base = "3dgs") -> 
     scene = started(scene, replace(settings, dense_cell=0.0), run, explicit)
     if base == "pvg":
         swept = tuple(index for index in scene.train if scene.views[index].load_sweep is not None)
-        few = replace(scene, train=swept[:: max(1, len(swept) // VIEWS)][:VIEWS])
+        few = replace(scene, train=evenly(swept, VIEWS))
         seconds, gaussians = _step(few, settings, run, 1.0, base)
         return Speed(pixels=0.0, gaussian=seconds / gaussians)
-    views = scene.train[:: max(1, len(scene.train) // VIEWS)][:VIEWS]
-    few = replace(scene, train=views)
+    few = replace(scene, train=evenly(scene.train, VIEWS))
     full, half = (_step(few, settings, run, factor, base)[0] for factor in (1.0, 2.0))
     pixels = min(full, max(0.0, (full - half) * 4 / 3))
     return Speed(pixels=pixels, gaussian=(full - pixels) / len(scene.points))

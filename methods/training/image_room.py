@@ -3,6 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from splatproof.base.memory import MEBIBYTE
+from splatproof.methods.contracts.run import Run
 from splatproof.reference.types.scene import View
 
 STEP_BYTES = 96
@@ -13,6 +15,21 @@ READING_BYTES = 68
 of a photo of brighton_beach, whose lens bends most."""
 LEAST_SHARE = 4
 """A quarter of the allowance is for photos, however large they are."""
+
+FREE_SHARE = 0.3
+"""Share of the memory that is free that a fit may take for photos."""
+
+
+def image_allowance(free: float) -> int:
+    """Bytes for photos of a fit that somebody asks for by itself: a share of what is free, and no less than any run has.
+
+    Suites do not ask: what they measure must not change with what else a machine does. No number of a model depends on it but those
+    of method `auto`, whose plan goes by the machine's speed anyway, unless the number of steps is given.
+
+    Args:
+        free: Megabytes of this machine's memory that are free.
+    """
+    return max(Run.image_bytes, int(FREE_SHARE * free * MEBIBYTE))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
-from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.density_strategy import Observation
 from splatproof.methods.contracts.model import Model, Moment, NativeTensors
@@ -23,6 +22,7 @@ from splatproof.methods.training.ahead import Ahead
 from splatproof.methods.training.counts import Counts
 from splatproof.methods.training.image_room import image_room
 from splatproof.methods.training.optimizer import GradientMean
+from splatproof.methods.training.photo_cache import PhotoCache
 from splatproof.methods.training.plan import Plan
 from splatproof.methods.training.resolution import Resolution, shrunk
 from splatproof.methods.training.run_keys import what_differs
@@ -67,7 +67,7 @@ class Trainer:
                 "compares more than photos, which have one size"
             )
         self.room = image_room(run.image_bytes, plan.views)
-        self.images = TensorCache(self.room.kept)
+        self.images = PhotoCache(self.room, plan.views)
         self.background = torch.tensor(run.background, device=self.device)
         self.gradients = ViewGradients()
         self.order = plan.order or Shuffled(len(plan.views))
@@ -101,7 +101,8 @@ class Trainer:
 
     def train(self) -> None:
         """Run all steps that are left, with reports and checkpoints; photos are read ahead."""
-        with closing(Ahead(self.photo, self.room.kept if self.room.ahead else 0)) as self.ahead:
+        room = self.images.passing if self.room.ahead else 0
+        with closing(Ahead(lambda view: self.photo(self.sized(view)), room)) as self.ahead:
             self._train()
 
     def _train(self) -> None:
@@ -147,6 +148,7 @@ class Trainer:
 
     def _advance(self) -> dict[str, float]:
         self.step += 1
+        self.images.resize(self.plan.resolution.factor(self.step, self.plan.steps))
         before = self.backend.pairs()
         mean, told = GradientMean(), []
         for _ in range(self.plan.views_per_step):

@@ -94,7 +94,7 @@ def planned(scene: Scene, settings: AutoSettings, run: Run) -> tuple[Model, Plan
         settings: The budget.
         run: Backend and seed.
     """
-    chosen = usual(settings, facts_of(scene, run.image_bytes))
+    chosen = usual(settings, facts_of(scene))
     return threedgs.prepare(threedgs.started(scene, chosen, run), chosen, run)
 
 

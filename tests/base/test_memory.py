@@ -49,6 +49,43 @@ def test_a_peak_that_is_not_known_is_not_kept(monkeypatch):
     assert peaks == {"higher": 120.0}
 
 
+@pytest.mark.parametrize(
+    ("own", "files", "free"),
+    [
+        ("0::/\n", {}, 1000),
+        ("0::/\n", {"memory.max": "max", "memory.current": 5}, 1000),
+        ("0::/\n", {"memory.max": 900, "memory.current": 500}, 400),
+        ("0::/\n", {"memory.max": 900, "memory.current": 800, "memory.stat": ("inactive_file", 300)}, 400),
+        ("0::/\n", {"memory.max": 900, "memory.current": 950}, 0),
+        ("0::/\n", {"memory.max": 9000, "memory.current": 500}, 1000),
+        ("0::/a/b\n", {"a/memory.max": 900, "a/memory.current": 200, "a/b/memory.max": 800, "a/b/memory.current": 300}, 500),
+        ("0::/a/b\n", {"a/memory.max": 400, "a/memory.current": 200, "a/b/memory.max": 800, "a/b/memory.current": 300}, 200),
+        ("0::/not/seen\n", {"memory.max": 900, "memory.current": 500}, 400),
+        ("5:cpu:/a\n4:memory:/a\n0::/\n", {"memory/a/memory.limit_in_bytes": 700, "memory/a/memory.usage_in_bytes": 100,
+         "memory/a/memory.stat": ("total_inactive_file", 50), "cpu/a/memory.limit_in_bytes": 1}, 650),
+        ("4:hugetlb,memory:/host/path\n", {"memory/memory.limit_in_bytes": 700, "memory/memory.usage_in_bytes": 100}, 600),
+    ],
+)  # fmt: skip
+def test_a_container_is_told_of_what_it_may_take_itself(monkeypatch, tmp_path, own, files, free):
+    for name, value in files.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        row, size = value if isinstance(value, tuple) else ("", value)
+        told = size if isinstance(size, str) else f"{row} {size * 2**20}".strip()
+        path.write_text(f"{told}\n")
+    (tmp_path / "own").write_text(own)
+    monkeypatch.setattr(memory, "GROUPS", tmp_path)
+    monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "own")
+    monkeypatch.setattr(memory, "_machine_mb", lambda: 1000.0)
+    assert memory.available_mb() == free
+
+
+def test_without_control_groups_the_machine_alone_counts(monkeypatch, tmp_path):
+    monkeypatch.setattr(memory, "OWN_GROUPS", tmp_path / "none")
+    monkeypatch.setattr(memory, "_machine_mb", lambda: 1000.0)
+    assert memory.available_mb() == 1000.0
+
+
 def refused(*_: object) -> int:
     raise PermissionError
 

@@ -5,9 +5,16 @@ from dataclasses import replace
 import pytest
 
 from helpers.tiny_scene import tiny_scene
+from splatproof.base import memory
 from splatproof.cli import main
 from splatproof.datasets.catalogue import opening
+<<<<<<< HEAD
 from splatproof.methods.auto.fit import planned
+=======
+from splatproof.methods.auto import photos
+from splatproof.methods.contracts.run import Run
+from splatproof.methods.training.image_room import image_allowance
+>>>>>>> fix-e
 from splatproof.suites import city_plan
 
 CITY = city_plan.City()
@@ -100,6 +107,18 @@ def test_the_plan_of_a_scene_says_what_was_measured_and_what_follows(tiny, capsy
     assert told["facts"]["views"] == 8
     assert {"steps", "points", "harmonics"} <= {one["component"] for one in told["choices"]}
     assert all(one["because"] and one["expects"] for one in told["choices"])
+
+
+def test_a_plan_has_the_memory_for_photos_that_the_fit_will_have(tiny, monkeypatch):
+    seen, planned_photos = [], photos.planned_photos
+    monkeypatch.setattr(memory, "available_mb", lambda: 1e4)
+    monkeypatch.setattr(
+        photos, "planned_photos",
+        lambda scene, asked, run: seen.append(run.image_bytes) or planned_photos(scene, asked, run),
+    )  # fmt: skip
+    assert main(PLAN) == 0
+    assert seen == [image_allowance(1e4)]
+    assert seen[0] > Run.image_bytes
 
 
 def test_the_command_that_a_plan_names_is_the_plan(tiny, capsys):

@@ -63,6 +63,22 @@ def test_what_does_not_drop_finds_as_many_as_fit_in_every_round(drops):
     assert len(made) > 190 or not drops  # of 200, so fewer than 10 of 160 were found
 
 
+@pytest.mark.parametrize("drops", [True, False])
+def test_a_smaller_bound_lets_go_of_what_was_asked_for_longest_ago(drops):
+    cache = TensorCache(4 * 40, drops=drops)
+    for key in (0, 1, 2, 3, 0):
+        cache.get(key, lambda: torch.zeros(10))
+    cache.bound(2 * 40 + 39)
+    assert (cache.held, len(cache)) == (2 * 40, 2)
+    for key in (0, 3):
+        cache.get(key, lambda: pytest.fail("it left"))
+    cache.bound(0)
+    assert (cache.held, len(cache)) == (0, 0)
+    cache.bound(4 * 40)
+    cache.get(5, lambda: torch.zeros(10))
+    assert cache.held == 40
+
+
 def test_views_of_one_name_are_not_mixed_up():
     cache = ImageCache(10 * IMAGE_BYTES)
     first, second = view(1), view(1)

@@ -18,6 +18,11 @@ as in TIFF 7.36 MB out of the 5.6 kB that fill its table once, 1323."""
 SMALL = 64 * MEBIBYTE
 """Bytes up to which nobody asks how a file grew: what repeats itself for ever packs better yet."""
 
+GROUPS, OWN_GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
+"""Where Linux shows control groups, and says which this process is in."""
+V2 = ("memory.max", "memory.current", "inactive_file", "")
+V1 = ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file", "memory")
+"""Files of a group's bound and use, its row of unused pages in memory.stat, and the folder of groups, by version."""
 
 _forgotten = [0.0]
 """Largest peak of this process that `peak_within` made the system forget, in 2^20 bytes."""
@@ -65,16 +70,51 @@ def _remembered() -> float:
 
 
 def available_mb() -> float:
-    """Memory that new work may take without swapping, in 2^20 bytes.
+    """Memory that new work may take without swapping, in 2^20 bytes, at least 0.
 
-    Linux tells (MemAvailable); elsewhere all of the machine's memory is what is known.
+    Linux tells (MemAvailable), and what the control groups of this process allow, as a container has them; elsewhere
+    all of the machine's memory is what is known.
     """
+    return max(0.0, min([_machine_mb(), *_allowed_mb()]))
+
+
+def _machine_mb() -> float:
+    """What is free of the machine's memory, in 2^20 bytes."""
     information = Path("/proc/meminfo")
     if information.exists():
         for line in information.read_text().splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) / 1024
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / MEBIBYTE
+
+
+def _allowed_mb() -> Iterator[float]:
+    """What each of this process's control groups still allows, in 2^20 bytes; nothing where there are none.
+
+    Pages of files that are not in use count as free, as in MemAvailable: a container that has read many photos holds
+    them until somebody needs the memory. Source: Linux, Documentation/admin-guide/cgroup-v2.rst and cgroup-v1/memory.rst.
+    """
+    for line in _text(OWN_GROUPS).splitlines():
+        _, kinds, own = line.split(":", 2)
+        if kinds and "memory" not in kinds.split(","):
+            continue
+        most, used, unused, root = V1 if kinds else V2
+        place = GROUPS / root / own.strip("/")
+        # a container may be told a path of the machine's, and see its own group at the top
+        while place.is_relative_to(GROUPS / root):
+            bound, now = _text(place / most).strip(), _text(place / used).strip()
+            if bound.isdigit() and now.isdigit():
+                told = dict(row.split() for row in _text(place / "memory.stat").splitlines())
+                yield (int(bound) - int(now) + int(told.get(unused, 0))) / MEBIBYTE
+            place = place.parent
+
+
+def _text(path: Path) -> str:
+    """Text of a file of the system; empty where there is none, or it may not be read."""
+    try:
+        return path.read_text()
+    except OSError:
+        return ""
 
 
 def check_room(what: object, needed: int) -> None:

@@ -39,6 +39,7 @@ def plan_scene(
         seed: Seed of the probe.
         threads: Threads of torch and the kernels; None: as many as torch takes.
     """
+    from splatproof.base.memory import available_mb
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.auto.fit import planned, remembering
     from splatproof.methods.auto.goal import keep_back
@@ -46,6 +47,7 @@ def plan_scene(
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
+<<<<<<< HEAD
 
     asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
     rules = scene_rules(protocol, width, points, strict)
@@ -53,6 +55,16 @@ def plan_scene(
     whole = open_scene(scene, rules)
     tell_left_out(whole)
     opened = whole.for_training()
+=======
+    from splatproof.methods.training.image_room import image_allowance
+    from splatproof.metrics.protocol_files import load_protocol, resized
+
+    asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
+    rules = resized(load_protocol(protocol), width)
+    allowance = image_allowance(available_mb())  # as `bench fit` has it
+    run = Run(seed=seed, background=rules.background, image_bytes=allowance)
+    opened = open_scene(scene, rules).for_training()
+>>>>>>> fix-e
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)
         photos = planned_photos(opened, asked, run)

@@ -8,6 +8,7 @@ import torch
 from helpers.aerial_scene import aerial_scene, without_points
 from splatproof.base.errors import UsageError
 from splatproof.methods.auto.base import started
+from splatproof.methods.auto.choices import NOT_MEASURED
 from splatproof.methods.auto.completion import (
     DROPOUT,
     ENOUGH,
@@ -18,9 +19,11 @@ from splatproof.methods.auto.completion import (
     completing,
     planned_completion,
     sized,
+    too_slow,
 )
 from splatproof.methods.auto.facts import facts_of
 from splatproof.methods.auto.fit import fit, planned
+from splatproof.methods.auto.measured import COMPLETED, EXPLICIT
 from splatproof.methods.auto.method import cost
 from splatproof.methods.auto.settings import AutoSettings
 from splatproof.methods.auto.usual import usual
@@ -28,7 +31,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.training import initialise
 from splatproof.methods.training.fewer_points import with_at_most
 
-FACTS = facts_of(aerial_scene(), 2**20)
+FACTS = facts_of(aerial_scene())
 ASKED = AutoSettings(seconds=20.0, probe_share=0.0)
 
 
@@ -36,16 +39,29 @@ AERIAL = replace(FACTS, views=6, coverage=2.5, down=1.0)
 
 
 @pytest.mark.parametrize(
-    ("known", "done", "because"),
+    ("known", "done", "because", "expects"),
     [
-        ({}, True, "each place is in 2.5 of 6 photos"),
-        ({"coverage": SEEN}, False, "each place is in 4.0 of 6 photos"),
-        ({"down": 0.0}, False, "a photo looks 90 degrees away from straight down"),
+        ({}, True, "each place is in 2.5 of 6 photos", f"{COMPLETED}; the pictures are better"),
+        ({"coverage": SEEN}, False, "each place is in 4.0 of 6 photos", str(EXPLICIT)),
+        ({"down": 0.0}, False, "a photo looks 90 degrees away from straight down", NOT_MEASURED),
     ],
 )
-def test_depths_are_completed_where_few_photos_from_the_air_see_a_place(known, done, because):
+def test_depths_are_completed_where_few_photos_from_the_air_see_a_place(
+    known, done, because, expects
+):
     found, (choice,) = planned_completion(ASKED, replace(AERIAL, **known), points=9, moves=False)
-    assert (found, choice.because) == (done, because)
+    assert (found, choice.because, choice.expects) == (done, because, expects)
+
+
+def test_a_gain_is_expected_only_for_the_reason_that_it_was_measured_for():
+    bounded = replace(ASKED, megabytes=2.0)
+    others = [
+        planned_completion(ASKED, AERIAL, points=0, moves=False)[1],
+        planned_completion(bounded, AERIAL, points=9, moves=False)[1],
+        *(planned_completion(replace(ASKED, completed=done), AERIAL, points=9, moves=False)[1] for done in (True, False)),
+        (too_slow(9),),
+    ]  # fmt: skip
+    assert [choice.expects for (choice,) in others] == [NOT_MEASURED] * 5
 
 
 def test_nothing_is_completed_where_nobody_would_expect_it():

@@ -1,5 +1,6 @@
 """What is measured of a scene: planted values come out, and moving the scene changes nothing."""
 
+import weakref
 from dataclasses import asdict, replace
 
 import pytest
@@ -11,8 +12,6 @@ from splatproof.methods.auto.facts import facts_of, noise
 from splatproof.methods.auto.words import told
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, SparsePoints
-
-ROOM = 2**24
 
 
 def tracked(scene: Scene) -> Scene:
@@ -45,7 +44,7 @@ def shaded(scene: Scene, gains: dict[int, float]) -> Scene:
 
 def test_what_is_counted():
     scene = tracked(tiny_scene())
-    facts = facts_of(scene, ROOM)
+    facts = facts_of(scene)
     assert (facts.views, facts.width, facts.height, facts.points) == (5, 24, 18, 40)
     assert facts.image_bytes == 5 * 24 * 18 * 12
     assert facts.track == pytest.approx(facts.coverage), "each point is tracked where it falls"
@@ -56,7 +55,7 @@ def test_what_is_counted():
 
 
 def test_a_scene_without_tracks_says_so():
-    facts = facts_of(tiny_scene(), ROOM)
+    facts = facts_of(tiny_scene())
     words = {what: (value, meaning) for what, value, meaning in told(facts, facts.points)}
     assert words["baselines"][0] == "not known"
     assert facts.coverage > 0
@@ -65,9 +64,36 @@ def test_a_scene_without_tracks_says_so():
 def test_planted_exposure_comes_out():
     """Two of five photos at 0.7: ln 0.7 times the standard deviation of a 2 in 5 draw."""
     scene = tracked(tiny_scene())
-    assert facts_of(scene, ROOM).exposure < 0.1
-    planted = facts_of(shaded(scene, {2: 0.5, 3: 0.5}), ROOM).exposure
+    assert facts_of(scene).exposure < 0.1
+    planted = facts_of(shaded(scene, {2: 0.5, 3: 0.5})).exposure
     assert planted == pytest.approx(0.693 * (0.4 * 0.6) ** 0.5, abs=0.1)
+
+
+def test_a_change_of_light_in_the_last_third_of_a_flight_is_seen():
+    """13 of 40 photos at half: ln 0.5 times the standard deviation of an 8 in 24 draw, to a photo more or fewer."""
+    few = tiny_scene()
+    views = tuple(few.train_views[index % 5] for index in range(41))
+    scene = tracked(replace(few, views=views, train=tuple(range(1, 41))))
+    facts = facts_of(shaded(scene, dict.fromkeys(range(28, 41), 0.5)))
+    assert facts.exposure == pytest.approx(0.693 * (1 / 3 * 2 / 3) ** 0.5, rel=0.1)
+
+
+def test_photos_are_held_one_at_a_time():
+    """The first photo is gone when the second is read: 24 of twelve million pixels take 3 GiB."""
+    scene, alive, most = tracked(tiny_scene(views=12)), [0], []
+
+    def watched(view):
+        def load():
+            photo = view.load()
+            alive[0] += 1
+            most.append(alive[0])
+            weakref.finalize(photo, lambda: alive.__setitem__(0, alive[0] - 1))
+            return photo
+
+        return replace(view, load=load)
+
+    facts_of(replace(scene, views=tuple(watched(view) for view in scene.views)))
+    assert most == [1] * 11
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.03])
@@ -97,8 +123,8 @@ def test_a_moved_scene_has_the_same_facts():
     views = tuple(replace(view, camera=moved(view.camera)) for view in scene.views)
     points = replace(scene.points, positions=scene.points.positions @ turn.T + shift)
     before, after = (
-        facts_of(scene, ROOM),
-        facts_of(replace(scene, views=views, points=points, up=turn @ scene.up), ROOM),
+        facts_of(scene),
+        facts_of(replace(scene, views=views, points=points, up=turn @ scene.up)),
     )
     for name, value in asdict(before).items():
         assert getattr(after, name) == pytest.approx(value, abs=1e-6, nan_ok=True), name
@@ -111,7 +137,7 @@ def test_held_out_photos_are_not_looked_at():
     scene = tracked(tiny_scene())
     views = list(scene.views)
     views[0] = replace(views[0], load=hidden)
-    facts_of(replace(scene, views=tuple(views)), ROOM)
+    facts_of(replace(scene, views=tuple(views)))
 
 
 def test_a_scene_without_points_is_refused():
@@ -121,4 +147,4 @@ def test_a_scene_without_points_is_refused():
         track_starts=torch.zeros(1, dtype=torch.int64), track_views=scene.points.track_views,
     )  # fmt: skip
     with pytest.raises(DataError, match="0 sparse points"):
-        facts_of(replace(scene, points=none), ROOM)
+        facts_of(replace(scene, points=none))

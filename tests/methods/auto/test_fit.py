@@ -21,6 +21,7 @@ from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.explicit import FIELDS
 from splatproof.methods.threedgs.settings import Settings
+from splatproof.methods.training.image_room import READING_BYTES
 from splatproof.methods.training.resolution import Resolution
 from splatproof.methods.training.schedules import shrink
 
@@ -227,6 +228,31 @@ def test_photos_are_read_once_and_only_as_long_as_there_is_time():
     for _ in range(2):
         auto.read_ahead(remembered, 10.0, 2)
     assert sorted(reads) == [view.name for view in scene.train_views]
+
+
+def test_gaussians_are_bounded_by_what_photos_leave_of_the_memory(monkeypatch):
+    seen = []
+    for name in ("bounded", "plan"):
+        real = getattr(auto, name)
+        monkeypatch.setattr(
+            auto, name, lambda *given, real=real: seen.append(given[-1]) or real(*given)
+        )
+    planned(tiny_scene(), ASKED, Run(threads=1, image_bytes=12_345_678))
+    assert seen == [12_345_678, 12_345_678]
+
+
+@pytest.mark.parametrize("asked", [{"steps": 5}, {"steps": None, "coarsest": 1.0}])
+def test_photos_that_keep_their_size_are_read_side_by_side_as_far_as_memory_goes(
+    monkeypatch, asked
+):
+    readers = []
+    monkeypatch.setattr(auto, "read_ahead", lambda scene, seconds, count: readers.append(count))
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 4)
+    scene = tiny_scene()
+    one = READING_BYTES * 24 * 18
+    for room in (one, 3 * one, 99 * one):
+        planned(scene, replace(ASKED, **asked), Run(image_bytes=room))
+    assert readers == [1, 3, 4]
 
 
 def test_steps_are_counted_again_where_photos_stay_small_to_the_end():

@@ -26,7 +26,7 @@ def yard() -> Scene:
 @pytest.fixture(scope="module")
 def facts(yard: Scene) -> SceneFacts:
     """Its own, but for points that were found in few photos."""
-    return replace(facts_of(yard, 2**28), track=3.0)
+    return replace(facts_of(yard), track=3.0)
 
 
 @pytest.fixture

@@ -101,9 +101,9 @@ def test_motion_is_refused_where_nothing_says_what_moves():
 
 
 def test_facts_know_sweeps_and_scenes_without_them():
-    assert facts_of(DRIVE, 2**20).swept
-    assert facts_of(DRIVE, 2**20).moving == moving_share(DRIVE)
-    still = facts_of(tiny_scene(), 2**20)
+    assert facts_of(DRIVE).swept
+    assert facts_of(DRIVE).moving == moving_share(DRIVE)
+    still = facts_of(tiny_scene())
     assert (still.swept, still.moving) == (False, 0.0)
 
 

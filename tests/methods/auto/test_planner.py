@@ -32,7 +32,7 @@ from splatproof.methods.training.schedules import Rates
 
 FACTS = SceneFacts(
     views=40, width=400, height=300, points=10_000, track=5.0, coverage=8.0, neighbours=10.0,
-    angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.1, moments=0, swept=False, moving=0.0,
+    angle=30.0, down=0.9, bare=0.3, detail=5.0, noise=1.0, exposure=0.2, moments=0, swept=False, moving=0.0,
     image_bytes=1,
 )  # fmt: skip
 FEW = replace(FACTS, views=MANY_PHOTOS - 1)
@@ -73,6 +73,29 @@ def test_a_file_has_a_bound():
     found = planned(AutoSettings(megabytes=2.0))
     assert found.settings.density.most == (2 * 2**20 - 4096 - 64 * 40) // (4 * 59)
     assert any("2 MB" in choice.because for choice in found.choices)
+
+
+@pytest.mark.parametrize(("views", "kept"), [(10, 10), (90, 90), (300, 100)])
+def test_photos_in_memory_leave_less_for_gaussians(views, kept):
+    one = 2000 * 1500 * 12
+    facts = replace(FACTS, views=views, width=2000, height=1500, image_bytes=views * one)
+    none = replace(facts, image_bytes=0)
+    taken = training_mb(facts, 5, 3, 100 * one) - training_mb(none, 5, 3, 100 * one)
+    assert taken == pytest.approx(kept * one / 2**20)
+    asked = AutoSettings()
+    found = [
+        plan(asked, facts, usual(asked, facts), (), SPEED, 50.0, 9000.0, "3dgs", count * one)
+        for count in (0, 100)
+    ]
+    without, much = (one.settings.density.most or 0 for one in found)
+    assert without >= much
+    assert (without > much) == (views > 10)
+    assert training_mb(facts, much, 3, 100 * one) <= 0.8 * 9000.0
+    room = [
+        bounded(asked, usual(asked, facts), facts, 9000.0, count * one).most_points or 0
+        for count in (0, 100)
+    ]
+    assert room[0] >= room[1]
 
 
 @given(free=st.floats(100, 1e5), views=st.integers(1, 3000))
@@ -313,9 +336,9 @@ def test_what_larger_steps_learn_is_narrower_on_points():
 
 @pytest.mark.parametrize(
     ("asked", "exposure", "pull", "split"),
-    [({}, 0.01, 4e-4, SPLITTING * 4e-4), ({}, ONE_LIGHT, 4e-4, SPLITTING * 4e-4), ({}, 0.1, 4e-4, 0.0), ({}, math.nan, 4e-4, 0.0),
+    [({}, 0.01, 4e-4, SPLITTING * 4e-4), ({}, ONE_LIGHT, 4e-4, SPLITTING * 4e-4), ({}, 1.01 * ONE_LIGHT, 4e-4, 0.0), ({}, math.nan, 4e-4, 0.0),
      ({"gradient": 1e-3}, 0.01, 1e-3, SPLITTING * 1e-3), ({"split_gradient": 0.0}, 0.01, 4e-4, 0.0),
-     ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.1, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
+     ({"gradient": 1e-3, "split_gradient": 5e-3}, 0.2, 1e-3, 5e-3), ({"gradient": math.inf}, 0.01, math.inf, 0.0)],
 )  # fmt: skip
 @pytest.mark.parametrize("looks", [10, DROPOUT_FROM])
 def test_large_gaussians_are_split_by_absolute_gradients_where_photos_of_one_light_are_looked_at_seldom(

@@ -97,9 +97,18 @@ def test_megabytes_are_those_of_a_file():
     rows = told(made())
     assert rows["Gaussians"].value == "at most 192,000"
     assert rows["Gaussians"].expects == f"{file_mb(192_000, 3, 40):.1f} MB of file at most"
+    assert rows["Gaussians"].because.endswith("25 a Gaussian")
     more = 192_000 * (gaussian_bytes(3) - gaussian_bytes(0)) / 2**20
     assert rows["harmonics"].expects == f"236 bytes a Gaussian, {more:.1f} MB more than degree 0"
     assert rows["blocks"].expects.endswith(" % of the free memory")
+
+
+def test_there_may_be_as_many_gaussians_as_training_starts_from():
+    facts = replace(FACTS, views=1, points=9000)
+    row = told(made(facts=facts))["Gaussians"]
+    assert row.value == "at most 9,000"
+    assert row.because.endswith("25 a Gaussian; training starts from more than these 4,800")
+    assert row.expects == f"{file_mb(9000, 3, 1):.1f} MB of file at most"
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,12 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.fit import prepare
 from splatproof.methods.threedgs.settings import Settings
-from splatproof.methods.training.image_room import READING_BYTES, STEP_BYTES, image_room
+from splatproof.methods.training.image_room import (
+    READING_BYTES,
+    STEP_BYTES,
+    image_allowance,
+    image_room,
+)
 from splatproof.methods.training.loop import Trainer
 
 MANY = 2**30
@@ -37,6 +42,11 @@ def test_the_largest_photos_leave_a_quarter():
     assert (room.kept, room.ahead) == (MANY // 4, False)
     assert image_room(0, views_of(800, 600)).kept == 0
     assert not image_room(0, views_of(800, 600)).ahead
+
+
+@pytest.mark.parametrize(("free", "allowed"), [(0.0, MANY), (3000.0, MANY), (10_240.0, 3 * MANY)])
+def test_photos_may_take_a_share_of_free_memory_and_never_less_than_any_run_has(free, allowed):
+    assert image_allowance(free) == allowed
 
 
 @pytest.mark.parametrize("pixels", [24 * 18, 1])
