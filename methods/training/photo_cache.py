@@ -54,9 +54,7 @@ class PhotoCache:
         room, self.factor = self.limit - self.passing, factor
         small = sum(_bytes(shrunk(view, factor)) for view in self._views) if factor > 1 else 0
         small = min(room, small)
-        self._small = TensorCache(
-            0, drops=False
-        )  # what was there is gone before others have its room
+        self._small = TensorCache(0, drops=False)  # gone before others have its room
         self._whole.bound(room - small)
         self._small = TensorCache(small, drops=False)
 

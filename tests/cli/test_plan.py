@@ -8,13 +8,10 @@ from helpers.tiny_scene import tiny_scene
 from splatproof.base import memory
 from splatproof.cli import main
 from splatproof.datasets.catalogue import opening
-<<<<<<< HEAD
-from splatproof.methods.auto.fit import planned
-=======
 from splatproof.methods.auto import photos
+from splatproof.methods.auto.fit import planned
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.training.image_room import image_allowance
->>>>>>> fix-e
 from splatproof.suites import city_plan
 
 CITY = city_plan.City()

@@ -47,24 +47,15 @@ def plan_scene(
     from splatproof.methods.auto.settings import AutoSettings
     from splatproof.methods.auto.words import told
     from splatproof.methods.contracts.run import Run
-<<<<<<< HEAD
+    from splatproof.methods.training.image_room import image_allowance
 
     asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
     rules = scene_rules(protocol, width, points, strict)
-    run = Run(seed=seed, background=rules.background, threads=threads)
+    allowance = image_allowance(available_mb())  # as `bench fit` has it
+    run = Run(seed=seed, background=rules.background, threads=threads, image_bytes=allowance)
     whole = open_scene(scene, rules)
     tell_left_out(whole)
     opened = whole.for_training()
-=======
-    from splatproof.methods.training.image_room import image_allowance
-    from splatproof.metrics.protocol_files import load_protocol, resized
-
-    asked = AutoSettings(seconds=seconds, megabytes=megabytes, db=db)
-    rules = resized(load_protocol(protocol), width)
-    allowance = image_allowance(available_mb())  # as `bench fit` has it
-    run = Run(seed=seed, background=rules.background, image_bytes=allowance)
-    opened = open_scene(scene, rules).for_training()
->>>>>>> fix-e
     with output.progress() as bar:
         bar.add_task("measuring and probing", total=None)
         photos = planned_photos(opened, asked, run)
