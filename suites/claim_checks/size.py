@@ -2,6 +2,7 @@
 
 import functools
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from splatproof.suites.studies.size_formats import formats
 STEPS, QUICK_STEPS = 1000, 60
 OURS = "standard"
 """Name of our packed file as it is written by default, in the study of sizes."""
+READS, QUICK_READS = 15, 3
+"""How often a file is read; 15 enclose the median by the 4th and the 12th."""
 
 
 @functools.cache
@@ -109,6 +112,29 @@ def loss_beside(other: str, reduced: bool, folder: Path) -> Measurement:
     )
 
 
+def decoded(name: str, reduced: bool, folder: Path) -> Measurement:
+    """Millions of Gaussians that a second of processor time decodes; threads share it out among them.
+
+    Args:
+        name: Name of the format in the study of sizes.
+        reduced: See `row`; and fewer repetitions.
+        folder: Where the file goes.
+    """
+    kind = next(one for one in formats() if one.name == name)
+    gaussians, path = model(QUICK_STEPS if reduced else STEPS).model, folder / "model"
+    kind.write(path, gaussians)
+    kind.read(path)  # warm
+    values = []
+    for _ in range(QUICK_READS if reduced else READS):
+        start = time.process_time()
+        kind.read(path)
+        values.append(len(gaussians) / (time.process_time() - start) / 1e6)
+    return Measurement(
+        values=tuple(values),
+        compared=f"{name}, {len(gaussians):,} Gaussians, processor time of all threads",
+    )
+
+
 SIZE = {
     "packed_over_ply": Check(
         measure=functools.partial(smaller, "ply"), unit="times", seconds=(25.0, 5.0)
@@ -119,5 +145,11 @@ SIZE = {
     "packed_loss": Check(measure=lost, unit="dB", seconds=(5.0, 2.0)),
     "packed_above_spz": Check(
         measure=functools.partial(loss_beside, "spz 4"), unit="dB", seconds=(5.0, 2.0)
+    ),
+    "packed_decode": Check(
+        measure=functools.partial(decoded, OURS), unit="million a second", seconds=(5.0, 2.0)
+    ),
+    "packed_decode_fast": Check(
+        measure=functools.partial(decoded, "fast"), unit="million a second", seconds=(3.0, 1.0)
     ),
 }

@@ -13,6 +13,14 @@ COLUMNS = {
     "seen_change": "training, dB", "psnr_to_model": "to the model, dB",
     "write_millions_s": "written, M/s", "read_millions_s": "read, M/s",
 }  # fmt: skip
+MOST_LOST = 0.1
+"""dB that the smallest files may lose."""
+SMALLEST = {
+    "ours": ("ours, small",), "ours, pruned or merged": ("ours, small, pruned", "ours, small, merged"),
+    "ours, trained through": ("ours, small, tuned",), "`.spz`": ("spz 3", "spz 4"),
+    "images": ("png grid", "palette"),
+}  # fmt: skip
+"""Curves by the title of their column in the table of smallest files."""
 
 
 def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str]) -> str:
@@ -43,6 +51,7 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
         table(("", ""), [(shown, machine[key]) for key, shown in MACHINE.items() if machine.get(key)]),
         *(f"![{Path(name).stem}]({name})" for name in pictures),
     ]  # fmt: skip
+    parts += _smallest(rows)
     for scene in dict.fromkeys(row["scene"] for row in rows):
         mine = [row for row in rows if row["scene"] == scene]
         parts.append(f"## {scene}")
@@ -56,6 +65,32 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
             parts.append(table(list(COLUMNS.values()), [_line(row) for row in held]))
         parts += [f"{row['format'] or scene}: {row['note']}" for row in mine if "note" in row]
     return "\n\n".join(parts) + "\n"
+
+
+def _smallest(rows: Sequence[Row]) -> list[str]:
+    """Bytes a Gaussian of the smallest file of each kind that loses next to nothing, on either set of views."""
+    lines = []
+    for scene in dict.fromkeys(row["scene"] for row in rows if "bytes_each" in row):
+        for change, views in (("psnr_change", "held-out"), ("seen_change", "training")):
+            good = [
+                row for row in rows
+                if row["scene"] == scene and row.get(change, -MOST_LOST - 1) >= -MOST_LOST
+            ]  # fmt: skip
+            cells = []
+            for curves in SMALLEST.values():
+                found = [row for row in good if row["curve"] in curves]
+                least = min(found, key=lambda row: row["bytes_each"], default=None)
+                cells.append(
+                    "–" if least is None else f"{least['bytes_each']:.1f} (`{least['format']}`)"
+                )
+            lines.append([f"{scene}, {views}", *cells])
+    if not lines:
+        return []
+    return [
+        f"## Smallest files that lose at most {MOST_LOST} dB",
+        "Bytes a Gaussian of the trained model, by which views the loss is taken on; a dash where none loses so little.",
+        table(["", *SMALLEST], lines),
+    ]
 
 
 def _line(row: Row) -> list[str]:

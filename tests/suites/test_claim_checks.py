@@ -187,6 +187,17 @@ def test_sizes_are_those_of_the_files(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.usefixtures("short")
+def test_what_is_decoded_is_counted_by_processor_time(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(size, "scene", tiny_scene)
+    clock = iter(range(0, 100, 2))
+    monkeypatch.setattr("time.process_time", lambda: next(clock))
+    found = run_check("packed_decode", reduced=True)
+    count = len(size.model(size.QUICK_STEPS).model)
+    assert found.values == pytest.approx((count / 2e6,) * 3, rel=1e-5)
+    assert run_check("packed_decode_fast", reduced=True).compared.startswith("fast, ")
+
+
+@pytest.mark.usefixtures("short")
 def test_a_row_of_the_study_of_sizes(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(size, "scene", tiny_scene)
     found = size.row("ply", True)

@@ -133,3 +133,17 @@ def test_models_with_fewer_gaussians_and_tuned_ones_are_rows(tmp_path, monkeypat
 def test_files_that_gain_are_within_the_picture(losses, end):
     assert size_plot.lowest_shown(losses) == pytest.approx(end)
     assert size_plot.lowest_shown(losses) < min(losses)
+
+
+def test_the_smallest_files_that_lose_next_to_nothing_are_named_by_either_set_of_views():
+    def made(name: str, curve: str, size: float, held: float, seen: float) -> dict:
+        return {"scene": "a", "format": name, "curve": curve, "bytes_each": size, "psnr_change": held,
+                "seen_change": seen, "steps": 1, "primitives": 1, "psnr": 20.0}  # fmt: skip
+
+    rows = [
+        made("fine", "ours, small", 20.0, 0.0, -0.1), made("coarse", "ours, small", 10.0, -0.05, -0.2),
+        made("coarser", "ours, small", 5.0, -0.3, -0.4), made("spz 4", "spz 4", 9.0, -0.5, -0.5),
+    ]  # fmt: skip
+    text = size_page.page({}, rows, [])
+    assert "| a, held-out | 10.0 (`coarse`) | – | – | – | – |" in text
+    assert "| a, training | 20.0 (`fine`) | – | – | – | – |" in text
