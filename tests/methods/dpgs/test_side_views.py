@@ -104,6 +104,17 @@ def turned(seed: int) -> torch.Tensor:
     return turn * torch.linalg.det(turn)
 
 
+def test_a_stray_point_moves_no_side_view():
+    scene = flight()
+    far = torch.tensor([[900.0, -700.0, -50.0]]).double()
+    strayed = sparse_points(torch.cat([scene.points.positions, far]))
+    eyes, others = (
+        torch.stack([one.centre for one in side_cameras(of, SMALL)])
+        for of in (scene, replace(scene, points=strayed))
+    )
+    assert_close(others, eyes, atol=0.1, rtol=0)
+
+
 @given(count=st.integers(1, 12), up=st.integers(0, 2))
 def test_the_parts_are_as_many_and_cover_the_ground_once(count, up):
     generator = torch.Generator().manual_seed(count)
