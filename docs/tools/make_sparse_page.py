@@ -58,12 +58,11 @@ comes out, 10,000 are drawn at random.
 NAMES = ("3dgs", "fsgs", "dropgaussian", "cor-gs", "auto", "stratosplat@own")
 """Rows whose gain by more views is drawn."""
 VIEWS = {number: f"aerial_sparse_{number}" for number in (3, 5, 7, 9)}
+SCENES = tuple(f"aerial-sparse/{name}" for name in ("houses", "church", "mountain", "stadium"))
+"""Scenes that the rows were run on from every number of views."""
 
 if __name__ == "__main__":
     main(SPARSE)
     if len(sys.argv) > 1:
         rows = [Measured(**row) for row in json.loads((DOCS / "sparse.json").read_text("utf-8"))]
-        scenes = draw_views(DOCS / "images" / "sparse" / "views.png", rows, NAMES, VIEWS)
-        print(
-            f"images/sparse/views.png: means over {', '.join(scenes) or 'nothing'}", file=sys.stderr
-        )
+        draw_views(DOCS / "images" / "sparse" / "views.png", rows, NAMES, VIEWS, SCENES)

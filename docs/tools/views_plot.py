@@ -1,4 +1,4 @@
-"""What each row gains by more views: means over the scenes that all of them were run on."""
+"""What each row gains by more views: means over scenes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,40 +12,44 @@ SHOWN = (("psnr", "PSNR in dB"), ("flip", "FLIP error"))
 
 
 def draw_views(
-    path: Path, rows: Sequence[Measured], names: Sequence[str], protocols: Mapping[int, str]
-) -> list[str]:
-    """Write a PNG with a line a row.
+    path: Path,
+    rows: Sequence[Measured],
+    names: Sequence[str],
+    protocols: Mapping[int, str],
+    scenes: Sequence[str],
+) -> None:
+    """Write a PNG with a line a row, through the numbers of views from which it was run on every scene.
 
     Args:
         path: The picture.
-        rows: Measured runs.
+        rows: Measured runs; the mean of a scene's seeds counts once.
         names: Rows that are drawn.
         protocols: By number of views, smallest first.
-    Returns: The scenes whose mean is shown: those that have every row under every protocol. Nothing is written without any.
+        scenes: Scenes whose mean is drawn.
     """
-    done = [row for row in rows if not row.error]
-    had = {(row.scene, row.row, row.protocol) for row in done}
-    scenes = [
-        scene for scene in dict.fromkeys(row.scene for row in done)
-        if all((scene, name, protocol) in had for name in names for protocol in protocols.values())
-    ]  # fmt: skip
-    if not scenes:
-        return []
     figure, axes = panels(len(SHOWN), width=9.0, ratio=0.7)
-    for number, name in enumerate(names):
-        for panel, (metric, title) in zip(axes, SHOWN, strict=True):
-            means = [
-                fmean(row.values[metric] for row in done
-                      if (row.row, row.protocol) == (name, protocol) and row.scene in scenes)
-                for protocol in protocols.values()
-            ]  # fmt: skip
+    for panel, (metric, title) in zip(axes, SHOWN, strict=True):
+        for number, name in enumerate(names):
+            means = {
+                views: fmean(each) for views, protocol in protocols.items()
+                if all(each := [_mean(rows, scene, name, protocol, metric) for scene in scenes])
+            }  # fmt: skip
             panel.plot(
-                list(protocols), means, color=COLOURS[number], marker="o", markersize=3, label=name
-            )
-            panel.set_title(title, fontsize=9)
-            panel.set_xlabel("training views", fontsize=8)
-            panel.set_xticks(list(protocols))
-            panel.tick_params(labelsize=7)
+                list(means), list(means.values()),
+                color=COLOURS[number], marker="o", markersize=3, label=name,
+            )  # fmt: skip
+        panel.set_title(title, fontsize=9)
+        panel.set_xlabel("training views", fontsize=8)
+        panel.set_xticks(list(protocols))
+        panel.tick_params(labelsize=7)
     axes[0].legend(fontsize=7)
     save(figure, path)
-    return scenes
+
+
+def _mean(rows: Sequence[Measured], scene: str, name: str, protocol: str, metric: str) -> float:
+    """Mean over seeds; 0 where nothing was measured."""
+    found = [
+        row.values[metric] for row in rows
+        if (row.scene, row.row, row.protocol, row.error) == (scene, name, protocol, "")
+    ]  # fmt: skip
+    return fmean(found) if found else 0.0
