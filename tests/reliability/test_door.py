@@ -16,7 +16,7 @@ ASKED_BEFORE = {
     "datasets/adapters/llff.py", "datasets/adapters/mega_nerf.py", "datasets/array_files.py",
     "datasets/colmap_model.py", "datasets/ingesting/survey.py", "datasets/ingesting/upright.py",
     "datasets/photos.py", "datasets/png_rows.py", "methods/storage/gltf.py", "methods/storage/packed/records.py",
-    "methods/priors/roma.py", "methods/storage/packed/rows.py", "methods/storage/spz.py", "metrics/lpips.py",
+    "methods/priors/roma.py", "methods/storage/packed/rows.py", "methods/storage/spz_claims.py", "metrics/lpips.py",
     "reports/store.py", "src/splatproof/base/files.py",
 }  # fmt: skip
 """They ask size_of or what calls it, then read a part, or have a library read."""
