@@ -19,6 +19,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
 from splatproof.datasets.photos import read_photo
+from splatproof.datasets.reading_clock import READING
 from splatproof.datasets.resize import FILTER_RADIUS, resample, scale_intrinsics
 from splatproof.datasets.undistort import (
     Undistortion,
@@ -56,7 +57,8 @@ class Truth:
 
     def image(self) -> Float[Tensor, "h w 3"]:
         """Float32 sRGB in [0, 1]; zeros where the mask is False."""
-        pixels = read_photo(self.path, self.background)
+        with READING.timed("decode"):
+            pixels = read_photo(self.path, self.background)
         height, width, _ = pixels.shape
         if (width, height) != self.photo_size:
             raise DataError(
@@ -64,9 +66,12 @@ class Truth:
                 f"{self.photo_size[0]} x {self.photo_size[1]}; use the photos of this model"
             )
         if self.undistortion is not None:
-            pixels = resample(pixels, self.shrunk, self.filter)
-            pixels = undistort_image(pixels, self._positions(self.undistortion))
-        pixels = resample(pixels, self.size, self.filter)
+            with READING.timed("resize"):
+                pixels = resample(pixels, self.shrunk, self.filter)
+            with READING.timed("undistort"):
+                pixels = undistort_image(pixels, self._positions(self.undistortion))
+        with READING.timed("resize"):
+            pixels = resample(pixels, self.size, self.filter)
         return pixels * self.mask()[..., None] if self.has_mask else pixels
 
     def __call__(self) -> Float[Tensor, "h w 3"]:
@@ -83,17 +88,21 @@ class Truth:
         """
         ratio = max(size[0] / self.size[0], size[1] / self.size[1])
         shrunk = tuple(max(1, min(side, round(side * ratio))) for side in self.shrunk)
-        pixels = read_photo(self.path, self.background, (shrunk[0], shrunk[1]))
+        with READING.timed("decode"):
+            pixels = read_photo(self.path, self.background, (shrunk[0], shrunk[1]))
         plan = self.undistortion
         if plan is not None:
-            pixels = resample(pixels, (shrunk[0], shrunk[1]), "area")
+            with READING.timed("resize"):
+                pixels = resample(pixels, (shrunk[0], shrunk[1]), "area")
             old = (plan.width, plan.height)
             small = replace(
                 plan, K=scale_intrinsics(plan.K, old, size), width=size[0], height=size[1]
             )
-            positions = self.positions.get((plan, size), lambda: photo_positions(small))
-            pixels = undistort_image(pixels, positions)
-        return resample(pixels, size, "area")
+            with READING.timed("undistort"):
+                positions = self.positions.get((plan, size), lambda: photo_positions(small))
+                pixels = undistort_image(pixels, positions)
+        with READING.timed("resize"):
+            return resample(pixels, size, "area")
 
     @property
     def has_mask(self) -> bool:

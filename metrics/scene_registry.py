@@ -97,6 +97,11 @@ _ALL = (
     ),
     _metric("time_to_95", "wall seconds after which 95 % of the gain in PSNR from the first to the last "
             "mark is reached for good, linear between marks (suites/marks.py)", unit="s"),
+    *(
+        _metric(f"{part}_seconds", f"wall seconds of threads that {does} photos beside the training, all together, since the "
+                "scene was opened (datasets/reading_clock.py); of the last attempt, if there were several", unit="s")
+        for part, does in (("decode", "decode"), ("undistort", "undistort"), ("resize", "make smaller"))
+    ),
     _metric("training_gap", "PSNR of up to eight training views minus that of the held-out ones", unit="dB"),
     _metric(SEEN_SHARE, "share of the scored pixels that a training photo can have shown (docs/seen.md)",
             None, most=1.0),

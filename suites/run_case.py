@@ -15,6 +15,7 @@ from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb, peak_within
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.reading_clock import READING
 from splatproof.methods.city.model import CityModel
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.reconstruction import Reconstruction, save_model
@@ -128,6 +129,8 @@ class Spent:
     """CPU seconds of all processes together."""
     peak_memory_mb: float = 0.0
     """Peak resident memory in 2^20 bytes."""
+    reading: dict[str, float] = field(default_factory=dict)
+    """Wall seconds that reading photos took by part, see splatproof.datasets.reading_clock."""
 
 
 def run_case(job: Job, tell: Tell) -> None:
@@ -198,6 +201,7 @@ def _prepare(job: Job) -> None:
 def _run(job: Job, tell: Tell) -> None:
     weights = load_weights(job.case.protocol.metrics)
     spent = Spent()
+    read = READING.seconds()
     tell("load", 0, 0, {})
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
@@ -219,6 +223,7 @@ def _run(job: Job, tell: Tell) -> None:
         _train(job, given, curve, spent, tell)
         cpu, peak = curve.spent()
         spent.cpu_seconds += cpu
+        spent.reading = READING.since(read)
         spent.peak_memory_mb = max(spent.peak_memory_mb, peak)
         write_text(done, json.dumps(asdict(spent)))
     before = Spent(**json.loads(read_text(done)))
@@ -236,6 +241,7 @@ def _run(job: Job, tell: Tell) -> None:
                 job.folder, job.case.marks, scene, job.case.protocol, job.backend, means
             )
             means |= timed_metrics(job.case.marks, timed)
+            means |= {f"{part}_seconds": spent for part, spent in before.reading.items()}
     if isinstance(model, CityModel) and scene.test:
         means |= taken
     identity = _identity(job)

@@ -12,7 +12,7 @@ import statistics
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from kept_rows import committed, joined
@@ -20,6 +20,7 @@ from matplotlib.ticker import NullFormatter
 from strips import crops, save_strips
 
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.reading_clock import PARTS
 from splatproof.metrics.scene_registry import MARKS
 from splatproof.reference.types.result import Result
 from splatproof.reports.statistics import Summary, summarise
@@ -54,6 +55,8 @@ class Row:
     machine: str
     plan: dict[str, str]
     """What method auto chose, and why."""
+    reading: dict[str, float] = field(default_factory=dict)
+    """Seconds that threads read photos beside the training, by part; empty: not counted."""
 
 
 def row_of(result: Result) -> Row:
@@ -74,6 +77,7 @@ def row_of(result: Result) -> Row:
         primitives=result.primitives, stages=result.stages,
         total=result.stages["load"] + (result.curve_seconds[-1] if result.curve_seconds else math.nan),
         machine=", ".join(f"{name} {result.environment.get(name, '')}" for name in MACHINE), plan=plan,
+        reading={part: result.metrics[f"{part}_seconds"] for part in PARTS if f"{part}_seconds" in result.metrics},
     )  # fmt: skip
 
 
@@ -173,7 +177,13 @@ def page(docs: Path) -> str:
     ]  # fmt: skip
     for scene, protocol in places(rows):
         own = [row for row in rows if (row.scene, row.protocol) == (scene, protocol)]
-        parts += [f"## {scene}, protocol {protocol}\n", table(own), duel(own), planned(own)]
+        parts += [
+            f"## {scene}, protocol {protocol}\n",
+            table(own),
+            parts_of_time(own),
+            duel(own),
+            planned(own),
+        ]
         images = docs / "images" / SUITE
         for path in (images / f"{scene}.png", *sorted(images.glob(f"{scene}[- _]*.jpg"))):
             if path.exists():
@@ -204,6 +214,28 @@ def table(rows: Sequence[Row]) -> str:
             spread([before(row) for row in own], 1),
             f"{statistics.fmean(row.primitives for row in own):,.0f}",
         ]  # fmt: skip
+        lines.append(f"| {name} | {len(own)} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+STAGES = ("load", "plan", "init", "train")
+"""Stages of a case until its model is trained, one after the other."""
+
+
+def parts_of_time(rows: Sequence[Row]) -> str:
+    """Where the seconds went: stages one after the other, and what reading photos takes beside them."""
+    known = [row for row in rows if row.reading]
+    if not known:
+        return ""
+    lines = [
+        "Where the seconds went: stages one after the other, and what threads took to read photos meanwhile, all together:\n",
+        "| row | seeds | opening | planning | initialisation | training | decoding | undistortion | resizing |",
+        "|---|---:|" + "---:|" * (len(STAGES) + len(PARTS)),
+    ]
+    for name in dict.fromkeys(row.row for row in known):
+        own = [row for row in known if row.row == name]
+        cells = [spread([row.stages.get(stage, 0.0) for row in own], 1) for stage in STAGES]
+        cells += [spread([row.reading[part] for row in own], 1) for part in PARTS]
         lines.append(f"| {name} | {len(own)} | " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
 

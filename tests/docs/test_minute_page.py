@@ -1,10 +1,11 @@
 """The page of suite minute: made of the committed rows, its table and its duel by hand."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from make_minute_page import Row, at, duel, first_at, page, planned, table
+from make_minute_page import Row, at, duel, first_at, page, parts_of_time, planned, table
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -43,6 +44,15 @@ def test_a_line_a_row():
     assert lines[2].startswith("| auto | 2 | 20.50 ±")
     assert "| 80 ± 0 |" in lines[3]
     assert "| 3.0 ± 0.0 |" in lines[3], "opening and initialising"
+
+
+def test_where_the_seconds_went_is_told_of_rows_that_counted_them():
+    read = {"decode": 4.0, "undistort": 2.0, "resize": 1.0}
+    assert parts_of_time([*AUTO, *HAND]) == ""
+    lines = parts_of_time([*AUTO, *(replace(one, reading=read) for one in HAND)]).splitlines()
+    told = [1.0, 0.0, 2.0, 57.0, 4.0, 2.0, 1.0]
+    assert lines[-1] == "| 3dgs@hand | 2 | " + " | ".join(f"{one:.1f} ± 0.0" for one in told) + " |"
+    assert not any("auto" in line for line in lines)
 
 
 def test_auto_is_paired_with_the_same_seed():

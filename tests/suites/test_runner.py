@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -52,6 +53,18 @@ def test_what_was_spent_elsewhere_is_part_of_the_costs(tmp_path):
     result = read_record(outcome.folder)
     assert 50_000 < result.cpu_seconds < 60_000
     assert result.peak_memory_mb == 50_000
+
+
+def test_a_case_with_marks_says_how_long_photos_were_read_beside_its_training(
+    tmp_path, monkeypatch
+):
+    read = {"decode": 3.0, "undistort": 0.5, "resize": 0.25}
+    clock = SimpleNamespace(seconds=lambda: 7.0, since=lambda earlier: read if earlier == 7 else {})
+    monkeypatch.setattr(cases, "READING", clock)
+    timed, other = run(suite(replace(case(), marks=(1e6,)), case(seed=1)), tmp_path)
+    values = read_record(timed.folder).metrics
+    assert {name: values[f"{name}_seconds"] for name in read} == read
+    assert not {f"{name}_seconds" for name in read} & read_record(other.folder).metrics.keys()
 
 
 def test_a_case_leaves_a_whole_record_and_pictures(tmp_path):
