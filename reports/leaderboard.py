@@ -100,6 +100,8 @@ def _scene_table(images: pd.DataFrame, found: Found, warnings: list[str]) -> Tab
             why = "unranked: not comparable"
         if not why:
             allowed.add(label)
+        cells = _cells(shown, {c.key: c.values(cases) for c in shown})
+        why = why or _undefined(cells, shown)
         told = records(cases_of(failed), ["seed", "error"])
         notes = [why, *(f"seed {case['seed']} failed: {case['error']}" for case in told)]
         rows.append(
@@ -107,7 +109,7 @@ def _scene_table(images: pd.DataFrame, found: Found, warnings: list[str]) -> Tab
                 label=label,
                 results=tuple(found[case] for case in cases["case"]),
                 scores=done,
-                cells=_cells(shown, {c.key: c.values(cases) for c in shown}),
+                cells=cells,
                 seeds=len(cases),
                 note="; ".join(text for text in notes if text),
             )
@@ -142,6 +144,13 @@ def _cells(shown: Sequence[Column], values: Mapping[str, np.ndarray]) -> dict[st
     return {key: cell for key, cell in cells.items() if not math.isnan(cell.mean)}
 
 
+def _undefined(cells: Mapping[str, Summary], shown: Sequence[Column]) -> str:
+    """Why a row of enough seeds has no rank: the metric that ranks is undefined in one; empty where it is not."""
+    if not shown or shown[0].key in cells:
+        return ""
+    return f"unranked: {shown[0].key} is undefined in a seed"
+
+
 def _mean_table(scenes: list[Table], declared: list[str], warnings: list[str]) -> Table:
     """Means over scenes; a row that lacks a declared scene gets none.
 
@@ -158,7 +167,7 @@ def _mean_table(scenes: list[Table], declared: list[str], warnings: list[str]) -
             why = "unranked: a scene's rows are not comparable"
         if not why:
             allowed.add(label)
-        rows.append(replace(row, note=why))
+        rows.append(replace(row, note=why or _undefined(row.cells, shown)))
     everything = pd.concat([row.scores for row in rows])
     table = Table(
         suite=first.suite,

@@ -340,7 +340,7 @@ wall time, everything included: opening of the scene, decoding of the photos, pl
 is not counted. A row whose training ends before a mark has its final scores there. `3dgs@released` has the release's
 settings squeezed into 3,000 steps, `3dgs@hand` those chosen by hand for brighton_beach (2,000 steps of two views), and
 `auto` plans for 60 seconds on the machine it runs on; `auto@...` has one choice fixed. Values are means over seeds with
-Student's 95 % interval. Machine: {machines}.
+Student's 95 % interval, which is over seeds alone and says nothing of other views. Machine: {machines}.
 """
 
 if __name__ == "__main__":

@@ -302,6 +302,15 @@ def test_undefined_scores_are_a_dash_not_a_number():
     assert text.texts(table, rows(table)["b"])[2] == ("–", False)
 
 
+def test_a_row_that_one_seed_leaves_without_a_rank_says_why():
+    found = [rescored(one, "psnr", 24.0 + one.seed) for one in seeds(method="odd")]
+    found[1] = rescored(found[1], "psnr", math.nan)
+    odd = rows(only_table([*seeds(psnr=24.0), *found]))["odd"]
+    assert odd.rank is None
+    assert odd.note == "unranked: psnr is undefined in a seed"
+    assert "psnr" not in odd.cells
+
+
 def test_perfect_scores_are_infinite():
     images = tuple(
         ImageScore(name=n, truth_sha256="0", valid_share=1.0, metrics={"psnr": math.inf})

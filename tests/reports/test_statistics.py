@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from splatproof.reports.statistics import Difference, paired_difference, summarise
+from splatproof.reports.statistics import MISSED, Difference, paired_difference, summarise
 
 finite = st.floats(-1e3, 1e3, allow_nan=False)
 
@@ -147,6 +147,16 @@ CAP = 0.05 + 3 * math.sqrt(0.05 * 0.95 / 400)
 @pytest.mark.parametrize(("seeds", "images"), [(3, 1), (3, 8), (5, 20)])
 def test_equal_methods_are_told_apart_at_most_as_often_as_claimed(seeds: int, images: int):
     assert misses(1.0, seeds, images) <= CAP
+
+
+@pytest.mark.parametrize("images", [3, 6])
+def test_few_images_of_which_one_decides_are_missed_as_often_as_the_pages_say(images: int):
+    rng, out, repeats = np.random.default_rng(12), 0, 800
+    for _ in range(repeats):
+        a, b = tables(rng, 0.0, 3, images, scale=0.1)
+        got = paired_difference([(a + rng.exponential(2, images) - 2, b)], rng)
+        out += not got.low <= 0 <= got.high
+    assert 0.05 < out / repeats <= MISSED + 3 * math.sqrt(MISSED * (1 - MISSED) / repeats)
 
 
 def test_the_coverage_check_rejects_the_plain_percentile_interval():

@@ -189,6 +189,26 @@ def test_scores_that_are_not_finite_are_not_judged(odd: float):
     assert "not finite" in verdict(claim, found).reason
 
 
+def test_an_image_that_one_run_has_no_score_of_is_not_left_out_of_the_mean():
+    found = runs(1.0)
+    failed = dataclasses.replace(found[1], images=found[1].images | {"view_3": {}})
+    got = verdict(found=[found[0], failed, *found[2:]])
+    assert got.verdict == "not testable here"
+    assert got.reason == "a seed 1 has no finite psnr in view_3, which other runs have"
+
+
+@pytest.mark.parametrize("share", [0.0, -0.1])
+def test_what_is_not_above_zero_has_no_ratio(share: float):
+    claim = dataclasses.replace(CLAIM, metric="whole", relative=True, printed=0.5)
+    found = [
+        dataclasses.replace(one, values={"psnr": 20.0, "whole": share if one.seed else 0.4})
+        for one in runs(0.0)
+    ]
+    got = verdict(claim, found)
+    assert got.verdict == "not testable here"
+    assert got.reason == "whole is not above 0 in every run, and has no ratio"
+
+
 def too_short(found: list[Measured], claim: Claim = CLAIM) -> str:
     got = verdict(claim, found)
     assert got.verdict == "too short to judge", got
