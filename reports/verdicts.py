@@ -68,7 +68,7 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     claimed and the machine had other work or may have had it; *too
     short to judge* below three seeds, where nothing was ever densified, where a photo is known to have been visited fewer
     times than the claim asks for, or where a row still changed by
-    more than it differs from the other, see `still_changing`; else by the 95 % interval of the
+    more than it differs from the other, or from the other and the bar, see `still_changing`; else by the 95 % interval of the
     difference. *holds*: it lies on the claimed side of 0 and reaches half the printed effect; *direction
     only*: it does not reach that; *contradicted*: it lies on the other side; *no difference*: it
     contains 0. With a bar: *holds* on its better side, *contradicted* on its other side, else
@@ -97,11 +97,12 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     if faults := [one for one in tables if isinstance(one, str)]:
         return _without(claim, "not testable here", faults[0], seeds)
     found = paired_difference([one for one in tables if not isinstance(one, str)], generator)
-    beyond = found.mean if claim.other or claim.bar is None else found.mean - claim.bar
-    settled = claim.before_training or claim.fixed_length
-    if not settled and (still := still_changing(claim, every, beyond, runs)):
-        return replace(_without(claim, "too short to judge", still, seeds), difference=found)
+    beyond = found.mean - (0 if claim.bar is None else claim.as_difference(claim.bar))
     verdict, reason = _by_bar(claim, found) if claim.bar is not None else _by_effect(claim, found)
+    settled = claim.before_training or claim.fixed_length
+    decided = claim.bar is not None and verdict != "undecided"
+    if not settled and (still := still_changing(claim, every, beyond, runs, decided)):
+        return replace(_without(claim, "too short to judge", still, seeds), difference=found)
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
 
 
@@ -208,21 +209,26 @@ def _pairs(claim: Claim, runs: Sequence[Measured]) -> tuple[list[Pair], str]:
 
 
 def still_changing(
-    claim: Claim, chosen: Sequence[Measured], difference: float, runs: Sequence[Measured]
+    claim: Claim,
+    chosen: Sequence[Measured],
+    difference: float,
+    runs: Sequence[Measured],
+    decided: bool = False,
 ) -> str:
     """Why runs were too short to bear a difference; empty where they were not.
 
     What all further steps could change is known from a row of half or of twice the steps, see `further_gain`.
-    A run is long enough if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself,
-    which then keeps its sign. A PSNR that falls has settled. Of several scenes it is the mean that counts,
+    A run is long enough if that is at most SETTLED or SETTLED_SHARE, or at most the difference itself (with a bar: what
+    parts it from that), which then keeps its sign. A PSNR that falls has settled. Of several scenes it is the mean that counts,
     as it is of the difference. Where there is no such row, what the last fifth of the run gained in training
     loss stands in for a gain in PSNR.
 
     Args:
         claim: What is judged.
         chosen: Runs of its rows.
-        difference: What they differ by, as it is compared.
+        difference: What they differ by, as it is compared, less the bar if there is one.
         runs: All cases of the suite, those of half and twice the steps among them.
+        decided: The whole interval lies on one side of a bar, so that a row which leads further away from it is no matter.
     """
     decibels = claim.metric.endswith("psnr")
     late = []
@@ -236,8 +242,11 @@ def still_changing(
             change = float(np.mean([run.late_gain for run in own]))
             told = f"its last fifth still gained {change:.2f} dB of training loss"
             bound = max(abs(difference), SETTLED) if decibels else SETTLED
-        elif claim.relative:
-            change, bound = change / value, max(math.expm1(abs(difference)), SETTLED_SHARE)
+        else:
+            if decided and (change if row == claim.row else -change) * difference > 0:
+                continue
+            if claim.relative:
+                change, bound = change / value, max(math.expm1(abs(difference)), SETTLED_SHARE)
         if (change if decibels else abs(change)) > bound:
             late.append(f"{row}: {told}")
     return "; ".join(late)

@@ -257,9 +257,9 @@ seeds, such intervals miss the truth in 5 of 100 experiments, and in up to {miss
 *no difference*: contains 0 (with the effect that would have shown in four of five such experiments); *contradicted*:
 excludes 0 on the other side. A claim with a bar *holds* where the whole interval reaches it and is *undecided* where
 the interval lies on both sides. *too short to judge*: fewer than three seeds, nothing was ever densified, or a row
-still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than it differs from
-the other, whatever the bar: by the rows `@half` and `@double`, which have half and twice the steps, or, without one, by the training
-loss of the last fifth. Tables show such a row beside the others only where a claim compares it.
+still changed by more than {settled} dB (by more than a tenth, of sizes and times) and by more than what decides: its
+difference from the other, or what parts that from the bar. Rows `@half` and `@double`, which have half and twice the steps, say so, or,
+without one, the training loss of the last fifth. Tables show such a row beside the others only where a claim compares it.
 {counted}"""
 COUNTED = """
 *stored primitives* are Gaussians, or, with †: anchors, each of which becomes up to k Gaussians when it is drawn

@@ -207,7 +207,7 @@ are three to six and one of them decides; each claim is judged by itself, so tha
 - **contradicted**: it lies on the other side of 0, or misses the bar; **undecided**: it has both sides of the bar;
 - too short to judge: fewer than three seeds, nothing was ever densified, a photo is known to have been visited fewer times than a
   suite asks for (city: 40), or a row still changed by more than {settled} dB
-  (a tenth, of sizes and times) and by more than the difference of the two rows, whatever the bar, with further steps, as rows of half
-  and twice the steps foretell it;
+  (a tenth, of sizes and times) and by more than the difference of the two rows, or what parts it from the bar, with further steps, as
+  rows of half and twice the steps foretell it;
 - not testable here: a method, a suite, a row or an idle machine is missing.
 """

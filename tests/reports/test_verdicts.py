@@ -268,6 +268,39 @@ def test_a_row_of_half_the_steps_says_better_than_the_loss_whether_a_run_had_set
     assert verdict(found=with_halves(-1.0)).verdict == "direction only"
 
 
+@pytest.mark.parametrize(
+    ("bar", "expected"),
+    [
+        (0.5, "holds"), (0.9, "too short to judge"), (1.2, "too short to judge"),
+        (1.8, "contradicted"),
+    ],
+)  # fmt: skip
+def test_what_is_still_to_come_is_held_against_what_parts_a_difference_from_its_bar(bar, expected):
+    """Rows 1 dB apart, each with 0.4 dB to come, which cannot turn their order but may cross a bar that is near."""
+    claim = dataclasses.replace(CLAIM, printed=None, bar=bar)
+    assert verdict(claim, with_halves(0.4, effect=1.0)).verdict == expected
+
+
+@pytest.mark.parametrize(
+    ("changing", "effect", "expected"),
+    [
+        ("a", 1.0, "holds"), ("b", 1.0, "too short to judge"),
+        ("a", 0.6, "too short to judge"), ("b", 0.6, "contradicted"),
+    ],
+)  # fmt: skip
+def test_a_row_that_leads_away_from_the_bar_is_no_matter(changing, effect, expected):
+    """A bar of 0.8 dB: what better rows become only makes more of what they lead by, and others less."""
+    claim = dataclasses.replace(CLAIM, printed=None, bar=0.8)
+    made = with_halves(0.5, effect)
+    whole = {(one.row, one.seed): one.values for one in made}
+    found = [
+        one if one.row == f"{changing}@half" else
+        dataclasses.replace(one, values=whole[one.row.removesuffix("@half"), one.seed])
+        for one in made
+    ]  # fmt: skip
+    assert verdict(claim, found).verdict == expected
+
+
 def test_a_claim_of_just_these_lengths_does_not_ask_what_further_steps_would_change():
     found = with_halves(9.0)
     assert "further steps" in too_short(found)
@@ -377,9 +410,11 @@ def test_a_sum_over_steps_has_not_changed_where_half_the_steps_have_half_of_it(s
         half = {"cpu_seconds": (share if row == "a" else 0.5) * seconds}
         found.append(run(f"{row}@half", 0, [20.0] * 6, values=half))
     claim = dataclasses.replace(
-        CLAIM, metric="cpu_seconds", better="lower", relative=True, bar=1.0, printed=None
+        CLAIM, metric="cpu_seconds", better="lower", relative=True, bar=0.3, printed=None
     )
     assert verdict(claim, found).verdict == expected
+    far = dataclasses.replace(claim, bar=1.0)  # what is still to come does not reach twice
+    assert verdict(far, found).verdict == "holds"
 
 
 def test_a_variant_needs_as_many_steps_as_its_method():
