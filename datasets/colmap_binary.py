@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import read_bytes
@@ -50,7 +51,13 @@ class _Walk:
 _COUNT = struct.Struct("<Q")
 _CAMERA = struct.Struct("<IiQQ")
 _IMAGE = struct.Struct("<I56xI")
-_POINT = struct.Struct("<Q35xQ")
+_POINT = np.dtype(
+    [
+        ("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3), ("error", "<f8"), ("length", "<u8"),
+    ]
+)  # fmt: skip
+"""What stands before the track of a point."""
+_LENGTH = struct.Struct(f"<{_POINT.itemsize - 8}xQ")
 _RIG = struct.Struct("<II")
 _SENSOR = struct.Struct("<iI")
 _FLAG = struct.Struct("<B")
@@ -58,9 +65,8 @@ _FRAME = struct.Struct("<II56xI")
 _POSE_BYTES = 7 * 8
 
 
-def _records(path: Path, kind: str, one: Callable[[_Walk], object]) -> list:
+def _records(walk: _Walk, kind: str, one: Callable[[_Walk], object]) -> list:
     """Walk all records of a file, which must end exactly behind the last one."""
-    walk = _Walk(path)
     (count,) = walk.read(_COUNT)
     found = []
     for i in range(count):
@@ -68,7 +74,7 @@ def _records(path: Path, kind: str, one: Callable[[_Walk], object]) -> list:
         found.append(one(walk))
     if walk.at != len(walk.data):
         raise DataError(
-            f"{path}: {len(walk.data) - walk.at} bytes are left behind the {count} {kind}s that "
+            f"{walk.path}: {len(walk.data) - walk.at} bytes are left behind the {count} {kind}s that "
             "its header announces; the file is damaged"
         )
     return found
@@ -88,10 +94,27 @@ def _image(walk: _Walk) -> tuple[int, str, int, int]:
     return number, name, camera, observations
 
 
-def _point(walk: _Walk) -> tuple[int, int, bytes]:
-    number, length = walk.read(_POINT)
-    start = walk.skip(8 * length)
-    return number, length, walk.data[start : walk.at]
+def _point(walk: _Walk) -> int:
+    """Where the record starts: a number alone, of which there are as many as points."""
+    start = walk.at
+    (length,) = walk.read(_LENGTH)
+    walk.skip(8 * length)
+    return start
+
+
+def _points(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The points as rows of _POINT, and (image, 2D point) of all tracks after each other."""
+    walk = _Walk(path)
+    starts = np.array(_records(walk, "point", _point), dtype=np.int64)
+    if not len(starts):
+        return np.empty(0, dtype=_POINT), np.empty((0, 2), dtype="<u4")
+    raw = np.frombuffer(walk.data, dtype=np.uint8)
+    points = sliding_window_view(raw, _POINT.itemsize)[starts].view(_POINT)[:, 0]
+    begins = starts + _POINT.itemsize
+    ends = begins + 8 * points["length"].astype(np.int64)
+    pieces = zip(begins.tolist(), ends.tolist(), strict=True)
+    tracks = b"".join([walk.data[begin:end] for begin, end in pieces])
+    return points, np.frombuffer(tracks, dtype="<u4").reshape(-1, 2)
 
 
 def _rig(walk: _Walk) -> None:
@@ -112,21 +135,22 @@ def index_binary(folder: Path) -> ModelIndex:
 
     Raises: DataError if a file ends early or late, or has an unknown camera model.
     """
-    cameras = _records(folder / "cameras.bin", "camera", _camera)
-    images = _records(folder / "images.bin", "image", _image)
-    points = _records(folder / "points3D.bin", "point", _point)
+    cameras = _records(_Walk(folder / "cameras.bin"), "camera", _camera)
+    images = _records(_Walk(folder / "images.bin"), "image", _image)
+    points, tracks = _points(folder / "points3D.bin")
     for name, one in (("rig", _rig), ("frame", _frame)):
         if (folder / f"{name}s.bin").exists():
-            _records(folder / f"{name}s.bin", name, one)
-    tracks = np.frombuffer(b"".join(track for _, _, track in points), dtype="<u4").reshape(-1, 2)
+            _records(_Walk(folder / f"{name}s.bin"), name, one)
     return ModelIndex(
         cameras=cameras,
         image_ids=[image[0] for image in images],
         image_names=[image[1] for image in images],
         image_cameras=[image[2] for image in images],
         image_observations=[image[3] for image in images],
-        point_ids=np.array([point[0] for point in points], dtype=np.uint64),
-        track_lengths=np.array([point[1] for point in points], dtype=np.int64),
+        point_ids=points["id"].astype(np.uint64),
+        positions=points["position"].astype(np.float64),
+        colours=points["colour"].copy(),
+        track_lengths=points["length"].astype(np.int64),
         track_images=tracks[:, 0].astype(np.int64),
         track_observations=tracks[:, 1].astype(np.int64),
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from jaxtyping import Float64, UInt8
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.colmap_library import pycolmap
@@ -30,6 +31,9 @@ class ModelIndex:
     image_observations: list[int]
     """Number of 2D points of each image."""
     point_ids: np.ndarray
+    positions: Float64[np.ndarray, "points 3"]
+    """World positions of the points in scene units."""
+    colours: UInt8[np.ndarray, "points 3"]
     track_lengths: np.ndarray
     track_images: np.ndarray
     """Image id of every track element, all points after each other."""

@@ -147,9 +147,10 @@ def _check_numbers(model: Model, suffix: str, pointless: bool) -> None:
                 f"{model.folder / f'cameras{suffix}'}: camera {image.camera_id} has parameters "
                 f"{camera.params.tolist()}, expected finite ones and positive focal lengths"
             )
-    for number, point in model.reconstruction.points3D.items():
-        if not np.isfinite(point.xyz).all():
-            raise DataError(f"{model.folder / f'points3D{suffix}'}: point {number} is not finite")
+    finite = np.isfinite(model.index.positions).all(axis=1)
+    if not finite.all():
+        number = model.index.point_ids[finite.argmin()]
+        raise DataError(f"{model.folder / f'points3D{suffix}'}: point {number} is not finite")
 
 
 def _hash(folder: Path, suffix: str) -> str:

@@ -101,16 +101,18 @@ def _images(path: Path) -> list[tuple[int, str, int, int]]:
     return images
 
 
-def _points(path: Path) -> list[tuple[int, list[int]]]:
+def _points(path: Path) -> list[tuple[int, list[float], list[int], list[int]]]:
+    """Id, position, colour and track of each."""
     points = []
     for place, line in _lines(path):
         fields = line.split()
         _expect(place, fields, 8, "POINT3D_ID X Y Z R G B ERROR TRACK")
-        _numbers(place, fields[1:4] + fields[7:8], float)
-        number, _, _, _, *track = _numbers(place, fields[:1] + fields[4:7] + fields[8:], int)
+        *position, _ = _numbers(place, fields[1:4] + fields[7:8], float)
+        number, *others = _numbers(place, fields[:1] + fields[4:7] + fields[8:], int)
+        colour, track = others[:3], others[3:]
         if len(track) % 2:
             raise DataError(f"{place}: the track has {len(track)} fields, expected pairs")
-        points.append((number, track))
+        points.append((number, position, colour, track))
     return points
 
 
@@ -128,15 +130,19 @@ def index_text(folder: Path) -> ModelIndex:
         if (folder / f"{name}.txt").exists():
             for place, line in _lines(folder / f"{name}.txt"):
                 _expect(place, line.split(), least, f"at least {least} fields of a {name[:-1]}")
-    tracks = np.array([i for _, track in points for i in track], dtype=np.int64).reshape(-1, 2)
+    ids, positions, colours, members = zip(*points, strict=True) if points else ((),) * 4
+    tracks = np.array([i for track in members for i in track], dtype=np.int64).reshape(-1, 2)
     return ModelIndex(
         cameras=cameras,
         image_ids=[image[0] for image in images],
         image_names=[image[1] for image in images],
         image_cameras=[image[2] for image in images],
         image_observations=[image[3] for image in images],
-        point_ids=np.array([number for number, _ in points], dtype=np.uint64),
-        track_lengths=np.array([len(track) // 2 for _, track in points], dtype=np.int64),
+        point_ids=np.array(ids, dtype=np.uint64),
+        positions=np.array(positions, dtype=np.float64).reshape(-1, 3),
+        # COLMAP keeps the lowest eight bits, too
+        colours=np.array(colours, dtype=np.int64).astype(np.uint8).reshape(-1, 3),
+        track_lengths=np.array([len(track) // 2 for track in members], dtype=np.int64),
         track_images=tracks[:, 0],
         track_observations=tracks[:, 1],
     )

@@ -84,12 +84,16 @@ def seen_pixels(
             return None
         depth = found
     loose = _moving(view)[::step, ::step] if known else torch.ones_like(depth, dtype=torch.bool)
-    seen = _seen(
-        view.camera, depth, loose, step, training, TensorCache(0) if kept is None else kept
-    )
-    if not known:  # at other depths too, before a photo is said not to show it
-        for factor in UNSURE:
-            seen |= _seen(view.camera, factor * depth, loose, step, training, TensorCache(0))
+    away = [_apart(view, one) for one in training]
+    nearest = [training[i] for i in sorted(range(len(training)), key=away.__getitem__)]
+    rays = _rays(view.camera, step, depth.shape)
+    farthest = FAR * max([*away, 1.0])
+    kept = TensorCache(0) if kept is None else kept
+    seen = torch.zeros_like(depth, dtype=torch.bool)
+    # where depth is not known at other depths too, before a photo is said not to show a pixel
+    for factor in (1.0,) if known else (1.0, *UNSURE):
+        z = (factor * depth).clamp(max=farthest)
+        seen |= _seen(view.camera, rays, z, loose, nearest, kept, seen)
     return _enlarged(seen, step, view.size)
 
 
@@ -99,6 +103,11 @@ def _moving(view: View) -> Bool[Tensor, "h w"]:
     return torch.stack([none, *masks.values()]).any(dim=0)
 
 
+def _apart(view: View, other: View) -> float:
+    """Distance of two cameras in scene units."""
+    return float((other.camera.centre - view.camera.centre).norm())
+
+
 def _step(camera: Camera, most_rays: int) -> int:
     """Distance of the rows and columns that are looked at."""
     return max(1, int(np.ceil(np.sqrt(camera.width * camera.height / most_rays))))
@@ -106,20 +115,20 @@ def _step(camera: Camera, most_rays: int) -> int:
 
 def _seen(
     camera: Camera,
+    rays: Float64[Tensor, "n 3"],
     depth: Float64[Tensor, "a b"],
     loose: Bool[Tensor, "a b"],
-    step: int,
-    training: Sequence[View],
+    nearest: Sequence[View],
     kept: TensorCache,
+    before: Bool[Tensor, "a b"],
 ) -> Bool[Tensor, "a b"]:
-    """The answer at each `step`-th row and column; whatever stands before it where it is loose."""
-    rays = _rays(camera, step, depth.shape)
-    reach = max([float((camera.centre - one.camera.centre).norm()) for one in training] + [1.0])
-    z, free = depth.reshape(-1).clamp(max=FAR * reach), loose.reshape(-1)
+    """The answer along each ray; whatever stands before it where it is loose. True where it was before."""
+    z, free, seen = depth.reshape(-1), loose.reshape(-1), before.reshape(-1).clone()
     world = camera.centre.double() + rays * z[:, None]
-    seen = torch.zeros(len(z), dtype=torch.bool)
-    for one in sorted(training, key=lambda one: float((one.camera.centre - camera.centre).norm())):
+    for one in nearest:
         left = torch.where(~seen)[0]
+        if not len(left):
+            break
         at, far = project_points(one.camera, world[left])
         size = at.new_tensor([one.camera.width, one.camera.height])
         inside = torch.where((far > one.camera.near) & ((at >= 0) & (at < size)).all(dim=1))[0]

@@ -17,13 +17,12 @@ def read_points(model: Model) -> SparsePoints:
     """
     index = model.index
     order = np.argsort(index.point_ids)
-    try:
-        points = [model.reconstruction.point3D(int(i)) for i in index.point_ids[order]]
-    except IndexError as error:
+    odd = model.reconstruction.point3D_ids() ^ set(index.point_ids.tolist())
+    if odd:
         raise DataError(
-            f"{model.folder}: COLMAP reads other points than the file of points3D lists ({error}); "
-            "write the model again"
-        ) from None
+            f"{model.folder}: COLMAP reads other points than the file of points3D lists (one has point "
+            f"{min(odd)}, the other has not); write the model again"
+        )
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order))
 
@@ -32,14 +31,16 @@ def read_points(model: Model) -> SparsePoints:
     ids, inverse = np.unique(index.track_images, return_inverse=True)
     views = np.array([lookup[int(i)] for i in ids], dtype=np.int64)[inverse]
     rows = np.repeat(rank, index.track_lengths)
-    pairs = np.unique(np.stack([rows, views], axis=1)[views >= 0], axis=0)
-    starts = np.zeros(len(points) + 1, dtype=np.int64)
-    np.cumsum(np.bincount(pairs[:, 0], minlength=len(points)), out=starts[1:])
+    # one number for each pair: numpy sorts those a hundred times as fast as rows of two
+    pairs = np.sort((rows * len(view_of) + views)[views >= 0])
+    rows, views = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], max(len(view_of), 1))
+    starts = np.zeros(len(order) + 1, dtype=np.int64)
+    np.cumsum(np.bincount(rows, minlength=len(order)), out=starts[1:])
     return SparsePoints(
-        positions=torch.from_numpy(np.array([p.xyz for p in points], np.float64).reshape(-1, 3)),
-        colours=torch.from_numpy(np.array([p.color for p in points], np.uint8).reshape(-1, 3)),
+        positions=torch.from_numpy(index.positions[order]),
+        colours=torch.from_numpy(index.colours[order]),
         track_starts=torch.from_numpy(starts),
-        track_views=torch.from_numpy(pairs[:, 1].copy()),
+        track_views=torch.from_numpy(views),
     )
 
 

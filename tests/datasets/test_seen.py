@@ -138,3 +138,30 @@ def test_a_large_image_is_looked_at_coarsely():
     assert found.shape == depth.shape
     exact = torch.arange(WIDTH * 6) + 0.5 >= 6 * FOCAL * 3.0 / GROUND
     assert (found != exact).double().mean() < 3 / (WIDTH * 6)
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[int]:
+    """How many points were projected, call by call."""
+    calls: list[int] = []
+    real = seen.project_points
+
+    def counted(camera, points):
+        calls.append(len(points))
+        return real(camera, points)
+
+    monkeypatch.setattr(seen, "project_points", counted)
+    return calls
+
+
+def test_pixels_that_are_seen_are_not_looked_for_again(asked):
+    """A photo of the view itself shows all of it: no other photo is asked, nor any other depth."""
+    points = plane_points()
+    assert seen_pixels(view(0), [view(3.0), view(0), view(-3.0)], points).all()
+    assert asked == [len(points), HEIGHT * WIDTH]  # the sparse points, then every pixel once
+
+
+def test_pixels_that_no_photo_shows_are_looked_for_in_all_at_each_depth(asked):
+    points = plane_points()
+    assert not seen_pixels(view(0), [view(100.0), view(-100.0)], points).any()
+    assert asked == [len(points), *[HEIGHT * WIDTH] * 2 * (1 + len(seen.UNSURE))]
