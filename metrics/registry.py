@@ -2,6 +2,7 @@
 
 import functools
 import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -17,6 +18,36 @@ from splatproof.metrics.scene_registry import SCENE_METRICS
 
 GROUP = "splatproof.metrics"
 """Entry point group of other packages' metrics."""
+
+NAMES = re.compile(r"[a-zA-Z][a-zA-Z0-9_]*")
+"""What another's metric may be called: a column, and a key of records."""
+TAKEN = frozenset(
+    [
+        "suite",
+        "scene",
+        "method",
+        "variant",
+        "pose_noise",
+        "depth_prior",
+        "seed",
+        "protocol",
+        "image",
+        "status",
+        "error",
+        "folder",
+        "seconds",
+        "primitives",
+        "bytes_on_disk",
+        "disk_mb",
+        "peak_memory_mb",
+        "render_ms",
+        "train_seconds",
+        "cpu_seconds",
+        "truth_sha256",
+        "valid_share",
+    ]
+)
+"""Keys that stand beside metrics in what commands print and in tables."""
 
 MetricFunction = Callable[
     [Float[Tensor, "h w 3"], Float[Tensor, "h w 3"], Bool[Tensor, "h w"] | None], float
@@ -64,6 +95,11 @@ def _all_metrics(_: tuple[PluginFile, ...]) -> dict[str, Metric]:
             raise UsageError(
                 f"entry point {name} in {GROUP}: its metric is called {metric.name!r}; both must "
                 "have one name, by which protocols and tables know it"
+            )
+        if name not in BUILT_IN and not NAMES.fullmatch(name) or name in TAKEN:
+            raise UsageError(
+                f"entry point or plugin's metric {name!r} in {GROUP}: expected a name of letters, digits "
+                "and '_' that records do not use for something else"
             )
         if name in SCENE_METRICS:
             raise UsageError(

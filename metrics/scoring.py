@@ -24,6 +24,7 @@ from splatproof.metrics.parts import (
 )
 from splatproof.metrics.pixel import psnr_of_mse
 from splatproof.metrics.registry import find_metric
+from splatproof.metrics.taking import taken
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import ImageScore
 
@@ -129,8 +130,8 @@ def score_image(
             that has no pixel here. Empty: not known of this image. None: no part is scored.
     Returns: valid_share is the share of the region's pixels that were scored; truth_sha256
         hashes the region's truth, masked pixels included.
-    Raises: DataError where the images cannot be scored, UsageError on an unknown metric,
-        MissingError where a metric's weights are not on this machine.
+    Raises: DataError where the images cannot be scored, UsageError on an unknown metric or one of
+        another's that fails, MissingError where a metric's weights are not on this machine.
     """
     ready = prepare(render, truth, protocol, mask, name=name)
     versions = {"": ready.render}
@@ -139,10 +140,7 @@ def score_image(
     values = {}
     for prefix, image in versions.items():
         for metric in map(find_metric, protocol.metrics):
-            try:
-                value = metric.function(image, ready.truth, ready.mask)
-            except DataError as error:
-                raise DataError(f"{name}: {error}") from error
+            value = taken(metric, image, ready.truth, ready.mask, name=name)
             values[prefix + metric.name] = value
     if moving is not None:
         part = region_columns(render.shape[1], protocol.region)

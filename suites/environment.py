@@ -60,15 +60,22 @@ def package_version(name: str) -> str:
 
 
 def git_commit() -> str:
-    """Commit of the checkout that this code runs from, with -dirty if files differ; "" elsewhere."""
-    folder = Path(__file__).resolve().parent
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    """Commit of the checkout that this code runs from, with -dirty if files differ; "" elsewhere.
+
+    An installed copy may lie inside somebody's own repository, whose commit is not ours.
+    """
+    here = Path(__file__).resolve()
+    git = ["git", "-C", str(here.parent)]
     try:
-        done = subprocess.run(
-            [*command, "--exclude=*"], capture_output=True, text=True, timeout=20, check=True
-        )
+        _said([*git, "ls-files", "--error-unmatch", here.name])
+        return _said([*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
     except (OSError, subprocess.SubprocessError):
         return ""
+
+
+def _said(command: list[str]) -> str:
+    """What a command prints. Raises: OSError, SubprocessError where it fails or takes long."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 
 

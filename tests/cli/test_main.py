@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from splatproof import cli
+from splatproof import __version__, cli
 from splatproof.base.errors import DataError, MissingError
 from splatproof.cli import COMMANDS, main, output
 from splatproof.methods.registry import METHODS
@@ -27,6 +27,24 @@ def test_help_names_every_command_with_its_line(capsys):
 def test_every_command_is_joined_and_explains_itself(name, capsys):
     assert main([name, "--help"]) == 0
     assert f"usage: bench {name}" in capsys.readouterr().out
+
+
+def test_version_is_that_of_the_package_and_the_checkout(capsys, monkeypatch):
+    monkeypatch.setattr("splatproof.suites.environment.git_commit", lambda: "0123abc-dirty")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"splatproof {__version__}, commit 0123abc-dirty\n"
+    monkeypatch.setattr("splatproof.suites.environment.git_commit", lambda: "")
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"splatproof {__version__}\n"
+
+
+def test_bench_alone_shows_what_there_is(capsys):
+    assert main([]) == 2
+    said = capsys.readouterr()
+    text = " ".join(said.err.replace("│", " ").split())
+    assert said.out == ""
+    for name, command in COMMANDS.items():
+        assert f"{name} {command.help}" in text
 
 
 WITH_RESULTS = [

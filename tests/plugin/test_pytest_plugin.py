@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from splatproof.methods.registry import METHODS
+from splatproof.reports.comparing import baselines
 
 CHECK = """
 def test_mine(splatproof_run):
@@ -42,6 +43,29 @@ def test_unchanged_code_passes_and_nothing_runs_again(project: pytest.Pytester):
     assert len(before) == 3
     project.runpytest_inprocess("test_mine.py").assert_outcomes(passed=1)
     assert records(project) == before
+
+
+ROWS = """
+import pytest
+@pytest.mark.parametrize("row", ["painted", "painted@loud"])
+def test_row(splatproof_run, row):
+    chosen = splatproof_run("rows.splat.toml", only=f"*/{row}/*")
+    chosen.not_worse(than="base.json", metrics=("psnr",))
+"""
+
+
+def test_tests_of_parts_of_a_suite_share_a_baseline(project: pytest.Pytester):
+    suite = (project.path / "mine.splat.toml").read_text()
+    both = suite.replace('["painted"]', '["painted", "painted@loud"]')
+    both += '[cases.settings."painted@loud"]\nnoise = 0.02\n'
+    (project.path / "rows.splat.toml").write_text(both)
+    project.makepyfile(test_rows=ROWS)
+    for _ in range(2):  # also where they are frozen again
+        project.runpytest_inprocess("--splatproof-save", "test_rows.py").assert_outcomes(passed=2)
+        kept = baselines.read(project.path / "base.json", "base.json").cases
+        assert [case.measured.row for case in kept] == ["painted"] * 3 + ["painted@loud"] * 3
+    strict = project.runpytest_inprocess("--splatproof-strict", "test_rows.py")
+    strict.assert_outcomes(passed=2)
 
 
 def test_a_method_made_worse_fails_with_what_got_worse_and_where(

@@ -1,8 +1,11 @@
 """What a case costs and what it leaves on disk."""
 
+import subprocess
+
 import pytest
 
 from splatproof.base.errors import DataError
+from splatproof.suites import environment as where
 from splatproof.suites.case_costs import (
     arrays_sha256,
     bytes_on_disk,
@@ -42,6 +45,21 @@ def test_environment_says_what_a_number_depends_on():
     assert said["backend"] == "reference"
     assert package_version("no-such-package") == ""
     assert len(git_commit()) in (0, 40, 46)
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_commit_of_a_repository_that_the_code_merely_lies_in_is_not_ours(
+    tmp_path, monkeypatch, ours
+):
+    (tmp_path / ".gitignore").write_text("" if ours else ".venv\n")
+    code = tmp_path / ".venv" / "environment.py"
+    code.parent.mkdir()
+    code.write_text("")
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for command in (["init", "--quiet"], ["add", "."], ["commit", "--quiet", "-m", "theirs"]):
+        subprocess.run([*git, *command], check=True)
+    monkeypatch.setattr(where, "__file__", str(code))
+    assert len(git_commit()) == (40 if ours else 0)
 
 
 @pytest.mark.parametrize("found", ["nothing", "binary"])

@@ -11,6 +11,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 
@@ -24,7 +25,8 @@ from splatproof.cli.ending import ended
 DESCRIPTION = """A test-first evaluation and benchmark harness for large-scale Gaussian splatting.
 
 Results go to stdout, logs and progress to stderr. Exit codes: 0 done, 1 a case failed or regressed,
-2 usage or bad input, 3 this machine lacks something."""
+2 usage or bad input, 3 this machine lacks something. `bench --version` says which release and commit
+this is, `bench doctor` all that a report of a fault needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +197,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     """Parse with the chosen command loaded and the others as one-line stubs, and run it."""
+    if arguments == ["--version"]:
+        print(_version())
+        return 0
     command = next((COMMANDS[name] for name in arguments if name in COMMANDS), None)
     if command is not None and command.plugins:
         arguments = flags.with_plugins_loaded(arguments)
@@ -205,8 +210,21 @@ def _run(arguments: list[str]) -> int:
             _join(app, name, command, below)
         else:
             app.command(name=name, help=command.help)(_unchosen)
+    if not arguments:  # no usage error says as much as the help
+        with redirect_stdout(sys.stderr), suppress(SystemExit):
+            app.cli(prog="bench", description=DESCRIPTION, args=["--help"])
+        return UsageError.exit_code
     code = app.cli(prog="bench", description=DESCRIPTION, args=arguments)
     return 0 if code is None else int(code)
+
+
+def _version() -> str:
+    """Release, and the commit of the checkout that runs where it is one."""
+    from splatproof import __version__
+    from splatproof.suites.environment import git_commit
+
+    commit = git_commit()
+    return f"splatproof {__version__}" + (f", commit {commit}" if commit else "")
 
 
 def _unchosen() -> int:

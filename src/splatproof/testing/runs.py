@@ -11,7 +11,7 @@ from splatproof.base.errors import MissingError, SplatproofError
 from splatproof.base.locks import locked
 from splatproof.reference.types.result import Result
 from splatproof.reports.comparing import baselines
-from splatproof.reports.comparing.cases import case_record
+from splatproof.reports.comparing.cases import CaseRecord, case_record
 from splatproof.reports.comparing.compare import Comparison, compare
 from splatproof.reports.comparing.matching import match
 from splatproof.reports.comparing.sides import PicturesOnDisk, Side, newest
@@ -97,7 +97,7 @@ class Runs:
         for outcome in outcomes:
             if outcome.result.error:
                 raise CaseFailed(f"{outcome.case.label}: {outcome.result.error} ({outcome.folder})")
-        return Ran(suite=suite.name, folder=folder / suite.name, outcomes=outcomes, runs=self)
+        return Ran(suite=suite.name, folder=folder / suite.name, outcomes=outcomes, runs=self, only=only)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +109,8 @@ class Ran:
     """Folder of the suite's cases."""
     outcomes: tuple[Outcome, ...]
     runs: Runs = field(repr=False)
+    only: str | None = None
+    """Pattern that chose them; None: they are all of the suite's."""
 
     @property
     def results(self) -> tuple[Result, ...]:
@@ -135,14 +137,13 @@ class Ran:
         try:
             if self.runs.save:
                 kept = baselines.read(path, str(named)).cases if path.exists() else ()
-                others = [case for case in kept if case.suite != self.suite]
-                baselines.write(path, [*others, *self.side.cases])
+                baselines.write(path, [*self._others(kept), *self.side.cases])
                 self.runs.say(f"frozen: {len(self.side.cases)} cases in {path}")
                 return None
             if not path.exists():
                 pytest.fail(f"{path}: no such baseline; run pytest with --splatproof-save", False)
             base = baselines.read(path, str(named))
-            own = tuple(case for case in base.cases if case.suite == self.suite)
+            own = tuple(case for case in base.cases if self._asked(case))
             found = _compared(replace(base, cases=own), self.side, metrics)
         except SplatproofError as error:
             pytest.fail(str(error), False)
@@ -152,6 +153,19 @@ class Ran:
         if text:
             self.runs.say(text)
         return found
+
+    def _others(self, kept: Sequence[CaseRecord]) -> list[CaseRecord]:
+        """Cases of a baseline that saving leaves there: of other suites, and those that `only` left out."""
+        new = {case.name for case in self.side.cases}
+        return [
+            case for case in kept
+            if case.suite != self.suite or (self.only is not None and case.name not in new)
+        ]  # fmt: skip
+
+    def _asked(self, case: CaseRecord) -> bool:
+        """Whether a case of a baseline is compared: of this suite, and of a row that `only` chose."""
+        chosen = self.only is None or case.group in {one.group for one in self.side.cases}
+        return case.suite == self.suite and chosen
 
     @property
     def side(self) -> Side:
