@@ -61,14 +61,15 @@ def seen_pixels(
     where it lands inside one. Else the depth is interpolated between the sparse
     points of the view, and a pixel counts as seen if its point at 0.8, 1 or 1.25 of that depth lands in
     any training image, whatever stands before it: False then says that no photo *can* have shown it.
-    The model is not asked, so the answer is the same for every method.
+    Pixels that a training image's mask hides show nothing. The model is not asked, so the answer is the
+    same for every method.
 
     Args:
         view: The view that is scored.
         training: The views that are trained on; itself among them counts as a photo of it.
         points: Sparse points of the scene; read where true depth is not known.
         number: Index of the view in the scene, by which tracks name it.
-        kept: Holds bounds of training views' depths for the next call; None: they are not kept.
+        kept: Holds bounds of training views' depths, and their masks, for the next call; None: they are not kept.
         most_rays: Pixels that are looked at, about; the others are as the nearest of these.
     Returns: True where seen; None where neither true depth nor enough points say how deep it is.
     Source: ours.
@@ -132,6 +133,9 @@ def _seen(
         at, far = project_points(one.camera, world[left])
         size = at.new_tensor([one.camera.width, one.camera.height])
         inside = torch.where((far > one.camera.near) & ((at >= 0) & (at < size)).all(dim=1))[0]
+        if one.load_mask is not None and len(inside):
+            counted = kept.get((one.name, "mask"), one.load_mask)
+            inside = inside[counted[*at[inside].long().T.flip(0)]]
         if not len(inside):
             continue
         shown = free[left[inside]]

@@ -91,6 +91,8 @@ def block_levels(
 ) -> Float64[Tensor, "b 3"]:
     """The factors on each block's colours that the photos ask for, see `levels`: each view is drawn once.
 
+    Pixels that a view's mask hides do not count.
+
     Args:
         model: The merged model.
         blocks: Block of each Gaussian, 0 to count - 1.
@@ -106,6 +108,8 @@ def block_levels(
     with bar("levels of blocks") as report:
         for number, view in enumerate(views, start=1):
             shares, colours = _drawn(there, blocks, count, view, backend, mode)
+            if view.load_mask is not None:  # no block covers what is hidden
+                shares = shares * view.load_mask()[..., None]
             found += evidence(shares, colours, view.load())
             report(number, len(views))
     return levels(found)

@@ -1,5 +1,6 @@
 """What can be chosen about method dpgs."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -52,7 +53,8 @@ class SideSettings:
         shape = self.spiral
         for name in ("layers", "views"):
             require(getattr(shape, name) >= 1, f"side.spiral.{name}", getattr(shape, name), ">= 1")
-        require(shape.radius > 0, "side.spiral.radius", shape.radius, "> 0")
+        within = 1 <= shape.radius < math.inf  # else orbits go through what they are to circle
+        require(within, "side.spiral.radius", shape.radius, "1 or more")
         require(0 <= shape.look_up < 1, "side.spiral.look_up", shape.look_up, "[0, 1)")
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.resize import resample, scale_intrinsics
+from splatproof.datasets.truth_image import shrink_mask
 from splatproof.methods.kernels import guide_depth
 from splatproof.methods.priors.network import COMPLETION, DepthNetwork, load_network, said_of
 from splatproof.methods.stratosplat.denoiser import PhotoDiffusion
@@ -67,6 +68,8 @@ class Photo:
     sparse: SparseDepths
     prior: Float[Tensor, "h w"] | None
     """Depth in (0, 1) of the view's prior or of our network; None: there is neither."""
+    counted: Bool[Tensor, "h w"]
+    """Pixels that no mask hides; what is hidden is not of the scene."""
 
 
 def completed(
@@ -77,7 +80,7 @@ def completed(
     generator: torch.Generator,
     report: Callable[[str], None],
 ) -> DenseCloud:
-    """Complete the depth of every training view and merge them all.
+    """Complete the depth of every training view and merge them all, but for what masks hide.
 
     A view without points waits until a completed one overlaps it. One that none ever does, or any where
     none guides, is not completed, which is ours: the paper's views all overlap, and photos spread over a
@@ -120,9 +123,9 @@ def completed(
                 PhotoDiffusion(photo.image, prior), photo.image, photo.sparse, guide, visible,
                 steps, generator,
             )  # fmt: skip
-            front = depth.reshape(-1) > photo.camera.near
+            shown = (photo.counted & (depth > photo.camera.near)).reshape(-1)
             memory = layered_depth.insert(
-                memory, unproject(photo.camera, depth)[front], photo.image.reshape(-1, 3)[front]
+                memory, unproject(photo.camera, depth)[shown], photo.image.reshape(-1, 3)[shown]
             )
         if len(later) == len(left):
             report(_alone(later, guided=guided))
@@ -237,10 +240,13 @@ def _photo(
     if network is not None:
         said = said_of(network, view, points)
     prior = None if said is None else relative_depth(said, sparse, (size[1], size[0]))
+    counted = torch.ones(size[1], size[0], dtype=torch.bool)
+    if view.load_mask is not None:
+        counted = shrink_mask(view.load_mask(), size, "area")
     # float32: what the kernel of PhotoDiffusion takes
     return Photo(
         name=view.name, camera=small, image=resample(view.load(), size, "area"), sparse=sparse,
-        prior=prior,
+        prior=prior, counted=counted,
     )  # fmt: skip
 
 

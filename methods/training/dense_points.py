@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from scipy.sparse import csr_array
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -191,7 +191,7 @@ def match(
     settings: DenseSettings,
     matcher: DenseMatcher | OwnMatcher | None = None,
 ) -> DensePoints:
-    """Points of two views; masked pixels of the first give none.
+    """Points of two views; pixels that either view's mask hides give none.
 
     Args:
         first: The view whose pixels are followed.
@@ -220,9 +220,26 @@ def match(
         warp, certainty = match_by_flow(image, other, plane)
     if first.load_mask is not None:
         certainty = certainty * first.load_mask()
+    if second.load_mask is not None:
+        certainty = certainty * landing(second.load_mask(), warp)
     return points_of_pair(
         first.camera, second.camera, image, warp.double(), certainty, settings, least_vectors
     )
+
+
+def landing(mask: Bool[Tensor, "hb wb"], warp: Float[Tensor, "h w 2"]) -> Bool[Tensor, "h w"]:
+    """Which pixels of a photo are matched to one that a mask of the other photo does not hide.
+
+    Args:
+        mask: True where a pixel of the other photo counts.
+        warp: From each pixel to where it lies in the other photo, pixels; beyond it, and where that is no number, any
+            pixel's mask holds.
+    """
+    rows, columns = torch.meshgrid(*map(torch.arange, warp.shape[:2]), indexing="ij")
+    last = torch.tensor([mask.shape[1], mask.shape[0]]) - 1
+    at = (torch.stack([columns, rows], dim=-1) + 0.5 + warp).nan_to_num()
+    column, row = at.clamp(min=0).minimum(last).long().unbind(dim=-1)
+    return mask[row, column]
 
 
 class Voxels:

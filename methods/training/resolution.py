@@ -3,10 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from jaxtyping import Bool
-from torch import Tensor
-
 from splatproof.datasets.resize import resample, scale_intrinsics
+from splatproof.datasets.truth_image import shrink_mask
 from splatproof.methods.training.schedules import require
 from splatproof.reference.types.scene import View
 
@@ -77,12 +75,6 @@ def shrunk(view: View, factor: float) -> View:
         min(side, max(LEAST_SIDE, round(side / factor))) for side in (camera.width, camera.height)
     )
     old, load_mask = (camera.width, camera.height), view.load_mask
-
-    def mask() -> Bool[Tensor, "h w"]:
-        assert load_mask is not None
-        valid = load_mask().float()[:, :, None].repeat(1, 1, 3)
-        return resample(valid, (size[0], size[1]), "area")[:, :, 0] == 1
-
     return View(
         name=view.name,
         camera=replace(
@@ -90,6 +82,8 @@ def shrunk(view: View, factor: float) -> View:
             K=scale_intrinsics(camera.K, old, (size[0], size[1])),
         ),
         load=lambda: resample(view.load(), (size[0], size[1]), "area"),
-        load_mask=None if load_mask is None else mask,
+        load_mask=None
+        if load_mask is None
+        else lambda: shrink_mask(load_mask(), (size[0], size[1]), "area"),
         time=view.time, sensor=view.sensor, appearance=view.appearance,
     )  # fmt: skip

@@ -142,10 +142,12 @@ def _pairs_over_the_cap(memory: LayeredDepth) -> Bool[Tensor, " n"]:
     full = torch.bincount(memory.pixels, minlength=total) > memory.most_layers
     closest = torch.full((total,), torch.inf, dtype=gaps.dtype)
     closest = closest.scatter_reduce(0, memory.pixels, gaps, "amin")
-    chosen = full[memory.pixels] & (gaps == closest[memory.pixels])
-    # Equal gaps in one pixel: the first of them, so that pairs do not overlap.
-    earlier = torch.cat([chosen.new_zeros(1), chosen[:-1]])
-    return chosen & ~earlier
+    index = torch.arange(len(gaps))
+    chosen = index[full[memory.pixels] & (gaps == closest[memory.pixels])]
+    # Equal gaps in one pixel: the first of them, so that no layer is merged that has room.
+    first = torch.full((total,), len(gaps))
+    first = first.scatter_reduce(0, memory.pixels[chosen], chosen, "amin")
+    return index == first[memory.pixels]
 
 
 def _merge(memory: LayeredDepth, pairs: Bool[Tensor, " n"]) -> LayeredDepth:

@@ -52,6 +52,8 @@ def preclean(
     if not bool(kept.any()):
         return torch.ones_like(kept)
     volume = log_scales.prod(dim=1) if settings.volume_of_logs else log_scales.sum(dim=1)
-    # numpy: torch.quantile refuses more than 16 million numbers
-    bound = float(np.quantile(volume[kept].double().numpy(), settings.volume_quantile))
-    return kept & (volume.double() <= bound)
+    volume = volume.double().where(~volume.isnan(), 0)  # of the release: (-inf) 0, of a scale of 0
+    # numpy: torch.quantile refuses more than 16 million numbers. "lower" keeps what a line between two
+    # volumes would, and between -inf, of a scale of 0, and a number there is none.
+    bound = np.quantile(volume[kept].numpy(), settings.volume_quantile, method="lower")
+    return kept & (volume <= float(bound))

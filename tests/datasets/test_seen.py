@@ -17,6 +17,7 @@ from helpers.flat_ground import (
     view,
 )
 from splatproof.datasets import seen
+from splatproof.datasets.image_cache import TensorCache
 from splatproof.reference.types.scene import SparsePoints, View
 
 
@@ -53,6 +54,29 @@ def test_without_it_a_plane_is_seen_where_the_images_may_overlap(shift):
 def test_a_view_that_looks_elsewhere_shows_nothing():
     assert not seen_pixels(view(0), [view(100.0)], plane_points()).any()
     assert not seen_pixels(view(0, PLANE), [view(100.0, PLANE)], plane_points()).any()
+
+
+@pytest.mark.parametrize("depth", [PLANE, None])
+def test_a_photo_shows_nothing_where_its_mask_hides_it(depth):
+    scored, counted = view(0, depth), torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+    counted[10:20, 30:50] = False
+    masked = replace(view(0, depth), load_mask=counted.clone)
+    assert torch.equal(seen_pixels(scored, [masked], plane_points()), counted)
+    assert seen_pixels(scored, [masked, view(0, depth)], plane_points()).all()
+
+
+def test_masks_are_read_once_while_there_is_room():
+    reads = []
+
+    def load_mask() -> Tensor:
+        reads.append(1)
+        return torch.ones(HEIGHT, WIDTH, dtype=torch.bool)
+
+    training, kept = [replace(view(0), load_mask=load_mask)], TensorCache(2**20)
+    for _ in range(3):
+        seen.seen_pixels(view(90.0), training, plane_points(), 0, kept)
+        seen.seen_pixels(view(4.0), training, plane_points(), 0, kept)
+    assert len(reads) == 1
 
 
 def test_more_photos_never_show_less():

@@ -1,6 +1,7 @@
 """The seam mask of a partition on a plane, where the rim's width can be worked out by hand."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -46,6 +47,11 @@ def test_two_boxes_that_touch_share_a_rim_of_a_tenth_of_their_halves():
     assert mask[:, columns].all()
 
 
+def test_a_camera_that_flies_on_sees_the_seam_where_it_was():
+    mask = partition_seam_mask(moved(nadir(), (1.0, 0.0, 0.0)), flat(), (box(-2.0), box(2.0)))
+    assert torch.where(mask.any(dim=0))[0].tolist() == [28, 29, 30, 31]
+
+
 def test_a_gap_wider_than_the_rims_has_no_seam_and_a_third_box_changes_nothing_elsewhere():
     apart = partition_seam_mask(nadir(), flat(), (box(-2.3), box(2.3)))
     assert not apart.any()
@@ -68,12 +74,20 @@ def test_order_of_regions_does_not_matter(order):
     assert torch.equal(partition_seam_mask(nadir(), flat(), [box(x) for x in order]), want)
 
 
+def moved(camera: Camera, by: tuple[float, float, float]) -> Camera:
+    """The camera at another place."""
+    pose = camera.world_to_camera.clone()
+    pose[:3, 3] -= pose[:3, :3] @ torch.tensor(by, dtype=torch.float64)
+    return replace(camera, world_to_camera=pose)
+
+
 @settings(deadline=None, max_examples=20)
-@given(turn=st.floats(-3, 3), seed=st.integers(0, 99))
-def test_surface_points_project_back_to_pixel_centres(turn, seed):
+@given(turn=st.floats(-3, 3), by=st.tuples(*[st.floats(-5, 5)] * 3), seed=st.integers(0, 99))
+def test_surface_points_project_back_to_pixel_centres(turn, by, seed):
     depth = 1 + 9 * torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(seed))
-    points = surface_points(nadir(turn), depth)
-    pixels, z = project_points(nadir(turn), points.reshape(-1, 3))
+    camera = moved(nadir(turn), by)
+    points = surface_points(camera, depth)
+    pixels, z = project_points(camera, points.reshape(-1, 3))
     assert z.reshape(HEIGHT, WIDTH).numpy() == pytest.approx(depth.double().numpy(), rel=1e-12)
     assert pixels[WIDTH + 3].tolist() == pytest.approx([3.5, 1.5], abs=1e-9)
 

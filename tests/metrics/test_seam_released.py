@@ -73,6 +73,9 @@ def test_the_mask_pixel_by_pixel():
     # Depth 0 must not become a point at the camera, which lies in the rim of this one.
     at_camera = where.centre + torch.tensor([0.2 * 1.15 * 1.05, 0.0, 0.0])
     boxes.append(box(at_camera.tolist(), [0.2, 0.2, 0.2]))
+    # Nor one at depth 1, wherever that is for these pixels.
+    at_one = back_project(torch.ones(18, 24), where)[0, 1] + torch.tensor([0.1 * 1.15 * 1.05, 0, 0])
+    boxes.append(box(at_one.tolist(), [0.1, 0.1, 0.1]))
     got = seam_mask_released(depth, where, boxes)
     pose = where.world_to_camera.numpy()
     want = np.zeros((18, 24), dtype=bool)

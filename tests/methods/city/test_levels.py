@@ -137,6 +137,21 @@ def test_clipped_and_bare_pixels_say_nothing():
     assert_close(found, torch.full((1, 3), 1.25).double(), rtol=0, atol=2e-3)
 
 
+def test_what_a_mask_hides_says_nothing():
+    counted = torch.ones(VIEWS[0].size, dtype=torch.bool)
+    counted[:, 6:14] = False
+
+    def hidden(view: View) -> View:
+        photo = torch.where(counted[..., None], view.load(), 0.9)  # a hand in front of the lens
+        return replace(view, load=lambda: photo, load_mask=lambda: counted)
+
+    blocks, views = torch.arange(len(MODEL)) % 2, [hidden(view) for view in VIEWS]
+    found = block_levels(MODEL, blocks, 2, views, CPU)
+    assert_close(found, torch.ones_like(found), rtol=0, atol=1e-5)
+    open_ = [replace(view, load_mask=None) for view in views]
+    assert float((block_levels(MODEL, blocks, 2, open_, CPU) - 1).abs().max()) > 0.05
+
+
 @pytest.mark.parametrize(("factor", "held"), [(0.1, MOST), (9.0, 1 / MOST)])
 def test_no_factor_is_without_bounds(factor, held):
     blocks = torch.zeros(len(MODEL), dtype=torch.int64)

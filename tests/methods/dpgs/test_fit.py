@@ -134,6 +134,8 @@ def test_another_setting_finds_no_rounds_of_the_last(tmp_path):
         ({"every": -1}, "side.every is -1, expected >= 0"),
         ({"spirals": 0}, "side.spirals is 0, expected >= 1"),
         ({"spiral": SpiralSettings(views=0)}, "side.spiral.views is 0, expected >= 1"),
+        ({"spiral": SpiralSettings(radius=0.9)}, "side.spiral.radius is 0.9, expected 1 or more"),
+        ({"spiral": SpiralSettings(radius=float("inf"))}, "side.spiral.radius is inf, expected 1"),
         ({"spiral": SpiralSettings(look_up=1.0)}, r"side.spiral.look_up is 1.0, expected \[0, 1\)"),
     ],
 )

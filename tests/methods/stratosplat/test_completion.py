@@ -343,3 +343,30 @@ def test_a_prior_that_contradicts_the_points_changes_nothing_and_is_told():
 
 def _inverted(prior: DepthPrior) -> DepthPrior:
     return replace(prior, disparity=-prior.disparity)
+
+
+def test_what_a_mask_hides_does_not_enter_the_memory():
+    """A hand in front of the lens is nowhere in the scene; what others show behind it is."""
+    scene, counted = aerial_scene(prior=True), torch.ones(18, 24, dtype=torch.bool)
+    counted[4:14, 6:18] = False
+    views = list(scene.views)
+    for index in scene.train:
+        hand = views[index].load().where(counted[..., None], torch.tensor([0.0, 1.0, 0.0]))
+        views[index] = replace(views[index], load=hand.clone, load_mask=counted.clone)
+    open_ = replace(scene, views=tuple(replace(view, load_mask=None) for view in views))
+    green = torch.tensor([0.0, 1.0, 0.0]).double()
+    pure, shown = (
+        (found.colours - green).abs().amax(dim=1) < 1e-3
+        for found in (cloud(replace(scene, views=tuple(views))), cloud(open_))
+    )
+    assert shown.any()
+    assert not pure.any()
+
+
+def test_a_pixel_of_a_smaller_photo_counts_where_all_of_it_does():
+    scene, counted = aerial_scene(prior=True), torch.ones(18, 24, dtype=torch.bool)
+    counted[5, 7] = False
+    masked = tuple(replace(view, load_mask=counted.clone) for view in scene.views)
+    found = [len(cloud(one, side=12, memory="accumulate").positions)
+             for one in (scene, replace(scene, views=masked))]  # fmt: skip
+    assert found[0] - found[1] == len(scene.train)

@@ -182,6 +182,39 @@ def test_masked_pixels_give_no_points(yard: Scene):
     assert float(at[:, 0].max()) < camera.width // 2 + 3
 
 
+def test_pixels_that_are_masked_in_the_other_photo_give_no_points(yard: Scene):
+    """What is hidden there is not what the first photo shows, however alike it looks."""
+    a, b = yard.train_views[:2]
+    left = torch.zeros(b.size, dtype=torch.bool)
+    left[:, : b.camera.width // 2] = True
+    seen = observations(yard.points, len(yard.views))
+    shared = yard.points.positions[seen_by_both(seen, yard.train[0], yard.train[1])]
+    images = dense_points.ImageCache(2**28)
+    open_, found = (
+        dense_points.match(a, one, shared, images, DenseSettings())
+        for one in (b, replace(b, load_mask=left.clone))
+    )
+    at, _ = project_points(b.camera, open_.positions)
+    assert 100 < len(found.positions) < len(open_.positions)
+    # those well to the left of the wall stay, all of them
+    assert len(found.positions) >= int((at[:, 0] < b.camera.width // 2 - 3).sum())
+    at, _ = project_points(b.camera, found.positions)
+    assert float(at[:, 0].max()) < b.camera.width // 2 + 3
+
+
+def test_a_match_is_where_its_warp_lands():
+    mask = torch.tensor([[True, False, True], [False, True, True]])
+    nowhere, far = float("nan"), float("inf")
+    warp = torch.tensor(
+        [[[0.0, 0.0], [0.4, 0.0], [-1.6, 1.4]], [[1.6, -1.0], [nowhere, far], [-far, 0.0]]]
+    )
+    found = dense_points.landing(mask, warp)
+    assert found.dtype == torch.bool
+    # pixel (1, 0) lands in itself, (2, 0) at (0.9, 1.9), (0, 1) at (2.1, 0.5)
+    assert found[0].tolist() == [True, False, False]
+    assert bool(found[1, 0])
+
+
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**31), batches=st.integers(1, 4))
 def test_voxels_merge_as_the_reference_does(seed: int, batches: int):

@@ -72,6 +72,21 @@ def test_a_pixel_counts_where_all_that_it_covers_does():
     assert int((~found).sum()) == 1
 
 
+@given(width=st.integers(17, 300), height=st.integers(17, 300), factor=st.floats(1, 8))
+def test_no_pixel_is_lost_where_all_count(width, height, factor):
+    """A mean of ones over two and a third pixels is not 1 in float32."""
+    view = tiny_scene().train_views[0]
+    view = replace(
+        view, camera=replace(view.camera, width=width, height=height),
+        load_mask=lambda: torch.ones(height, width, dtype=torch.bool),
+    )  # fmt: skip
+    small = shrunk(view, factor)
+    assert small.load_mask is not None
+    found = small.load_mask()
+    assert found.shape == small.size
+    assert found.all()
+
+
 def test_training_renders_small_views_first():
     scene, run = tiny_scene(), Run(threads=1)
     settings = Settings(iterations=8, resolution=Resolution(coarsest=2.0, full_from=0.5))

@@ -123,6 +123,16 @@ def test_the_cap_merges_the_closest_and_says_so():
     assert memory.forced == 1
 
 
+def test_of_equal_gaps_the_cap_merges_the_first_of_each_pixel():
+    """Two pixels; in each the first two layers are as near as the next two are."""
+    z = torch.tensor([1.0, 2.0, 4.0, 5.0, 8.0], dtype=D)
+    rays = torch.cat([torch.tensor([[x, 0.0, 1]], dtype=D) * z[:, None] for x in (0.0, 0.2)])
+    memory = ldi.insert(ldi.empty(camera(), 0.1, 4), rays, torch.zeros(10, 3, dtype=D))
+    assert len(memory.pixels.unique()) == 2
+    assert memory.depths.tolist() == pytest.approx([1.5, 4, 5, 8] * 2)
+    assert memory.forced == 2
+
+
 @pytest.mark.parametrize("z", [0.0, -1.0, 0.01])
 def test_samples_that_the_reference_camera_cannot_see_are_ignored(z):
     memory = ldi.insert(

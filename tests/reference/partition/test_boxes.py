@@ -53,6 +53,9 @@ def test_corners_are_at_distance_one_and_centre_at_zero(seed):
     assert_close(around.mean(dim=0), box.centre)
     assert_close(boxes.box_distance(box, box.centre[None]), torch.zeros(1, dtype=torch.float64))
     assert len(around.round(decimals=9).unique(dim=0)) == 8
+    local = (around - box.centre) @ box.rotation.T
+    for i in range(8):
+        assert (local[i] > 0).tolist() == [bool(i >> axis & 1) for axis in range(3)]
 
 
 @settings(max_examples=30)

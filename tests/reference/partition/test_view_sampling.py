@@ -36,6 +36,23 @@ def test_bins_by_hand():
     assert sampling.view_bins(circle, CENTRE, EYE, settings).tolist() == [0, 1, 2, 3, 4, 5, 6, 7, 7]
 
 
+@settings(max_examples=20)
+@given(count=st.integers(1, 40), seed=SEEDS, scale=st.sampled_from([0.25, 8.0]))
+def test_bins_are_around_the_blocks_own_centre_in_any_unit(count, seed, scale):
+    centres, centre = (
+        torch.randint(-50, 50, (count + 1, 3), generator=generator(seed)).double().split([count, 1])
+    )
+    about_zero = sampling.view_bins(centres - centre, CENTRE, EYE, SamplingSettings())
+    moved = sampling.view_bins(scale * centres, scale * centre[0], EYE, SamplingSettings())
+    assert torch.equal(about_zero, moved)
+
+
+def test_a_hair_before_a_whole_turn_is_in_the_last_azimuth():
+    """Its share of a turn is 1 in float64."""
+    centres = torch.tensor([[1.0, -1e-20, 0]], dtype=D)
+    assert sampling.view_bins(centres, CENTRE, EYE, SamplingSettings()).tolist() == [7 * 3]
+
+
 def test_height_counts_as_distance_and_turns_nothing():
     centres = torch.tensor([[3.0, 3, 0], [1, 1, 50], [0, 0, 9]], dtype=D)
     bins = sampling.view_bins(centres, CENTRE, EYE, SamplingSettings())

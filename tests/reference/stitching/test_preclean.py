@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -78,3 +79,26 @@ def test_the_release_ranks_by_a_product_of_logs():
     assert preclean.preclean(torch.zeros(2), log_scales, half).tolist() == [0, 1]
     released = replace(AS_RELEASED, volume_quantile=0.5)
     assert preclean.preclean(torch.zeros(2), log_scales, released).tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("rules", [OURS, AS_RELEASED])
+@pytest.mark.parametrize("flat", [1, 2, 3])
+def test_scales_of_zero_do_not_empty_a_model(rules, flat):
+    # Of three volumes 0.999 lies between the second and the third: of -inf and a number, or of two -inf.
+    log_scales = torch.tensor([[0.5, 0, 0], [-1.0, -1, -1], [-1.5, -1, -1]])
+    log_scales[:flat, 0] = -math.inf
+    kept = preclean.preclean(torch.zeros(3), log_scales, rules)
+    assert kept.any()
+    assert (
+        kept[:flat].all() or rules.volume_of_logs
+    )  # two logs below 0 beside it are a large product
+    assert preclean.preclean(torch.zeros(3), log_scales, replace(rules, volume_quantile=1.0)).all()
+
+
+@settings(max_examples=40)
+@given(count=st.integers(1, 60), seed=st.integers(0, 2**16), share=st.floats(0, 1))
+def test_the_quantile_keeps_what_numpys_line_between_volumes_keeps(count, seed, share):
+    log_scales = torch.randn(count, 3, generator=torch.Generator().manual_seed(seed))
+    volume = log_scales.sum(dim=1).double().numpy()
+    kept = preclean.preclean(torch.zeros(count), log_scales, replace(OURS, volume_quantile=share))
+    assert kept.tolist() == (volume <= np.quantile(volume, share)).tolist()

@@ -63,8 +63,10 @@ def random_blocks(blocks: int, count: int, seed: int) -> tuple[TrainedBlock, ...
     return tuple(found)
 
 
-def by_loop(blocks: tuple[TrainedBlock, ...], eta: float, k: int) -> list[list[float]]:
-    """The paper's rules, one primitive at a time; Q divided by its median over all rims."""
+def by_loop(
+    blocks: tuple[TrainedBlock, ...], eta: float, k: int, *, normalise: bool
+) -> list[list[float]]:
+    """The paper's rules, one primitive at a time; if so asked Q is divided by its median over all rims."""
 
     def at(b: TrainedBlock, p: Tensor) -> float:
         return float(((p - b.box.centre) / cube(b).half).abs().max())  # unrotated cubes
@@ -74,7 +76,7 @@ def by_loop(blocks: tuple[TrainedBlock, ...], eta: float, k: int) -> list[list[f
         return alpha / sum(math.exp(float(s)) / 3 for s in b.log_scales[i])
 
     rim = sorted(q(b, i) for b in blocks for i, p in enumerate(b.means) if 1 < at(b, p) <= 1.1)
-    unit = rim[(len(rim) - 1) // 2] if rim else 1.0
+    unit = rim[(len(rim) - 1) // 2] if rim and normalise else 1.0
     found = []
     for b in blocks:
         chances = []
@@ -99,12 +101,13 @@ def by_loop(blocks: tuple[TrainedBlock, ...], eta: float, k: int) -> list[list[f
 @settings(max_examples=40)
 @given(
     blocks=st.integers(1, 4), count=st.integers(0, 16), seed=SEEDS,
-    eta=st.sampled_from([0.0, 0.5, 3.0]), k=st.sampled_from([1, 2, 5, 11]),
+    eta=st.sampled_from([0.0, 0.5, 3.0]), k=st.sampled_from([1, 2, 5, 11]), normalise=st.booleans(),
 )  # fmt: skip
-def test_probabilities_are_those_of_the_loop(blocks, count, seed, eta, k):
+def test_probabilities_are_those_of_the_loop(blocks, count, seed, eta, k, normalise):
     scene = random_blocks(blocks, count, seed)
-    found = stitching.keep_probabilities(scene, replace(OURS, sharpness=eta, neighbours=k))
-    for chances, want in zip(found, by_loop(scene, eta, k), strict=True):
+    chosen = replace(OURS, sharpness=eta, neighbours=k, normalise=normalise)
+    found = stitching.keep_probabilities(scene, chosen)
+    for chances, want in zip(found, by_loop(scene, eta, k, normalise=normalise), strict=True):
         assert_close(chances, torch.tensor(want, dtype=D).reshape(len(chances)))
 
 
