@@ -141,6 +141,18 @@ def test_far_coordinates_are_shifted_in_float64(tmp_path):
         assert (first - second).abs().max() < 1e-6
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1e-3, 1e-2])
+def test_a_scene_of_small_numbers_lies_behind_its_near_plane(tmp_path, scale):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+    model.write_binary(folder / "sparse/0")
+    scene = open_scene(folder, protocol())
+    for view in scene.views:
+        _, depth = project_points(view.camera, scene.points.positions)
+        assert depth.min() > view.camera.near
+
+
 def test_points_that_only_test_views_see_can_be_dropped(tmp_path):
     folder = write_scene(tmp_path / "s", FLIGHT)
     held = tuple(view_name(i) for i in (0, 3))
