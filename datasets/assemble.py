@@ -25,7 +25,7 @@ from splatproof.datasets.lidar import read_sweep, sample_sweeps, sweeps_of
 from splatproof.datasets.photos import photo_size
 from splatproof.datasets.protocol_subset import chosen_part
 from splatproof.datasets.resize import scale_intrinsics, scaled_size
-from splatproof.datasets.scene_frame import origin_shift, up_vector
+from splatproof.datasets.scene_frame import near_plane, origin_shift, up_vector
 from splatproof.datasets.seen_split import seen_split
 from splatproof.datasets.sparse_points import seen_in_training
 from splatproof.datasets.splits import chosen_views, split_hash, split_views
@@ -170,6 +170,7 @@ def _views(
     poses[:, :3, 3] = -np.einsum("nij,nj->ni", rotations, centres)
     start = min((photo.time for photo in photos if photo.time is not None), default=0.0)
     sweeps = sweeps_of(layout.sweeps, [photo.time for photo in photos])
+    near = near_plane(centres)
     views = []
     for photo, pose, sweep in zip(photos, torch.from_numpy(poses), sweeps, strict=True):
         size = photo_size(photo.path)
@@ -195,6 +196,7 @@ def _views(
                     world_to_camera=pose,
                     width=scaled[0],
                     height=scaled[1],
+                    near=near,
                 ),
                 load=truth,
                 load_mask=truth.mask if truth.has_mask else None,

@@ -9,7 +9,13 @@ import numpy as np
 from splatproof.base.errors import DataError
 from splatproof.base.inside import inside
 from splatproof.datasets.assemble import open_layout
-from splatproof.datasets.colmap_model import Model, find_model, pose_matrix, read_model
+from splatproof.datasets.colmap_model import (
+    Model,
+    find_model,
+    other_models,
+    pose_matrix,
+    read_model,
+)
 from splatproof.datasets.layout import (
     FULL_SIZE_FOLDERS,
     MISSING,
@@ -60,7 +66,7 @@ def open_colmap(folder: Path, protocol: Protocol) -> Scene:
         up=about.up,
         up_source="scene.toml",
         units=about.units,
-        left_out=_left_out(photos, names, missing, about),
+        left_out=_left_out(photos, model, missing, about),
         facts=about.facts | {"model_sha256": model.sha256, "image_folder": photos.name},
     )
     return open_layout(folder, layout, protocol)
@@ -168,9 +174,24 @@ def _missing(model: Model, posed: Sequence[PosedPhoto]) -> dict[str, str]:
 
 
 def _left_out(
-    photos: Path, names: list[str], missing: dict[str, str], about: SceneFile
+    photos: Path, model: Model, missing: dict[str, str], about: SceneFile
 ) -> tuple[tuple[str, str], ...]:
     """Every photo that is no view, and every one that the scene file knows to be missing."""
-    others = (set(list_photos(photos)) | set(about.left_out)) - set(names)
-    reasons = {name: about.left_out.get(name, NOT_REGISTERED) for name in others} | missing
+    names = {image.name for image in model.images}
+    others = (set(list_photos(photos)) | set(about.left_out)) - names
+    elsewhere = _elsewhere(model) if others - set(about.left_out) else {}
+    reasons = {
+        name: about.left_out.get(name, elsewhere.get(name, NOT_REGISTERED)) for name in others
+    } | missing
     return tuple(sorted(reasons.items()))
+
+
+def _elsewhere(model: Model) -> dict[str, str]:
+    """Name of each photo of the models beside this one: which has it."""
+    place = model.folder.parent.name
+    return {
+        name: f"is in {place}/{number}, another model, of {len(names)} photos; {place}/{model.folder.name} is used, of "
+        f"{len(model.images)}"
+        for number, names in other_models(model.folder).items()
+        for name in names
+    }

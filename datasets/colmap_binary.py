@@ -130,6 +130,11 @@ def _frame(walk: _Walk) -> None:
     walk.skip((_SENSOR.size + _COUNT.size) * sensors)
 
 
+def image_names(folder: Path) -> list[str]:
+    """Names of the images of a model. Raises: DataError as `index_binary`."""
+    return [name for _, name, _, _ in _records(folder / "images.bin", "image", _image)]
+
+
 def index_binary(folder: Path) -> ModelIndex:
     """Walk cameras.bin, images.bin, points3D.bin and, where they are, rigs.bin and frames.bin.
 

@@ -1,6 +1,7 @@
 """Finds and reads a COLMAP model, checked before and after COLMAP's own reader."""
 
 import hashlib
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,10 @@ _READERS = (
     (colmap_text.SUFFIX, colmap_text.index_text),
 )
 
-
+_NAMERS = (
+    (colmap_binary.SUFFIX, colmap_binary.image_names),
+    (colmap_text.SUFFIX, colmap_text.image_names),
+)
 _UNIT = 1e-3
 """How far a quaternion's length may be from 1: text files round to a few digits."""
 
@@ -55,6 +59,25 @@ def find_model(scene: Path) -> Path:
         f"{scene}: no COLMAP model; looked for cameras, images and points3D (.bin or .txt) in "
         f"{' and '.join(MODEL_FOLDERS)}; run `bench ingest` or `colmap mapper` first"
     )
+
+
+def other_models(used: Path) -> dict[str, list[str]]:
+    """Names of the images of the models beside one, by the name of their folder.
+
+    Structure from motion that cannot join all photos writes sparse/0, sparse/1 and so on, of which
+    the first need not be the largest. One that cannot be read is passed over.
+
+    Args:
+        used: Folder of the model that is used.
+    """
+    found = {}
+    for folder in sorted(used.parent.iterdir()) if used.name.isdecimal() else ():
+        for suffix, names in _NAMERS:
+            there = folder != used and folder.name.isdecimal() and folder.name not in found
+            if there and (folder / f"images{suffix}").is_file():
+                with suppress(DataError):
+                    found[folder.name] = names(folder)
+    return found
 
 
 def read_model(folder: Path, *, pointless: bool = False) -> Model:

@@ -116,6 +116,11 @@ def _points(path: Path) -> list[tuple[int, list[float], list[int], list[int]]]:
     return points
 
 
+def image_names(folder: Path) -> list[str]:
+    """Names of the images of a model. Raises: DataError as `index_text`."""
+    return [name for _, name, _, _ in _images(folder / "images.txt")]
+
+
 def index_text(folder: Path) -> ModelIndex:
     """Walk cameras.txt, images.txt, points3D.txt and, where they are, rigs.txt and frames.txt.
 

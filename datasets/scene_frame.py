@@ -1,11 +1,15 @@
-"""The scene's frame: where its origin is moved to, and which way is up when nobody says."""
+"""The scene's frame: where its origin is moved to, what is too near to be drawn, and which way is up when nobody says."""
 
 import numpy as np
 from jaxtyping import Float64
 
+from splatproof.reference.types.camera import NEAR
+
 FAR_UNITS = 1e4
 """Float32 resolves 1e-3 units at 1e4; farther scenes are moved."""
 FAR_EXTENTS = 1e3
+NEAR_EXTENTS = 0.01
+"""Near plane of a small scene, in its extents."""
 _PARALLEL = 0.9
 _FLAT = 0.5
 
@@ -20,11 +24,28 @@ def origin_shift(centres: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"
     Args:
         centres: Camera centres in the original frame.
     """
-    mean = centres.mean(0)
-    extent = float(np.sqrt(((centres - mean) ** 2).sum(1).mean()))
+    mean, extent = centres.mean(0), _extent(centres)
     distance = float(np.linalg.norm(mean))
     far = distance > FAR_UNITS or (extent > 0 and distance > FAR_EXTENTS * extent)
     return mean if far else np.zeros(3)
+
+
+def near_plane(centres: Float64[np.ndarray, "n 3"]) -> float:
+    """Near plane of a scene's cameras in its units: 0.01, and of small scenes 0.01 extents.
+
+    A flight in kilometres, or a model of any small scale, has everything within 0.01 units of its
+    cameras, where nothing would be drawn. Ours.
+
+    Args:
+        centres: Camera centres; where all are one, nothing says how small the scene is.
+    """
+    extent = _extent(centres)
+    return min(NEAR, NEAR_EXTENTS * extent) if extent > 0 else NEAR
+
+
+def _extent(centres: Float64[np.ndarray, "n 3"]) -> float:
+    """Root mean square distance of the camera centres from their mean."""
+    return float(np.sqrt(((centres - centres.mean(0)) ** 2).sum(1).mean()))
 
 
 def up_vector(

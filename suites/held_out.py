@@ -61,6 +61,25 @@ def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
     return views
 
 
+def check_masks(scene: Scene, protocol: Protocol) -> None:
+    """Refuse held-out views whose masks leave nothing to score; reads their masks.
+
+    Args:
+        scene: Scene, opened under the protocol.
+        protocol: The rules that the views are scored by.
+    Raises: DataError naming the view.
+    """
+    for view in scored_views(scene, protocol) if protocol.masked else ():
+        if view.load_mask is None:
+            continue
+        mask = view.load_mask()
+        if not mask[:, region_columns(mask.shape[1], protocol.region)].any():
+            raise DataError(
+                f"scene {scene.name}: {view.name} is held out, and its mask leaves no pixel to score; "
+                "take the photo out of the scene, or correct the mask"
+            )
+
+
 def score_views(
     scene: Scene,
     model: Reconstruction,

@@ -32,7 +32,12 @@ from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
 from splatproof.suites.case_keys import case_key
 from splatproof.suites.environment import boot, environment, now
-from splatproof.suites.held_out import render_milliseconds, score_views, scored_views
+from splatproof.suites.held_out import (
+    check_masks,
+    render_milliseconds,
+    score_views,
+    scored_views,
+)
 from splatproof.suites.marks import FOLDER as MARKS
 from splatproof.suites.marks import Marks, timed_metrics, timed_scores
 from splatproof.suites.records import RECORD_NAME, write_record
@@ -206,7 +211,7 @@ def _run(job: Job, tell: Tell) -> None:
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
-            scored_views(scene, job.case.protocol)  # what cannot be scored is not trained
+            check_masks(scene, job.case.protocol)  # what cannot be scored is not trained
         # scores are of the true scene
         given = training_scene(
             scene,

@@ -77,7 +77,8 @@ def opengl_pose(frame: dict[str, object], where: str) -> Float64[np.ndarray, "3 
 def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     """Read a nerfstudio scene: intrinsics for all frames or for each, a split if it has one.
 
-    A frame's own number wins over the file's. `test_filenames` is the test split (without it
+    A frame's own number wins over the file's. Without `camera_model` lenses are fisheyes where
+    `is_fisheye`, of instant-ngp's captures, says so. `test_filenames` is the test split (without it
     `val_filenames`); images that no list names are left out. `protocol.images` other than
     "photos" or "images" names the folder of smaller copies beside the frames' own.
     `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Frames whose
@@ -91,7 +92,7 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
             file has none.
     Raises: DataError for cameras that are no pinhole even undistorted, or for files.
 
-    Source: nerfstudio 1.1, nerfstudio_dataparser.py.
+    Source: nerfstudio 1.1, nerfstudio_dataparser.py; instant-ngp, scripts/colmap2nerf.py.
     """
     path = folder / "transforms.json"
     data, frames = read_frames(path)
@@ -195,7 +196,7 @@ def _lists(path: Path, data: dict[str, object], known: set[str]) -> dict[str, st
 
 
 def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
-    model = values.get("camera_model", "OPENCV")
+    model = values.get("camera_model", FISHEYE if values.get("is_fisheye") else "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):
         raise DataError(
             f"{where}: camera_model is {model!r}, expected one of {', '.join(PERSPECTIVE)} or "

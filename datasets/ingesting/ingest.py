@@ -85,6 +85,7 @@ def ingest_photos(
         _tell(survey, say)
         result = _work(work, survey, Structure(
             database=work / "database.db",
+            given=photos,
             photos=work / "scene/photos",
             max_image_size=max_image_size,
             threads=threads,

@@ -28,6 +28,8 @@ class Structure:
     """Where a run works and what it was asked."""
 
     database: Path
+    given: Path
+    """Folder that the user gave, for errors."""
     photos: Path
     """Folder of the photos under their scene names."""
     max_image_size: int
@@ -203,7 +205,7 @@ def reconstruct(
     )
     if not models:
         raise DataError(
-            f"{work.photos}: no two of {count} photos could be joined ({_best(work)}); take photos "
+            f"{work.given}: no two of {count} photos could be joined ({_best(work)}); take photos "
             "that overlap by 60 to 80 % from different places, with texture and without blur"
         )
     report("mapping", count, count)

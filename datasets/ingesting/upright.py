@@ -8,6 +8,8 @@ from PIL import ExifTags, Image, ImageOps, JpegImagePlugin
 
 AS_STORED = 1
 """EXIF orientation of a photo that is looked at as it is stored."""
+KINDS = ("JPEG", "MPO")
+"""Pillow's names of a JPEG, and of one with further pictures behind it: previews of drones, depth of telephones."""
 QUARTERS = (5, 6, 7, 8)
 """Orientations that exchange width and height."""
 
@@ -21,7 +23,7 @@ def orientation(image: Image.Image) -> int:
         image: Opened photo.
     """
     value = image.getexif().get(ExifTags.Base.Orientation, AS_STORED)
-    return value if image.format == "JPEG" and value in range(1, 9) else AS_STORED
+    return value if image.format in KINDS and value in range(1, 9) else AS_STORED
 
 
 def copy_upright(photo: Path, copy: Path) -> None:

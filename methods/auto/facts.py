@@ -260,6 +260,8 @@ def _brightness(
     at = torch.floor(pixels).long()
     high, wide, _ = photo.shape
     inside = (depth > 0) & (at >= 0).all(dim=1) & (at[:, 0] < wide) & (at[:, 1] < high)
+    if view.load_mask is not None:  # what is masked is black, whatever the light
+        inside[inside.clone()] = view.load_mask()[at[inside, 1], at[inside, 0]]
     level = photo.mean(dim=2)[at[inside, 1], at[inside, 0]].clamp(min=1 / 255)
     return points[inside].numpy(), level.log().numpy()
 

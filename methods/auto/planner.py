@@ -93,6 +93,6 @@ def _counted(
         return most, enough
     start = min(facts.points, settings.most_points or facts.points)
     return count, (
-        f"{seconds:.0f} s are left; a step takes {1e3 * speed.step(float(start)):.1f} ms at full size "
+        f"{max(0.0, seconds):.0f} s are left; a step takes {1e3 * speed.step(float(start)):.1f} ms at full size "
         f"with {start:,} points"
     )

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from splatproof.datasets.scene_frame import origin_shift, up_vector
+from splatproof.datasets.scene_frame import near_plane, origin_shift, up_vector
 
 DOWN = np.diag([1.0, -1.0, -1.0])  # looks along -z, image y along -y
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # looks along +y, image y along -z
@@ -58,3 +58,11 @@ def test_two_cameras_and_cancelling_ups_give_a_unit_vector():
 def test_far_scenes_are_moved(offset, size, far):
     corners = np.array([[-1.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0]]) * size + offset
     assert origin_shift(corners) == pytest.approx(np.array(offset, dtype=float) * far)
+
+
+@pytest.mark.parametrize(
+    ("size", "near"), [(0.0, 0.01), (1e-3, 1e-5), (0.5, 0.005), (1.0, 0.01), (80.0, 0.01)]
+)
+def test_a_small_scene_has_a_nearer_near_plane(size, near):
+    corners = np.array([[-1.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0]]) * size
+    assert near_plane(corners + [4e6, 0, 0]) == pytest.approx(near, rel=1e-4)

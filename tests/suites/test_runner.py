@@ -200,19 +200,22 @@ def test_a_failing_case_is_recorded_and_the_others_go_on(tmp_path):
     assert again[0].status == "failed"
 
 
-@pytest.mark.parametrize("fault", ["no test view", "has no masked form"])
+@pytest.mark.parametrize(
+    "fault", ["no test view", "has no masked form", "leaves no pixel to score"]
+)
 def test_what_cannot_be_scored_is_not_trained(tmp_path, monkeypatch, fault):
     def opened(spec, protocol):
         scene = fake_scene(spec, protocol)
         if fault == "no test view":
             return replace(scene, test=())
-        mask = torch.ones(18, 24, dtype=torch.bool)
+        mask = torch.full((18, 24), fault == "has no masked form")
         views = tuple(replace(view, load_mask=mask.clone) for view in scene.views)
         return replace(scene, views=views)
 
     monkeypatch.setattr(cases, "open_scene", opened)
     monkeypatch.setattr(cases, "load_weights", lambda names: {})
     learned = replace(PROTOCOL, metrics=("psnr", "lpips_alex_m11"))
+    learned = PROTOCOL if fault == "leaves no pixel to score" else learned
     (outcome,) = run(suite(replace(case(), protocol=learned)), tmp_path)
     assert fault in outcome.result.error
     assert not (outcome.folder / "curve.jsonl").exists()

@@ -114,22 +114,24 @@ def test_a_capture_that_lacks_photos_opens_with_those_that_are_there(tmp_path):
     refused(tmp_path, "not one photo of its 5 frames is there, expected .*0.png")
 
 
-def fisheye(rays):
-    """COLMAP's and OpenCV's fisheye: theta (1 + k1 theta^2 + ...) along the ray's direction."""
-    r = np.linalg.norm(rays, axis=1, keepdims=True)
-    theta = np.arctan(r)
-    bent = theta * (1 + sum(k * theta ** (2 * n) for n, k in enumerate(FISHEYE, 1)))
-    return rays / r * bent
-
-
 FISHEYE = (0.3, -0.1, 0.05, -0.02)
 
 
-def test_nerfstudio_fisheye(tmp_path):
+def fisheye(rays, coefficients=FISHEYE):
+    """COLMAP's and OpenCV's fisheye: theta (1 + k1 theta^2 + ...) along the ray's direction."""
+    r = np.linalg.norm(rays, axis=1, keepdims=True)
+    theta = np.arctan(r)
+    bent = theta * (1 + sum(k * theta ** (2 * n) for n, k in enumerate(coefficients, 1)))
+    return rays / r * bent
+
+
+@pytest.mark.parametrize("said", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_nerfstudio_fisheye(tmp_path, said):
     points = nerfstudio(tmp_path, distorted=False)
     path = tmp_path / "transforms.json"
-    data = json.loads(path.read_text()) | {"camera_model": "OPENCV_FISHEYE"}
-    data |= dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True))
+    data = json.loads(path.read_text())
+    del data["camera_model"]
+    data |= said | dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True))
     for i, (name, point) in enumerate(points.items()):
         blob(tmp_path / name, (fisheye(opengl_rays(opengl_to_world(i), point[None])) * F + C)[0])
     path.write_text(json.dumps(data))
@@ -138,6 +140,21 @@ def test_nerfstudio_fisheye(tmp_path):
     assert worst_error(open_scene(tmp_path, protocol()), points) > 0.1
     path.write_text(json.dumps(data | {"p1": 0.1}))
     refused(tmp_path, "a fisheye camera has p1 0.1, p2 0.0; expected 0")
+
+
+def test_a_capture_of_a_fisheye_with_two_coefficients_is_no_perspective_one(tmp_path):
+    points = nerfstudio(tmp_path, distorted=False)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text())
+    del data["camera_model"]
+    data |= {"k1": 0.3, "k2": -0.1, "k3": 0.0, "k4": 0.0}
+    for i, (name, point) in enumerate(points.items()):
+        rays = opengl_rays(opengl_to_world(i), point[None])
+        blob(tmp_path / name, (fisheye(rays, (0.3, -0.1)) * F + C)[0])
+    path.write_text(json.dumps(data | {"is_fisheye": True}))
+    assert worst_error(open_scene(tmp_path, protocol()), points) < 0.1
+    path.write_text(json.dumps(data | {"is_fisheye": False}))
+    assert worst_error(open_scene(tmp_path, protocol()), points) > 0.1
 
 
 def test_nerfstudio_points(tmp_path):

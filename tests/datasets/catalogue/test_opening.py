@@ -141,6 +141,18 @@ def test_far_coordinates_are_shifted_in_float64(tmp_path):
         assert (first - second).abs().max() < 1e-6
 
 
+@pytest.mark.parametrize("scale", [1e-4, 1e-3, 1e-2])
+def test_a_scene_of_small_numbers_lies_behind_its_near_plane(tmp_path, scale):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+    model.write_binary(folder / "sparse/0")
+    scene = open_scene(folder, protocol())
+    for view in scene.views:
+        _, depth = project_points(view.camera, scene.points.positions)
+        assert depth.min() > view.camera.near
+
+
 def test_points_that_only_test_views_see_can_be_dropped(tmp_path):
     folder = write_scene(tmp_path / "s", FLIGHT)
     held = tuple(view_name(i) for i in (0, 3))
@@ -176,6 +188,28 @@ def test_unregistered_photos_are_listed_and_their_observations_left_out(tmp_path
         view_name(1): "structure from motion did not register it",
     }
     assert int(scene.points.track_views.max()) < len(scene.views)
+
+
+@pytest.mark.parametrize("text", [False, True])
+def test_photos_of_another_model_beside_are_said_to_be_in_it(tmp_path, text):
+    folder = write_scene(tmp_path / "s", FLIGHT)
+    for place, kept in (("0", (0, 1)), ("1", (2, 3, 4))):
+        model = reconstruction(FLIGHT)
+        for image in list(model.images.values()):
+            if image.name not in [view_name(i) for i in kept]:
+                model.deregister_frame(image.frame_id)
+        (folder / "sparse" / place).mkdir(exist_ok=True)
+        (model.write_text if text and place == "1" else model.write_binary)(
+            folder / "sparse" / place
+        )
+    (folder / "sparse/2").mkdir()
+    (folder / "sparse/2/images.bin").write_bytes(b"damaged")
+    scene = open_scene(folder, protocol())
+    elsewhere = "is in sparse/1, another model, of 3 photos; sparse/0 is used, of 2"
+    assert dict(scene.left_out) == {
+        **dict.fromkeys((view_name(i) for i in (2, 3, 4)), elsewhere),
+        view_name(5): "structure from motion did not register it",
+    }
 
 
 def test_photos_that_are_not_there_are_left_out_unless_the_protocol_is_strict(tmp_path):

@@ -197,6 +197,7 @@ def test_unfit_photos_are_refused_in_one_line_and_leave_nothing(tmp_path, capfd,
     with pytest.raises(DataError, match=fault) as caught:
         run(photos, tmp_path / "out")
     assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(photos))
     assert {path.name for path in tmp_path.iterdir()} <= {"photos"}
     assert capfd.readouterr().out == ""  # COLMAP writes into the process's own streams
 
@@ -232,8 +233,9 @@ def test_photos_have_numbers_by_name_before_their_features(tmp_path):
     folder = write_flight(tmp_path / "photos", size=(120, 90))
     photos = survey_photos(folder, lambda done, total: None).photos
     work = Structure(
-        database=tmp_path / "database.db", photos=folder, max_image_size=1600, threads=2, seed=0
-    )
+        database=tmp_path / "database.db", given=folder, photos=folder, max_image_size=1600,
+        threads=2, seed=0,
+    )  # fmt: skip
     seen = []
 
     def look(step: str, done: int, total: int) -> None:

@@ -53,6 +53,21 @@ def test_a_copy_is_as_the_photo_is_looked_at(tmp_path, orientation, quality):
     assert min(off(after, one) for one in wrong if one.shape == after.shape) > 15
 
 
+@pytest.mark.parametrize("orientation", TURNED)
+def test_a_photo_with_a_preview_behind_it_is_turned_too(tmp_path, orientation):
+    preview = Image.fromarray(picture()).resize((32, 24))
+    before = stored(
+        tmp_path / "a.jpg", orientation, format="MPO", save_all=True, append_images=[preview],
+        quality=92,
+    )  # fmt: skip
+    with Image.open(tmp_path / "a.jpg") as image:
+        assert image.format == "MPO"
+    copy_upright(tmp_path / "a.jpg", tmp_path / "b.jpg")
+    with Image.open(tmp_path / "b.jpg") as image:
+        assert off(np.asarray(image).astype(float), TURNED[orientation](before)) < 1.5
+        assert image.getexif().get(ExifTags.Base.Orientation, 1) == 1
+
+
 def test_what_lies_as_it_is_looked_at_is_copied_to_the_byte(tmp_path):
     for name, tag in (("a.jpg", 1), ("b.png", 6)):
         stored(tmp_path / name, tag)

@@ -69,6 +69,20 @@ def test_planted_exposure_comes_out():
     assert planted == pytest.approx(0.693 * (0.4 * 0.6) ** 0.5, abs=0.1)
 
 
+def test_what_a_mask_hides_is_no_change_of_light():
+    scene = tracked(tiny_scene(points=120))
+    alike = facts_of(scene).exposure
+    mask = torch.zeros(18, 24, dtype=torch.bool)
+    mask[:, :9] = True
+    views = [
+        replace(view, load=lambda view=view: view.load() * mask[..., None], load_mask=mask.clone)
+        if index in scene.train[:2]
+        else view
+        for index, view in enumerate(scene.views)
+    ]
+    assert facts_of(replace(scene, views=tuple(views))).exposure == pytest.approx(alike, abs=0.1)
+
+
 def test_a_change_of_light_in_the_last_third_of_a_flight_is_seen():
     """13 of 40 photos at half: ln 0.5 times the standard deviation of an 8 in 24 draw, to a photo more or fewer."""
     few = tiny_scene()

@@ -69,6 +69,15 @@ def test_few_photos_have_steps_enough_and_many_are_not_learnt_by_heart(views, st
     assert most_steps(usual(AutoSettings(), FACTS), views)[0] == steps
 
 
+def test_seconds_that_are_spent_are_none():
+    (steps,) = [
+        choice
+        for choice in planned(AutoSettings(), seconds=-8.2).choices
+        if choice.component == "steps"
+    ]
+    assert steps.because.startswith("0 s are left; ")
+
+
 def test_a_file_has_a_bound():
     found = planned(AutoSettings(megabytes=2.0))
     assert found.settings.density.most == (2 * 2**20 - 4096 - 64 * 40) // (4 * 59)
