@@ -46,10 +46,10 @@ from splatproof.suites.training_scene import training_scene
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
 OURS = (
-    RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
-    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS,
+    RECORD_NAME, TRAINED, CURVE, "failure.txt",
+    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS, CASE_NAME,
 )  # fmt: skip
-"""Everything that a case leaves in its folder."""
+"""Everything that a case leaves in its folder; last, by what the folder is known to be a case's."""
 
 
 @runtime_checkable
@@ -188,6 +188,8 @@ def _prepare(job: Job) -> None:
     before = read_json(path) if path.exists() else {}
     same = {name: before.get(name) for name in made_of} == made_of
     if not (same and job.resume):
+        if before:  # what a kill leaves of it is known as a case's, and goes on as none
+            write_text(path, json.dumps(before | {"key": ""}) + "\n")
         clear(job.folder)
         # the origin only explains what the key means: errors name what differs
         write_text(path, json.dumps(made_of | {"origin": asdict(job.case.origin)}) + "\n")

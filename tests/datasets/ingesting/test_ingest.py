@@ -18,7 +18,8 @@ from helpers.aerial_photos import (
     write_flight,
 )
 from helpers.real_scenes import real_scene
-from splatproof.base.errors import DataError
+from splatproof.base.errors import DataError, UsageError
+from splatproof.base.locks import locked
 from splatproof.cli.ingest import ingest
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.ingesting.ingest import Ingested, ingest_photos
@@ -208,6 +209,23 @@ def test_an_existing_folder_is_not_touched(tmp_path):
     with pytest.raises(DataError, match="out: exists already; choose another folder or remove it"):
         run(blank(tmp_path / "photos", 2), out)
     assert (out / "mine").read_text() == "keep"
+
+
+def test_two_processes_do_not_make_the_same_scene(tmp_path):
+    """The second emptied the first one's folder, or wrote into its database, where COLMAP aborts."""
+    out, work = tmp_path / "out", tmp_path / ".out.ingest"
+    photos = blank(tmp_path / "photos", 2)
+    work.mkdir()
+    (work / "job.json").write_text("another's")
+    with (
+        locked(tmp_path / ".out.ingest.lock"),
+        pytest.raises(UsageError, match="out: another `bench ingest` is making it; wait"),
+    ):
+        run(photos, out)
+    assert (work / "job.json").read_text() == "another's"
+    with pytest.raises(DataError, match="no features"):
+        run(photos, out)
+    assert {path.name for path in tmp_path.iterdir()} == {"photos"}
 
 
 def test_an_impossible_place_is_refused(tmp_path):
