@@ -105,7 +105,9 @@ def ingest_photos(
 @contextmanager
 def _alone(out: Path, lock: Path) -> Iterator[None]:
     """Be the only process that makes the scene; the lock file is gone afterwards, but for a kill."""
-    busy = f"{out}: another `bench ingest` is making it; wait for it to end, or choose another folder"
+    busy = (
+        f"{out}: another `bench ingest` is making it; wait for it to end, or choose another folder"
+    )
     with locked(lock, busy=busy):
         try:
             yield
