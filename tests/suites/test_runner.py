@@ -238,6 +238,32 @@ def test_training_that_had_ended_is_not_repeated(tmp_path, monkeypatch):
     assert outcome.result.curve[-1][0] == 40
 
 
+def test_what_other_code_has_begun_goes_on_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "git_commit", lambda: "older")
+    run(suite(case(fail_with="stop")), tmp_path)
+    monkeypatch.setattr(cases, "git_commit", lambda: "newer")
+    notes = list[str]()
+    (outcome,) = run(
+        suite(case(fail_with="stop")), tmp_path, on_progress=lambda at: notes.append(at.note)
+    )
+    assert any("begun by other code (older)" in note for note in notes)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    whole = tmp_path / "whole"
+    with monkeypatch.context() as patch:
+        patch.setattr(cases, "score_views", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run(suite(case()), whole)
+    assert "begun by" not in run(suite(case()), whole)[0].result.environment
+    (whole / "tiny/town/fake/default/seed0/record.json").unlink()
+    monkeypatch.setattr(cases, "git_commit", lambda: "newest")
+    assert run(suite(case()), whole)[0].result.environment["begun by"] == "newer"
+    (outcome,) = run(suite(case()), whole, resume=False)
+    assert "begun by" not in outcome.result.environment
+
+
 def test_select_by_pattern_and_seeds():
     whole = suite(case(), case("village"))
     assert [c.label for c in select(whole, only="town/*").cases] == ["town/fake/default/seed0"]
