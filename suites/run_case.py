@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import traceback
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -146,7 +147,8 @@ def run_case(job: Job, tell: Tell) -> None:
         with threads(job.threads):
             _run(job, tell, _prepare(job))
     except Exception as error:  # noqa: BLE001 (whatever a method raises, the other cases go on)
-        write_text(job.folder / "failure.txt", traceback.format_exc())
+        with suppress(OSError):  # a full disk: the record's one line comes first
+            write_text(job.folder / "failure.txt", traceback.format_exc())
         write_record(job.folder, failed_result(job, reason_of(error)))
 
 
