@@ -61,14 +61,29 @@ def package_version(name: str) -> str:
 
 def git_commit() -> str:
     """Commit of the checkout that this code runs from, with -dirty if files differ; "" elsewhere."""
-    folder = Path(__file__).resolve().parent
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+    return commit_of(Path(__file__).resolve().parent)
+
+
+def commit_of(folder: Path) -> str:
+    """Commit of the checkout that a folder lies in, with -dirty if files differ; "" elsewhere.
+
+    Nothing is written there: `git describe --dirty` writes the index, and a kill then leaves a lock
+    that stops the user's next commit.
+
+    Args:
+        folder: Any folder.
+    """
     try:
-        done = subprocess.run(
-            [*command, "--exclude=*"], capture_output=True, text=True, timeout=20, check=True
-        )
+        head = _git(folder, "rev-parse", "HEAD")
+        differs = _git(folder, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
         return ""
+    return f"{head}-dirty" if differs else head
+
+
+def _git(folder: Path, *words: str) -> str:
+    command = ["git", "-C", str(folder), "--no-optional-locks", *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 
 
