@@ -3,7 +3,6 @@
 import errno
 import http.client
 import os
-import shutil
 import time
 import urllib.error
 import urllib.parse
@@ -14,6 +13,7 @@ from typing import Any
 
 from splatproof.base import files
 from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.base.folders import check_disk
 
 TIMEOUT = 30.0
 """Seconds without an answer after which a connection counts as broken."""
@@ -21,8 +21,6 @@ ATTEMPTS = 4
 """Connections tried one after the other while none brings a byte."""
 WAIT = 1.0
 """Seconds before the second attempt; doubled each time."""
-RESERVE = 64 * 2**20
-"""Bytes of disk that a download leaves free."""
 OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EFBIG)
 """Errors that trying again does not cure."""
 SCHEMES = ("http", "https")
@@ -149,7 +147,7 @@ def _fetch(url: str, part: Path, report: Report, timeout: float) -> None:
         have = have if resumed else 0
         length = answer.headers.get("Content-Length")
         total = have + int(length) if length is not None else 0
-        _check_space(part, total - have)
+        check_disk(part.parent, total - have, "make room or choose another data root")
         with part.open("ab" if resumed else "wb") as file:
             while chunk := answer.read(files.CHUNK):
                 file.write(chunk)
@@ -164,12 +162,3 @@ def _range_start(answer: http.client.HTTPResponse) -> int:
     words = (answer.headers.get("Content-Range") or "").split()
     first = words[1].split("-")[0] if len(words) == 2 else ""
     return int(first) if first.isdigit() else -1
-
-
-def _check_space(path: Path, needed: int) -> None:
-    free = shutil.disk_usage(path.parent).free
-    if needed + RESERVE > free:
-        raise MissingError(
-            f"{path.parent}: {needed / 2**20:.0f} MB are to come and {free / 2**20:.0f} MB are "
-            "free; make room or choose another data root"
-        )

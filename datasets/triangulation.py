@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -17,11 +18,12 @@ import torch
 from jaxtyping import UInt8
 
 from splatproof.base.errors import DataError
-from splatproof.base.files import write_bytes
+from splatproof.base.files import read_bytes, write_bytes
+from splatproof.base.folders import check_disk
 from splatproof.base.locks import locked
 from splatproof.datasets import pairing
 from splatproof.datasets.cache_folder import ELSEWHERE, cache_folder
-from splatproof.datasets.colmap_library import pycolmap
+from splatproof.datasets.colmap_library import FEATURES, MATCHES, pycolmap
 from splatproof.datasets.progress import bar
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 
@@ -29,6 +31,7 @@ SEED = 0
 """Seed of the verification of matches and of the triangulation, which draw samples."""
 VERSION = "2"
 """Changes when other points would come out of equal views."""
+_ROOM = "make room, or let TMPDIR be a folder with more"
 Report = Callable[[int, int], None]
 
 
@@ -41,7 +44,8 @@ def with_triangulated(scene: Scene) -> Scene:
 
     Args:
         scene: The scene, whose own points are replaced.
-    Raises: DataError with fewer than two training views.
+    Raises: DataError with fewer than two training views; MissingError where the folder of temporary
+        files, in which views are matched, has no room.
     Source: StratoSplat, Sec. 4.1 (implementation details); Schoenberger and Frahm 2016 (COLMAP).
     """
     views = scene.train_views
@@ -53,15 +57,31 @@ def with_triangulated(scene: Scene) -> Scene:
     digest = _digest(views)
     path = cache_folder() / "triangulated" / f"{digest}.npz"
     with locked(path.with_suffix(".lock"), elsewhere=ELSEWHERE):
-        if not path.is_file():
+        table = _kept(path)
+        if table is None:
             with bar(f"triangulating points of {scene.name}") as report:
-                write_bytes(path, _triangulate(views, report))
-        with np.load(path) as kept:
-            table = {name: torch.from_numpy(kept[name]) for name in kept.files}
+                made = _triangulate(views, report)
+            write_bytes(path, made)
+            table = _table(io.BytesIO(made))
     members = torch.tensor(scene.train, dtype=torch.int64)
     points = SparsePoints(**(table | {"track_views": members[table["track_views"]]}))
     facts = {"points": f"{len(points)} triangulated from {len(views)} training views"}
     return replace(scene, points=points, facts=scene.facts | facts)
+
+
+def _kept(path: Path) -> dict[str, torch.Tensor] | None:
+    """The points of an earlier call; None where there are none, or they are damaged and can be made again."""
+    if not path.is_file():
+        return None
+    try:
+        return _table(io.BytesIO(read_bytes(path)))
+    except (ValueError, EOFError, BadZipFile):
+        return None
+
+
+def _table(file: io.BytesIO) -> dict[str, torch.Tensor]:
+    with np.load(file) as kept:
+        return {name: torch.from_numpy(kept[name]) for name in kept.files}
 
 
 def _digest(views: Sequence[View]) -> str:
@@ -107,6 +127,7 @@ def _extract(work: Path, index: int, view: View) -> None:
     """Features of one view, whose image and camera get the id index + 1."""
     camera = view.camera
     name = _name(index)
+    check_disk(work, 3 * camera.width * camera.height + FEATURES, _ROOM)
     cv2.imwrite(str(work / "photos" / name), np.ascontiguousarray(_pixels(view)[..., ::-1]))
     reader = pycolmap.ImageReaderOptions()
     reader.camera_model = "PINHOLE"
@@ -140,6 +161,7 @@ def _match(work: Path, views: Sequence[View]) -> None:
     else:
         centres = torch.stack([view.camera.centre for view in views]).numpy()
         pairs = pairing.nearest(centres, range(len(views)))
+    check_disk(work, len(pairs) * MATCHES, _ROOM)
     listed = pycolmap.ImportedPairingOptions()
     listed.match_list_path = work / "pairs.txt"
     (work / "pairs.txt").write_text("".join(f"{_name(a)} {_name(b)}\n" for a, b in sorted(pairs)))

@@ -64,17 +64,30 @@ def git_commit() -> str:
 
     An installed copy may lie inside somebody's own repository, whose commit is not ours.
     """
-    here = Path(__file__).resolve()
-    git = ["git", "-C", str(here.parent)]
+    return commit_of(Path(__file__).resolve())
+
+
+def commit_of(file: Path) -> str:
+    """Commit of the checkout that keeps a file, with -dirty if any of its files differ; "" elsewhere.
+
+    Nothing is written there: `git describe --dirty` writes the index, and a kill then leaves a lock
+    that stops the user's next commit.
+
+    Args:
+        file: Any file.
+    """
     try:
-        _said([*git, "ls-files", "--error-unmatch", here.name])
-        return _said([*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"])
+        _git(file.parent, "ls-files", "--error-unmatch", file.name)
+        head = _git(file.parent, "rev-parse", "HEAD")
+        differs = _git(file.parent, "status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
         return ""
+    return f"{head}-dirty" if differs else head
 
 
-def _said(command: list[str]) -> str:
-    """What a command prints. Raises: OSError, SubprocessError where it fails or takes long."""
+def _git(folder: Path, *words: str) -> str:
+    """What git prints. Raises: OSError, SubprocessError where it fails or takes long."""
+    command = ["git", "-C", str(folder), "--no-optional-locks", *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 

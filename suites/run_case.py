@@ -4,6 +4,7 @@ import json
 import math
 import shutil
 import traceback
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -31,7 +32,7 @@ from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
 from splatproof.suites.case_keys import case_key
-from splatproof.suites.environment import boot, environment, now
+from splatproof.suites.environment import boot, environment, git_commit, now, package_version
 from splatproof.suites.held_out import (
     check_masks,
     render_milliseconds,
@@ -51,11 +52,13 @@ from splatproof.suites.training_scene import training_scene
 
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
+BEGUN_BY = "begun by"
+"""The fact of a record that names the code by which a case was begun that other code has ended."""
 OURS = (
-    RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
-    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS,
+    RECORD_NAME, TRAINED, CURVE, "failure.txt",
+    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS, CASE_NAME,
 )  # fmt: skip
-"""Everything that a case leaves in its folder."""
+"""Everything that a case leaves in its folder; last, by what the folder is known to be a case's."""
 
 
 @runtime_checkable
@@ -150,10 +153,10 @@ def run_case(job: Job, tell: Tell) -> None:
     """
     try:
         with threads(job.threads):
-            _prepare(job)
-            _run(job, tell)
+            _run(job, tell, _prepare(job))
     except Exception as error:  # noqa: BLE001 (whatever a method raises, the other cases go on)
-        write_text(job.folder / "failure.txt", traceback.format_exc())
+        with suppress(OSError):  # a full disk: the record's one line comes first
+            write_text(job.folder / "failure.txt", traceback.format_exc())
         write_record(job.folder, failed_result(job, reason_of(error)))
 
 
@@ -188,26 +191,44 @@ def clear(folder: Path) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _prepare(job: Job) -> None:
-    """Leave in the folder only what belongs to this very case, and no record."""
+def _prepare(job: Job) -> str:
+    """Leave in the folder only what belongs to this very case, and no record.
+
+    Returns: The code by which it was begun, where that is another; else "".
+    """
     job.folder.mkdir(parents=True, exist_ok=True)
-    path = job.folder / CASE_NAME
+    path, code = job.folder / CASE_NAME, git_commit() or package_version("splatproof")
     made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
     before = read_json(path) if path.exists() else {}
     same = {name: before.get(name) for name in made_of} == made_of
-    if not (same and job.resume):
+    begun = any((job.folder / name).exists() for name in (TRAINED, "checkpoint"))
+    by = before.get("code", code)  # an earlier release does not say it
+    if not (same and begun and job.resume):
+        if before:  # what a kill leaves of it is known as a case's, and goes on as none
+            write_text(path, json.dumps(before | {"key": ""}) + "\n")
         clear(job.folder)
         # the origin only explains what the key means: errors name what differs
-        write_text(path, json.dumps(made_of | {"origin": asdict(job.case.origin)}) + "\n")
+        told = {"origin": asdict(job.case.origin), "code": code}
+        write_text(path, json.dumps(made_of | told) + "\n")
+        by = code
     for name in (RECORD_NAME, "failure.txt"):
         (job.folder / name).unlink(missing_ok=True)
+    return by if by != code else ""
 
 
-def _run(job: Job, tell: Tell) -> None:
+def _run(job: Job, tell: Tell, begun_by: str) -> None:
     weights = load_weights(job.case.protocol.metrics)
     spent = Spent()
     read = READING.seconds()
     tell("load", 0, 0, {})
+    if begun_by:
+        tell(
+            "load",
+            0,
+            0,
+            {},
+            f"begun by other code ({begun_by}), which the record says; --no-resume starts over",
+        )
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
@@ -254,6 +275,8 @@ def _run(job: Job, tell: Tell) -> None:
     identity["environment"] |= before.facts | {
         "appearance": appearance.told(model, job.case.protocol, scene)
     }
+    if begun_by:
+        identity["environment"] |= {BEGUN_BY: begun_by}
     result = Result(
         **identity,
         images=images,

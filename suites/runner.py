@@ -19,8 +19,8 @@ from splatproof.reference.types.result import Result
 from splatproof.suites.case_keys import case_key, key_of, prior_part
 from splatproof.suites.chosen_folder import check_chosen
 from splatproof.suites.plugin_facts import plugin_facts
-from splatproof.suites.records import RECORD_NAME, read_record
-from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, reason_of
+from splatproof.suites.records import RECORD_NAME, read_record, write_record
+from splatproof.suites.run_case import CHECKPOINT_SECONDS, Job, failed_result, reason_of
 from splatproof.suites.same_model import CASE_NAME, made_of, training_key
 from splatproof.suites.scene_data import SceneData, changed, digest
 from splatproof.suites.suite_files import MOST_CASES, Case, Suite
@@ -218,6 +218,9 @@ def _run_or_keep(
     """Run the case if its result was not found, saying why; else keep the result."""
     if isinstance(found, str):
         on_progress(replace(here, note=found))
+        if unread and made_of(job.folder).get("data"):  # begun of data that may come back
+            write_record(job.folder, failed_result(job, unread))
+            return _ended(job)
         return _launch(job, here, on_progress, launch)
     if unread:
         on_progress(replace(here, note=f"kept, unchecked: {unread}"))
@@ -250,7 +253,8 @@ def _set_aside(job: Job) -> Path:
     above = job.folder.parents[3]
     places = above / ".replaced" / job.folder.relative_to(above)
     places.mkdir(parents=True, exist_ok=True)
-    place = places / str(1 + len(list(places.iterdir())))
+    taken = [int(path.name) for path in places.iterdir() if path.name.isdecimal()]
+    place = places / str(1 + max(taken, default=0))
     job.folder.rename(place)
     return place
 
@@ -290,6 +294,11 @@ def _launch(
         on_progress(replace(here, stage=stage, step=step, total=total, values=values, note=note))
 
     launch(job, tell)
+    return _ended(job)
+
+
+def _ended(job: Job) -> Outcome:
+    """What the record in the folder says of a case that ran now."""
     result = read_record(job.folder)
     status = "failed" if result.error else "finished"
     return Outcome(case=job.case, folder=job.folder, status=status, result=result)

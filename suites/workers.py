@@ -51,5 +51,8 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
 def _work(says: Connection, target: Launch, job: Job) -> None:
     """What the worker does: be alone in the case's folder, run."""
     # The worker of a killed run may still be at its last step: wait until its lock is gone.
-    with locked(job.folder / ".worker"):
-        target(job, lambda *event: says.send(event))
+    try:
+        with locked(job.folder / ".worker"):
+            target(job, lambda *event: says.send(event))
+    except OSError:  # the disk takes no record: who waits for it meets the same, and tells it
+        raise SystemExit(1) from None

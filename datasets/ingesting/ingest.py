@@ -3,7 +3,8 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 
 from splatproof.base.errors import DataError
 from splatproof.base.files import write_text
+from splatproof.base.locks import locked
 from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.ingesting import structure
 from splatproof.datasets.ingesting.alignment import Alignment, align, local_metres
@@ -56,12 +58,9 @@ def ingest_photos(
         report: Told (step, done, total) as work goes on.
         say: Told, one line each, what a person should know.
 
-    Raises: DataError if the photos cannot become a scene; then nothing is left behind.
+    Raises: DataError if the photos cannot become a scene; then nothing is left behind; UsageError
+        while another process makes the same folder.
     """
-    work = out.parent / f".{out.name}.ingest"
-    if out.exists():
-        shutil.rmtree(work, ignore_errors=True)  # finished, killed before it could tidy up
-        raise DataError(f"{out}: exists already; choose another folder or remove it")
     if max_image_size < 100 or threads < 1:
         raise DataError(
             f"max image size {max_image_size}, threads {threads}: expected at least 100 and 1"
@@ -72,31 +71,49 @@ def ingest_photos(
         raise DataError(
             f"{out}: cannot be made here ({error.strerror}); choose another folder"
         ) from None
-    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
-    try:
-        survey = survey_photos(photos, lambda done, total: report("reading", done, total))
-        settings = {
-            "max_image_size": max_image_size,
-            "seed": seed,
-            "pycolmap": pycolmap.__version__,
-        }
-        if _prepare(work, survey, settings):
-            say(f"going on with the unfinished work in {work}")
-        _tell(survey, say)
-        result = _work(work, survey, Structure(
-            database=work / "database.db",
-            given=photos,
-            photos=work / "scene/photos",
-            max_image_size=max_image_size,
-            threads=threads,
-            seed=seed,
-        ), report)  # fmt: skip
-        os.replace(work / "scene", out)
-    except DataError:
-        shutil.rmtree(work, ignore_errors=True)
-        raise
-    shutil.rmtree(work)
+    work = out.parent / f".{out.name}.ingest"
+    with _alone(out, work.with_name(f"{work.name}.lock")):
+        if out.exists():
+            shutil.rmtree(work, ignore_errors=True)  # finished, killed before it could tidy up
+            raise DataError(f"{out}: exists already; choose another folder or remove it")
+        pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+        try:
+            survey = survey_photos(photos, lambda done, total: report("reading", done, total))
+            settings = {
+                "max_image_size": max_image_size,
+                "seed": seed,
+                "pycolmap": pycolmap.__version__,
+            }
+            if _prepare(work, survey, settings):
+                say(f"going on with the unfinished work in {work}")
+            _tell(survey, say)
+            result = _work(work, survey, Structure(
+                database=work / "database.db",
+                given=photos,
+                photos=work / "scene/photos",
+                max_image_size=max_image_size,
+                threads=threads,
+                seed=seed,
+            ), report)  # fmt: skip
+            os.replace(work / "scene", out)
+        except DataError:
+            shutil.rmtree(work, ignore_errors=True)
+            raise
+        shutil.rmtree(work)
     return Ingested(folder=out, registered=result[0], scene=result[1])
+
+
+@contextmanager
+def _alone(out: Path, lock: Path) -> Iterator[None]:
+    """Be the only process that makes the scene; the lock file is gone afterwards, but for a kill."""
+    busy = (
+        f"{out}: another `bench ingest` is making it; wait for it to end, or choose another folder"
+    )
+    with locked(lock, busy=busy):
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
 
 
 def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:

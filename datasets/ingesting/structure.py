@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from splatproof.base.errors import DataError
+from splatproof.base.folders import check_disk
 from splatproof.datasets import pairing
-from splatproof.datasets.colmap_library import pycolmap
+from splatproof.datasets.colmap_library import FEATURES, MATCHES, pycolmap
 from splatproof.datasets.ingesting import alignment
 from splatproof.datasets.ingesting.survey import Photo
 
@@ -21,6 +22,7 @@ Report = Callable[[str, int, int], None]
 Lens = tuple[int, int, str]
 _PHOTOS_A_CALL = 8
 _PAIRS_A_CALL = 100
+_ROOM = "make room or choose another folder; the same command continues where it stopped"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +47,8 @@ def extract(work: Structure, photos: Sequence[Photo], report: Report) -> None:
         work: Where the database and the photos are, and the settings.
         photos: All photos of the scene.
         report: Told ("features", photos done, photos in all).
+
+    Raises: MissingError where the disk has no room for them.
     """
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size = work.max_image_size
@@ -59,6 +63,7 @@ def extract(work: Structure, photos: Sequence[Photo], report: Report) -> None:
         for start in range(0, len(names), _PHOTOS_A_CALL):
             report("features", done, len(photos))
             chunk = names[start : start + _PHOTOS_A_CALL]
+            check_disk(work.database.parent, len(chunk) * FEATURES, _ROOM)
             pycolmap.extract_features(
                 work.database,
                 work.photos,
@@ -156,6 +161,8 @@ def match(work: Structure, pairs: Sequence[tuple[str, str]], report: Report) -> 
         work: Where the database with the features is, and the settings.
         pairs: Names of the photos of each pair.
         report: Told ("matches", pairs done, pairs in all).
+
+    Raises: MissingError where the disk has no room for them.
     """
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = work.threads
@@ -166,6 +173,7 @@ def match(work: Structure, pairs: Sequence[tuple[str, str]], report: Report) -> 
     for start in range(0, len(pairs), _PAIRS_A_CALL):
         report("matches", start, len(pairs))
         chunk = pairs[start : start + _PAIRS_A_CALL]
+        check_disk(work.database.parent, len(chunk) * MATCHES, _ROOM)
         Path(listed.match_list_path).write_text("".join(f"{a} {b}\n" for a, b in chunk))
         pycolmap.match_image_pairs(
             work.database, matching, listed, verification, pycolmap.Device.cpu

@@ -5,6 +5,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from jaxtyping import Float
 
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.files import remove_partial_files, write_bytes
+from splatproof.base.locks import locked_folder
 from splatproof.datasets import moving_masks as moving
 from splatproof.datasets.colmap_library import pycolmap
 from splatproof.datasets.depth_maps import depth_path
@@ -37,7 +39,7 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
     """Make a plan's scene as a COLMAP scene folder with depth.
 
     Views go to a hidden folder beside `folder`, which a later call with the same plan continues;
-    it takes its name when all is there.
+    it takes its name when all is there. A second process waits for the first.
 
     Args:
         plan: What to make.
@@ -48,11 +50,28 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
     """
     name = content_hash(plan.world, plan.settings, plan.seed)
     if folder.exists():
-        if _content(folder) == name:
-            return folder
-        raise UsageError(f"{folder}: exists and is not this scene; choose another folder")
+        return _this(folder, name)
     work = folder.with_name(f".{folder.name}.{name}.part")
     work.mkdir(parents=True, exist_ok=True)
+    with locked_folder(work):
+        if folder.exists():  # made by another process, whose folder `work` was
+            with suppress(OSError):
+                work.rmdir()  # one of our own, where it had ended before we made it
+            return _this(folder, name)
+        _make(plan, work, name, report)
+        os.replace(work, folder)
+    return folder
+
+
+def _this(folder: Path, name: str) -> Path:
+    """The folder. Raises: UsageError if it is not the scene of that name."""
+    if _content(folder) == name:
+        return folder
+    raise UsageError(f"{folder}: exists and is not this scene; choose another folder")
+
+
+def _make(plan: Plan, work: Path, name: str, report: Report) -> None:
+    """Make what is not there yet of a plan's scene."""
     remove_partial_files(work)
     threads = torch.get_num_threads()
     try:
@@ -85,8 +104,6 @@ def make_scene(plan: Plan, folder: Path, report: Report = lambda done, total: No
     if not (work / "scene.toml").exists():  # all views are in groups: the folder says what they are
         _write_facts(plan, work, plan.shots, name)
     shutil.rmtree(work / CORNERS, ignore_errors=True)
-    os.replace(work, folder)
-    return folder
 
 
 def _content(folder: Path) -> str:

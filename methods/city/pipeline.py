@@ -124,7 +124,7 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
         if settings.coarse_iterations:
             own = replace(settings.training, iterations=settings.coarse_iterations)
             coarse, work = coarse_stage(scene, own, run, folder, progress.coarse)
-            first = stages.run("coarse", work)
+            first = stages.run("coarse", work, coarse.exists)
             elsewhere = first.get("cpu_seconds", 0.0) if first.get("shared") else 0.0
         found = _partition(stages, scene, settings, run, coarse)
         jobs = block_jobs(
@@ -134,7 +134,11 @@ def fit(scene: Scene, settings: CitySettings, run: Run, *, method: str) -> CityM
             sampling=settings.bins if settings.sampling == "balanced" else None, side=settings.side,
             weights=weights, terms=settings.block_terms, planted=settings.planted,
         )  # fmt: skip
-        told = stages.run("blocks", partial(_blocks, jobs, run, progress))
+        told = stages.run(
+            "blocks",
+            partial(_blocks, jobs, run, progress),
+            lambda: "stitch" in stages.done or all(job.done() is not None for job in jobs),
+        )
         facts = tuple(BlockFacts(**block) for block in told["blocks"])
         elsewhere, peaks = elsewhere + told.get("elsewhere", 0.0), [one.peak_mb for one in facts]
         for name, value in told_by(facts).items():

@@ -36,7 +36,12 @@ class Stages:
                 )
             self.done = stored["stages"]
 
-    def run(self, name: str, work: Callable[[], dict[str, Any] | None]) -> dict[str, Any]:
+    def run(
+        self,
+        name: str,
+        work: Callable[[], dict[str, Any] | None],
+        there: Callable[[], bool] = lambda: True,
+    ) -> dict[str, Any]:
         """Do a stage unless it is done.
 
         Args:
@@ -45,11 +50,12 @@ class Stages:
                 and "cpu_seconds" itself, where a part of it was done before or elsewhere; else they are
                 measured in this process. "peak_mb" is the memory of the largest process of such a part, in 2^20
                 bytes, 0 where who did it has not said: then that of the stage is not known.
+            there: Whether what it made is still there, which lies in a cache that others may empty.
 
         Returns: What is known of the stage, with its wall and processor seconds, and with "peak_mb", the peak memory
             of the largest process that did it (or ended it, after an interruption), where that is known.
         """
-        if name not in self.done:
+        if name not in self.done or not there():
             started, before = time.perf_counter(), time.process_time()
             here: dict[str, float] = {}
             with peak_within(here, name):

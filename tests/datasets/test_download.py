@@ -5,6 +5,7 @@ import hashlib
 import pytest
 
 from helpers.file_server import served
+from splatproof.base import folders
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.datasets import download as module
 from splatproof.datasets.download import download
@@ -111,7 +112,7 @@ def test_nobody_listens(tmp_path):
 
 
 def test_a_full_disk_is_told_before_the_first_byte(server, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "RESERVE", 2**62)
+    monkeypatch.setattr(folders, "RESERVE", 2**62)
     with pytest.raises(MissingError, match="free"):
         fetch(server, tmp_path / "a.zip")
     assert not list(tmp_path.iterdir())

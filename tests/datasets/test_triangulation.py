@@ -1,5 +1,6 @@
 """Points under given poses lie on the true surface, and know nothing of held-out views."""
 
+import io
 from dataclasses import replace
 from functools import cache
 from unittest import mock
@@ -12,7 +13,8 @@ from scipy.spatial import KDTree
 
 from helpers.colmap_scenes import Flight, write_scene
 from helpers.tiny_scene import tiny_scene
-from splatproof.base.errors import DataError
+from splatproof.base import folders
+from splatproof.base.errors import DataError, MissingError
 from splatproof.datasets import triangulation
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import aerial, exporting
@@ -114,6 +116,32 @@ def test_the_same_views_give_the_same_points_again(folder, monkeypatch, tmp_path
     second = open_scene(folder, RULES)
     assert torch.equal(first.points.positions, second.points.positions)
     assert torch.equal(first.points.colours, second.points.colours)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.95])
+def test_points_that_were_cut_short_in_the_cache_are_made_again(
+    folder, tmp_path, monkeypatch, share
+):
+    scene, buffer = open_scene(folder, replace(RULES, points="scene")), io.BytesIO()
+    np.savez(
+        buffer, positions=np.ones((200, 3)), colours=np.zeros((200, 3), np.uint8),
+        track_starts=np.arange(0, 402, 2), track_views=np.array([0, 1] * 200),
+    )  # fmt: skip
+    monkeypatch.setattr(triangulation, "_triangulate", lambda *_: buffer.getvalue())
+    first = with_triangulated(scene).points
+    (kept,) = (tmp_path / "cache/triangulated").glob("*.npz")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[: int(share * len(whole))])
+    again = with_triangulated(scene).points
+    assert torch.equal(again.positions, first.positions)
+    assert kept.read_bytes() == whole
+
+
+def test_a_full_disk_is_told_before_native_code_ends_the_process(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(folders, "RESERVE", 2**62)
+    with pytest.raises(MissingError, match="MB are free.*; make room, or let TMPDIR be a folder"):
+        open_scene(folder, RULES)
+    assert not list((tmp_path / "cache").rglob("*.npz"))
 
 
 def test_masked_pixels_give_no_points(folder):

@@ -1,5 +1,6 @@
 """A method that trains nothing but checkpoints, can be killed, and fails on request."""
 
+import errno
 import json
 import os
 import time
@@ -119,6 +120,11 @@ def run_fake_case(job: Job, tell: Tell) -> None:
     """Target for a worker process, which starts without the fake method."""
     register()
     run_case(job, tell)
+
+
+def run_on_a_full_disk(job: Job, tell: Tell) -> None:
+    """Target for a worker process that cannot write its record."""
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(job.folder / "record.json"))
 
 
 def settings_table(**values: object) -> dict[str, object]:

@@ -1,5 +1,6 @@
 """What a case costs and what it leaves on disk."""
 
+import os
 import subprocess
 
 import pytest
@@ -12,7 +13,7 @@ from splatproof.suites.case_costs import (
     cpu_seconds,
     timed,
 )
-from splatproof.suites.environment import environment, git_commit, package_version
+from splatproof.suites.environment import commit_of, environment, git_commit, package_version
 from splatproof.suites.records import read_record
 
 
@@ -60,6 +61,30 @@ def test_commit_of_a_repository_that_the_code_merely_lies_in_is_not_ours(
         subprocess.run([*git, *command], check=True)
     monkeypatch.setattr(where, "__file__", str(code))
     assert len(git_commit()) == (40 if ours else 0)
+
+
+def test_the_commit_of_a_checkout_is_read_and_nothing_is_written_there(tmp_path):
+    def git(*words: str) -> str:
+        who = ["-c", "user.name=t", "-c", "user.email=t@t"]
+        command = ["git", "-C", str(tmp_path), *who, *words]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    git("init")
+    file, index = tmp_path / "a.py", tmp_path / ".git/index"
+    assert commit_of(file) == ""
+    file.write_text("a")
+    git("add", "a.py")
+    git("commit", "-m", "first")
+    head = git("rev-parse", "HEAD")
+    assert len(head) == 40
+    os.utime(file, ns=(1, 1))  # which `git describe --dirty` would note in the index
+    before = index.read_bytes()
+    assert commit_of(file) == head
+    assert index.read_bytes() == before
+    (tmp_path / "untracked").touch()
+    assert commit_of(file) == head
+    file.write_text("b")
+    assert commit_of(file) == f"{head}-dirty"
 
 
 @pytest.mark.parametrize("found", ["nothing", "binary"])

@@ -1,5 +1,6 @@
 """A fit that somebody asks for by itself may take of the memory that is free; a suite's may not."""
 
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -55,3 +56,28 @@ def test_only_what_runs_alone_goes_by_the_memory_that_is_free(monkeypatch, tmp_p
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(UsageError, match="seed -1"):
         alone("3dgs", get_method("3dgs").settings(), tmp_path, seed=-1)
+
+
+def test_a_kill_while_a_folder_is_emptied_leaves_one_that_can_start_over(monkeypatch, tmp_path):
+    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+    monkeypatch.setattr(cases, "open_scene", fake_scene)
+    fake_methods.register()
+    _, job = alone("fake", FakeSettings(), tmp_path)
+    over = replace(job, resume=False)
+    first = run_alone(job, launch=in_process).result
+    removed, rmtree = list[str](), shutil.rmtree
+
+    def killed(path, *args: object, **kwargs: object) -> None:
+        if removed:
+            raise KeyboardInterrupt
+        removed.append(path.name)
+        rmtree(path)
+
+    with monkeypatch.context() as broken:
+        broken.setattr(cases.shutil, "rmtree", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run_alone(over, launch=in_process)
+    assert removed
+    with pytest.raises(UsageError, match="start over in this one with --no-resume"):
+        run_alone(job, launch=in_process)  # what is left of it is nobody's
+    assert run_alone(over, launch=in_process).result.model_sha256 == first.model_sha256

@@ -1,7 +1,9 @@
 """Cases are run once, resumed, re-run when their settings change, and fail alone."""
 
+import errno
 import json
 import math
+import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +17,7 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
 from splatproof.base.errors import UsageError
+from splatproof.base.files import write_text
 from splatproof.base.locks import locked
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
@@ -254,6 +257,32 @@ def test_training_that_had_ended_is_not_repeated(tmp_path, monkeypatch):
     assert outcome.result.curve[-1][0] == 40
 
 
+def test_what_other_code_has_begun_goes_on_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(cases, "git_commit", lambda: "older")
+    run(suite(case(fail_with="stop")), tmp_path)
+    monkeypatch.setattr(cases, "git_commit", lambda: "newer")
+    notes = list[str]()
+    (outcome,) = run(
+        suite(case(fail_with="stop")), tmp_path, on_progress=lambda at: notes.append(at.note)
+    )
+    assert any("begun by other code (older)" in note for note in notes)
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    whole = tmp_path / "whole"
+    with monkeypatch.context() as patch:
+        patch.setattr(cases, "score_views", stop)
+        with pytest.raises(KeyboardInterrupt):
+            run(suite(case()), whole)
+    assert "begun by" not in run(suite(case()), whole)[0].result.environment
+    (whole / "tiny/town/fake/default/seed0/record.json").unlink()
+    monkeypatch.setattr(cases, "git_commit", lambda: "newest")
+    assert run(suite(case()), whole)[0].result.environment["begun by"] == "newer"
+    (outcome,) = run(suite(case()), whole, resume=False)
+    assert "begun by" not in outcome.result.environment
+
+
 def test_select_by_pattern_and_seeds():
     whole = suite(case(), case("village"))
     assert [c.label for c in select(whole, only="town/*").cases] == ["town/fake/default/seed0"]
@@ -290,6 +319,24 @@ def test_a_worker_that_dies_without_a_word_fails_its_case_only(tmp_path):
     outcomes = run_suite(those, tmp_path, backend="reference", launch=launch)
     assert [outcome.status for outcome in outcomes] == ["failed", "finished"]
     assert "left no record: it ended with exit code 7" in outcomes[0].result.error
+
+
+def test_a_worker_that_cannot_write_its_record_prints_no_traceback(tmp_path, capfd):
+    launch = partial(in_worker, target=fake_methods.run_on_a_full_disk)
+    (outcome,) = run(suite(case()), tmp_path, launch=launch)
+    assert "left no record: it ended with exit code 1" in outcome.result.error
+    assert capfd.readouterr().err == ""
+
+
+def test_a_failure_without_room_for_its_traceback_is_recorded(tmp_path, monkeypatch):
+    def full(path: Path, text: str) -> None:
+        if path.name == "failure.txt":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+        write_text(path, text)
+
+    monkeypatch.setattr(cases, "write_text", full)
+    (outcome,) = run(suite(case(fail_with="stop")), tmp_path)
+    assert outcome.result.error == "stop"
 
 
 def test_records_are_strict_json_lines(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -133,6 +134,36 @@ def test_a_result_is_kept_where_its_scene_cannot_be_read_now(town, tmp_path):
     seen: list[Progress] = []
     assert run(out, seen)[0] == "kept"
     assert f"kept, unchecked: {town}: no scene found here" in started(seen)
+
+
+def test_what_was_cut_off_waits_for_a_scene_that_cannot_be_read_now(town, tmp_path):
+    out = tmp_path / "runs"
+    assert run(out, fail_with="stop")[0] == "failed"
+    state = out / FOLDER / "checkpoint/state.json"
+    before = state.read_text(), (out / FOLDER / "case.json").read_text()
+    (town / "broken").touch()
+    status, result = run(out, fail_with="stop")
+    assert (status, result.error) == ("failed", f"{town}: no scene found here")
+    assert (state.read_text(), (out / FOLDER / "case.json").read_text()) == before
+    (town / "broken").unlink()
+    status, result = run(out, fail_with="stop")
+    assert (status, result.error) == ("failed", "stop")
+    points = json.loads((out / FOLDER / "curve.jsonl").read_text().splitlines()[-1])
+    assert points["step"] == 19
+    assert state.read_text() == before[0]
+
+
+def test_an_old_result_that_was_removed_leaves_its_number_free(town, tmp_path):
+    out = tmp_path / "runs"
+    for content in ("one", "two", "three"):
+        (town / "model").write_text(content)
+        run(out)
+    places = out / "tiny/.replaced/town/fake/default/seed0"
+    assert {path.name for path in places.iterdir()} == {"1", "2"}
+    shutil.rmtree(places / "1")
+    (town / "model").write_text("four")
+    assert run(out)[0] == "finished"
+    assert {path.name for path in places.iterdir()} == {"2", "3"}
 
 
 def test_a_record_from_before_its_files_were_hashed_is_compared_by_what_it_has(town, tmp_path):

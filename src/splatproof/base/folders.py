@@ -5,8 +5,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from splatproof.base.errors import MissingError
+
 SUFFIX = ".partial"
 """End of temporary names; what carries it after a kill is rubbish."""
+RESERVE = 64 * 2**20
+"""Bytes of a disk that are left free."""
+
+
+def check_disk(folder: Path, needed: int, remedy: str) -> None:
+    """Refuse work that would fill a disk, before native code does it that ends the process there.
+
+    Args:
+        folder: One on that disk.
+        needed: Bytes that are to be written.
+        remedy: What to do about it.
+    Raises: MissingError where fewer than these and RESERVE are free.
+    """
+    free = shutil.disk_usage(folder).free
+    if needed + RESERVE > free:
+        raise MissingError(
+            f"{folder}: {needed / 2**20:.0f} MB are to come and {free / 2**20:.0f} MB are free, of which "
+            f"{RESERVE >> 20} stay free; {remedy}"
+        )
 
 
 @contextmanager

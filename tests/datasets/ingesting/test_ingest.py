@@ -18,7 +18,9 @@ from helpers.aerial_photos import (
     write_flight,
 )
 from helpers.real_scenes import real_scene
-from splatproof.base.errors import DataError
+from splatproof.base import folders
+from splatproof.base.errors import DataError, MissingError, UsageError
+from splatproof.base.locks import locked
 from splatproof.cli.ingest import ingest
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.ingesting.ingest import Ingested, ingest_photos
@@ -209,6 +211,35 @@ def test_an_existing_folder_is_not_touched(tmp_path):
     with pytest.raises(DataError, match="out: exists already; choose another folder or remove it"):
         run(blank(tmp_path / "photos", 2), out)
     assert (out / "mine").read_text() == "keep"
+
+
+def test_two_processes_do_not_make_the_same_scene(tmp_path):
+    """The second emptied the first one's folder, or wrote into its database, where COLMAP aborts."""
+    out, work = tmp_path / "out", tmp_path / ".out.ingest"
+    photos = blank(tmp_path / "photos", 2)
+    work.mkdir()
+    (work / "job.json").write_text("another's")
+    with (
+        locked(tmp_path / ".out.ingest.lock"),
+        pytest.raises(UsageError, match="out: another `bench ingest` is making it; wait"),
+    ):
+        run(photos, out)
+    assert (work / "job.json").read_text() == "another's"
+    with pytest.raises(DataError, match="no two of 2 photos could be joined"):
+        run(photos, out)
+    assert {path.name for path in tmp_path.iterdir()} == {"photos"}
+
+
+def test_a_full_disk_is_told_before_native_code_ends_the_process(tmp_path, monkeypatch):
+    monkeypatch.setattr(folders, "RESERVE", 2**62)
+    with pytest.raises(MissingError, match="MB are free.*; the same command continues where it"):
+        run(blank(tmp_path / "photos", 2), tmp_path / "out")
+    assert (tmp_path / ".out.ingest/job.json").exists()
+    said: list[str] = []
+    monkeypatch.undo()
+    with pytest.raises(DataError, match="no two of 2 photos could be joined"):
+        run(tmp_path / "photos", tmp_path / "out", said)
+    assert said[0].startswith("going on with the unfinished work")
 
 
 def test_an_impossible_place_is_refused(tmp_path):

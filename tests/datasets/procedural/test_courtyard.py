@@ -2,6 +2,7 @@
 
 import hashlib
 import shutil
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -120,6 +121,21 @@ def test_a_stopped_making_goes_on(folder, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["yard"]
     model = "sparse/0/points3D.bin"
     assert (out / model).read_bytes() == (folder / model).read_bytes()
+
+
+def test_two_that_make_the_same_scene_at_once_do_not_disturb_each_other(folder, tmp_path):
+    plan, out = courtyard.plan(3, TINY), tmp_path / "yard"
+    with ThreadPoolExecutor() as pool:
+        second: list[Future[Path]] = []
+
+        def report(done: int, total: int) -> None:
+            if not second:
+                second.append(pool.submit(exporting.make_scene, plan, out, unexpected))
+
+        exporting.make_scene(plan, out, report)
+        assert second[0].result(timeout=60) == out
+    assert [p.name for p in tmp_path.iterdir()] == ["yard"]
+    assert pixels_hash(out) == pixels_hash(folder)
 
 
 def test_a_scene_that_is_there_is_left_alone_and_others_are_refused(folder, tmp_path):

@@ -1,6 +1,7 @@
 """Rows of the city end to end on a tiny scene: what they share, what they leave, where they break."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -361,6 +362,16 @@ def test_a_kill_in_the_coarse_model_is_continued(tmp_path):
     more = {"coarse_iterations": 20}
     with pytest.raises(Killed):
         fit("citygaussian", replace(at, report=killed_at(0.2)), **more)
+    assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
+
+
+@pytest.mark.parametrize("stage", ["coarse", "blocks"])
+def test_a_run_goes_on_whose_cache_was_emptied_meanwhile(tmp_path, stage):
+    more = {"coarse_iterations": 5} | BARE
+    at = run(tmp_path / "run", cache=tmp_path / "cache")
+    with pytest.raises(Killed):
+        fit("citygaussian", replace(at, on_stage=killed_after(stage)), **more)
+    shutil.rmtree(tmp_path / "cache")
     assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
 
 
