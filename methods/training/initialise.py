@@ -22,7 +22,10 @@ NEIGHBOURS = 3
 RANDOM_DEPTHS = (0.1, 10.0)
 """Depths of random points, in extents of the scene."""
 LEAST_EXTENT = 1e-6
-"""Extent in scene units below which cameras count as standing in one place."""
+"""Extent in scene units below which cameras count as standing in one place where there is no point."""
+ONE_PLACE = 1e-6
+"""Share of the points' distance below which cameras count as standing in one place: the centres of poses that turn
+about one point differ by what rounding leaves."""
 LEAST_SQUARED = 1e-7
 """Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
 
@@ -51,16 +54,17 @@ def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tenso
 def extent(scene: Scene) -> float:
     """Size of the scene: 1.1 times the largest distance of a training camera to their mean.
 
-    Where all training cameras share one centre, 1.1 times the median distance of the points to it.
-    Scene units.
+    Where all training cameras share one centre, to rounding, 1.1 times the median distance of the points
+    to it. Scene units.
 
     Source: the 3DGS release; one centre: ours (its value 0 would freeze all positions).
     """
     centres = torch.stack([view.camera.centre.double() for view in scene.train_views])
     middle = centres.mean(dim=0)
     radius = float((centres - middle).norm(dim=1).max())
-    if radius == 0 and len(scene.points):
-        radius = float((scene.points.positions.double() - middle).norm(dim=1).median())
+    if len(scene.points):
+        distance = float((scene.points.positions.double() - middle).norm(dim=1).median())
+        radius = distance if radius <= ONE_PLACE * distance else radius
     return 1.1 * radius
 
 

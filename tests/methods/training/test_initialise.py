@@ -13,7 +13,7 @@ from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.training import initialise
 from splatproof.reference.rasterizer.spherical_harmonics import C0
-from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.camera import Camera, project_points
 
 
 def brute_force(points: np.ndarray) -> np.ndarray:
@@ -60,6 +60,25 @@ def test_extent_of_cameras_in_one_place_comes_from_the_points():
     scene = tiny_scene(views=2)
     distance = (scene.points.positions - camera(1).centre).norm(dim=1).median()
     assert initialise.extent(scene) == pytest.approx(1.1 * float(distance))
+
+
+def test_cameras_that_turn_about_one_place_stand_in_one_place():
+    """Their centres -R^T t differ by rounding: as an extent that would freeze all positions."""
+    scene = tiny_scene(views=6)
+    centre = torch.tensor([0.1, 0.2, -4.3], dtype=torch.float64)
+
+    def turned(index: int) -> Camera:
+        pose, angle = torch.eye(4, dtype=torch.float64), torch.tensor(0.05 * index).double()
+        pose[0, :2] = torch.stack([angle.cos(), -angle.sin()])
+        pose[1, :2] = torch.stack([angle.sin(), angle.cos()])
+        pose[:3, 3] = -pose[:3, :3] @ centre
+        return replace(camera(index), world_to_camera=pose)
+
+    views = tuple(replace(view, camera=turned(i)) for i, view in enumerate(scene.views))
+    assert len({tuple(view.camera.centre.tolist()) for view in views}) > 1
+    distance = (scene.points.positions - centre).norm(dim=1).median()
+    found = initialise.extent(replace(scene, views=views))
+    assert found == pytest.approx(1.1 * float(distance))
 
 
 @pytest.mark.parametrize(
