@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from splatproof.datasets.pose_noise import disturbed
 from splatproof.methods.contracts.run import keep_to_oneself
 from splatproof.methods.priors.attach import with_priors
+from splatproof.methods.training.initialise import require_sight
 from splatproof.reference.types.scene import Scene
 from splatproof.suites.scene_data import FILES
 from splatproof.suites.suite_files import Case
@@ -27,8 +28,9 @@ def training_scene(
         data: Facts of the scene's files, by which priors are known again.
         report: Told (views that have their prior, views in all).
         say: Told one line about what is odd.
-    Raises: UsageError where the scene lacks what the prior is made of; MissingError without its
-        weights.
+    Raises: DataError where no training photo shows any of its points; UsageError where the scene lacks
+        what the prior is made of; MissingError without its weights.
     """
+    require_sight(scene)
     noisy = disturbed(scene, case.pose_noise, case.seed)
     return with_priors(noisy, case.depth_prior, case.seed, data.get(FILES, ""), report, say)

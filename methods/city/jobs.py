@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Int8
 from torch import Tensor
 
+from splatproof.base.errors import DataError
 from splatproof.methods.city.block_facts import BlockFacts
 from splatproof.methods.city.block_terms import NO_TERMS, BlockTerms
 from splatproof.methods.city.block_work import Start, block_work, start_of
@@ -75,9 +76,17 @@ def block_jobs(
         weights: Hash of their refiner's weights.
         terms: What each block minimises beside its photos.
         planted: What is made wrong about each block's photos.
+
+    Raises: DataError where no block has a view to train on.
     """
     place = ground(scene)
     views, notes = zip(*(trained_on(place, found, b) for b in range(len(found.views))), strict=True)
+    if not any(bool(mask.any()) for mask in views):
+        raise DataError(
+            f"scene {scene.name!r}: no training view sees a sparse point of any of its {len(views)} blocks by "
+            f"the {len(scene.points.track_views)} observations of the points' tracks; make points that have "
+            "tracks with --points triangulated, or take citygaussian or vastgaussian, which need none"
+        )
     model = None if coarse is None else read_gaussians(coarse)
     start, roles = start_of(scene, model), None
     if model is not None:

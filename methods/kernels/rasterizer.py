@@ -197,6 +197,9 @@ def rasterize_again(
         if tensor.data_ptr() != before.data_ptr() or tensor.shape != before.shape:
             raise ValueError(f"{name} is not the tensor that was drawn")
     alpha, depth = drawn.alpha.detach(), drawn.depth.detach()
+    if not len(means):  # the kernels keep no state of nothing
+        nothing = alpha.new_zeros(*alpha.shape, colours.shape[1])
+        return RenderOutput(colour=nothing, alpha=alpha, depth=depth, radii=drawn.radii)
     image = _Again.apply(node, alpha, depth, *shape, colours)
     return RenderOutput(colour=image, alpha=alpha, depth=depth, radii=drawn.radii)  # type: ignore[arg-type]
 

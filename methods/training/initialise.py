@@ -15,6 +15,7 @@ from splatproof.methods.training.dense_points import with_dense_points
 from splatproof.methods.training.matchers import matcher_words
 from splatproof.reference.rasterizer.spherical_harmonics import C0
 from splatproof.reference.supervision.dense_initialisation import DenseSettings
+from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, SparsePoints
 
@@ -22,13 +23,19 @@ NEIGHBOURS = 3
 RANDOM_DEPTHS = (0.1, 10.0)
 """Depths of random points, in extents of the scene."""
 LEAST_EXTENT = 1e-6
-"""Extent in scene units below which cameras count as standing in one place."""
+"""Extent in scene units below which cameras count as standing in one place where there is no point."""
+ONE_PLACE = 1e-6
+"""Share of the points' distance below which cameras count as standing in one place: the centres of poses that turn
+about one point differ by what rounding leaves."""
+POINTS_AT_ONCE = 2**16
+"""Points that are projected at once; memory only."""
 LEAST_SQUARED = 1e-7
-"""Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
+"""Floor of the mean squared distance, in squared scene units (duplicates have 0); where most points lie closer, as in a
+scene in kilometres, the median of those that are apart."""
 
 
 def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tensor, " n"]:
-    """Root of the mean squared distance to the 3 nearest other points, at least sqrt(1e-7).
+    """Root of the mean squared distance to the 3 nearest other points, at least that of LEAST_SQUARED.
 
     With fewer than 4 points all others are taken.
 
@@ -44,23 +51,26 @@ def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tenso
         return torch.full((len(points),), lone, dtype=torch.float64)
     positions = points.double().numpy()
     distances, _ = KDTree(positions).query(positions, k=others + 1)  # the first is itself
-    squared = np.maximum((distances[:, 1:] ** 2).mean(axis=1), LEAST_SQUARED)
-    return torch.from_numpy(np.sqrt(squared))
+    squared = (distances[:, 1:] ** 2).mean(axis=1)
+    apart = squared[squared > 0]
+    floor = min(LEAST_SQUARED, np.median(apart)) if len(apart) else LEAST_SQUARED
+    return torch.from_numpy(np.sqrt(np.maximum(squared, floor)))
 
 
 def extent(scene: Scene) -> float:
     """Size of the scene: 1.1 times the largest distance of a training camera to their mean.
 
-    Where all training cameras share one centre, 1.1 times the median distance of the points to it.
-    Scene units.
+    Where all training cameras share one centre, to rounding, 1.1 times the median distance of the points
+    to it. Scene units.
 
     Source: the 3DGS release; one centre: ours (its value 0 would freeze all positions).
     """
     centres = torch.stack([view.camera.centre.double() for view in scene.train_views])
     middle = centres.mean(dim=0)
     radius = float((centres - middle).norm(dim=1).max())
-    if radius == 0 and len(scene.points):
-        radius = float((scene.points.positions.double() - middle).norm(dim=1).median())
+    if len(scene.points):
+        distance = float((scene.points.positions.double() - middle).norm(dim=1).median())
+        radius = distance if radius <= ONE_PLACE * distance else radius
     return 1.1 * radius
 
 
@@ -153,6 +163,43 @@ def require_points(scene: Scene) -> None:
             'protocol: points = "triangulated"), or set random_points to start from points drawn at '
             "random"
         )
+
+
+def require_sight(scene: Scene) -> None:
+    """Refuse a scene of whose points no training photo shows any: its model would show nothing, and learn nothing.
+
+    One without points, or with LiDAR sweeps to start from, passes.
+
+    Args:
+        scene: Points and the cameras of the training views are looked at.
+
+    Raises: DataError, with what lies in the way.
+    """
+    views, positions = scene.train_views, scene.points.positions
+    if not len(positions) or not views or any(view.load_sweep for view in views):
+        return
+    nearest = -math.inf
+    for part in positions.split(POINTS_AT_ONCE):
+        for camera in (view.camera for view in views):
+            at, z = project_points(camera, part)
+            size = at.new_tensor([camera.width, camera.height])
+            if bool(((z > camera.near) & ((at >= 0) & (at <= size)).all(dim=1)).any()):
+                return
+            nearest = max(nearest, float(z.max()))
+    near = views[0].camera.near
+    if nearest <= 0:
+        why = "all lie behind the cameras; say which axes and which way the poses have"
+    elif nearest <= near:
+        why = (
+            f"none is farther than {nearest:g} units from a camera, and below {near:g} nothing is "
+            "drawn; give the scene in a smaller unit of length"
+        )
+    else:
+        why = "all lie beside the pictures; are poses and points of one model?"
+    raise DataError(
+        f"scene {scene.name!r}: none of the {len(views)} training photos shows any of the "
+        f"{len(positions)} sparse points: {why}"
+    )
 
 
 def from_points(scene: Scene, *, degree: int, opacity: float) -> Gaussians:

@@ -102,8 +102,10 @@ def pixel_rays(camera: Camera, stride: int) -> Float[Tensor, "r 3"]:
         camera: Pinhole camera of the view; rays start at its centre.
         stride: Side of a cell in pixels, at least 1; 1 gives a ray a pixel (the paper).
 
-    Returns: Row-major over the cells.
+    Returns: Row-major over the cells whose middle lies in the image.
     """
+    if stride / 2 >= min(camera.height, camera.width):
+        return camera.K.new_zeros(0, 3)
     rows, columns = torch.meshgrid(
         torch.arange(stride / 2, camera.height, stride),
         torch.arange(stride / 2, camera.width, stride),

@@ -11,7 +11,8 @@ from splatproof.reference.types.camera import Camera, project_points
 BORDER = 0.15
 """A camera counts for what lies within its image, grown by this share of its size on every side."""
 NEAREST = 0.2
-"""A camera counts for what is farther away than this, in scene units."""
+"""A camera counts for what is farther away than this, in scene units; than its near plane where no camera sees
+anything so far away."""
 
 
 def sampling_widths(cameras: Sequence[Camera], means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -26,19 +27,30 @@ def sampling_widths(cameras: Sequence[Camera], means: Float[Tensor, "n 3"]) -> F
 
     Returns: Scene units a pixel.
 
-    Source: Yu et al. 2024, "Mip-Splatting", Eq. 6 and its release.
+    Source: Yu et al. 2024, "Mip-Splatting", Eq. 6 and its release, which has no width for a scene that is all nearer
+        than 0.2 units.
     """
+    nearest = _nearest(cameras, means, NEAREST)
+    if not nearest.isfinite().any():
+        nearest = _nearest(cameras, means, 0.0)
+    seen = nearest.isfinite()
+    most = nearest[seen].max() if seen.any() else nearest.new_zeros(())
+    focal = max(float(camera.K[0, 0]) for camera in cameras)
+    return torch.where(seen, nearest, most) / focal
+
+
+def _nearest(
+    cameras: Sequence[Camera], means: Float[Tensor, "n 3"], beyond: float
+) -> Float[Tensor, " n"]:
+    """Smallest depth above `beyond` and the near plane in a camera that sees a Gaussian; inf where none does."""
     nearest = means.new_full((len(means),), torch.inf)
     for camera in cameras:
         pixels, depths = project_points(camera, means)
         size = pixels.new_tensor([camera.width, camera.height])
         inside = ((pixels >= -BORDER * size) & (pixels <= (1 + BORDER) * size)).all(dim=1)
-        counts = inside & (depths > NEAREST)
+        counts = inside & (depths > max(beyond, camera.near))
         nearest = torch.where(counts, torch.minimum(nearest, depths), nearest)
-    seen = nearest.isfinite()
-    most = nearest[seen].max() if seen.any() else nearest.new_zeros(())
-    focal = max(float(camera.K[0, 0]) for camera in cameras)
-    return torch.where(seen, nearest, most) / focal
+    return nearest
 
 
 def smoothed(

@@ -92,7 +92,7 @@ def lidar_loss(
 
 
 def sky_loss(alpha: Float[Tensor, "h w"], sky: Bool[Tensor, "h w"]) -> Float[Tensor, ""]:
-    """Binary cross-entropy that wants alpha 0 in the sky and 1 elsewhere, mean over pixels.
+    """Binary cross-entropy that wants alpha 0 in the sky and 1 elsewhere, mean over pixels; 0 without any.
 
     Args:
         alpha: Rendered opacity of each pixel, 1 - transmittance, in [0, 1].
@@ -100,5 +100,7 @@ def sky_loss(alpha: Float[Tensor, "h w"], sky: Bool[Tensor, "h w"]) -> Float[Ten
 
     Source: HDGS, Sec. 3.6.
     """
+    if not alpha.numel():
+        return alpha.new_zeros(())
     safe = alpha.clamp(ALPHA_FLOOR, 1 - ALPHA_FLOOR)
     return functional.binary_cross_entropy(safe, (~sky).to(safe))

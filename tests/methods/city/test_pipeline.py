@@ -481,6 +481,15 @@ def test_blocks_that_all_lose_everything_are_refused(tmp_path):
         fit("blockgaussian", at)
 
 
+@pytest.mark.parametrize("row", ["blockgaussian", "dpgs-partition"])
+def test_points_without_tracks_are_refused_before_blocks_are_trained(monkeypatch, row):
+    points = SCENE.points
+    none = replace(points, track_starts=0 * points.track_starts, track_views=points.track_views[:0])
+    monkeypatch.setattr(sys.modules[__name__], "SCENE", replace(SCENE, points=none))
+    with pytest.raises(DataError, match=r"no training view sees .* 2 blocks .* the 0 observations"):
+        fit(row, run())
+
+
 def test_a_folder_of_another_run_is_refused(tmp_path):
     fit("blockgaussian", run(tmp_path))
     with pytest.raises(UsageError, match="differs: seed 0 before, 1 now"):

@@ -118,6 +118,20 @@ def test_it_learns_light_that_scaffold_gs_cannot_know(lit):
     assert error(lit, lit_scene()) < 0.5 * error(off, lit_scene())
 
 
+def test_a_training_view_that_sees_no_anchor_says_nothing():
+    scene = lit_scene()
+    behind = torch.diag(torch.tensor([-1.0, 1, -1, 1], dtype=torch.float64))
+    turned = replace(
+        scene.views[2].camera, world_to_camera=behind @ scene.views[2].camera.world_to_camera
+    )
+    views = [*scene.views]
+    views[2] = replace(views[2], camera=turned)
+    found = fit(replace(scene, views=tuple(views)), replace(SHORT, iterations=10), RUN)
+    assert all(value.isfinite().all() for value in found.model.parameters.rows.values())
+    assert found.render(scene.views[1]).alpha.any()
+    assert not found.render(views[2]).alpha.any()
+
+
 def test_anchors_grew_went_and_moved(trained):
     parameters = trained.model.parameters
     assert (parameters.labels["levels"] >= 0).any()

@@ -136,6 +136,7 @@ def test_masked_pixels_say_nothing():
     lidar = lidar_term(LIDAR, steps=1000, extent=1.0)
     assert float(lidar.loss(frame(view))) > 0
     assert float(lidar.loss(frame(view, mask=mask))) == 0
+    assert float(sky_term(SkySettings()).loss(frame(view, mask=mask))) == 0
     mask[3:6] = True
     drawn = frame(view, mask=mask)
     alpha = drawn.output.alpha[3:6].clamp(1e-6, 1 - 1e-6)

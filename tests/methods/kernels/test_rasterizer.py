@@ -392,6 +392,16 @@ def test_other_colours_of_what_was_drawn_are_those_of_a_new_picture(
         assert torch.equal(one, other)
 
 
+def test_nothing_can_be_drawn_again():
+    scene = random_scene(30, 1)
+    none = [leaf[:0].detach() for leaf in scene.arguments(torch.float32)[:4]]
+    colours = torch.zeros(0, 3, requires_grad=True)
+    drawn = native.rasterize(scene.camera, *none, colours=colours)
+    again = native.rasterize_again(drawn, scene.camera, *none, colours=torch.zeros(0, 1))
+    assert again.colour.shape == (*drawn.alpha.shape, 1)
+    assert not again.colour.any()
+
+
 def test_only_what_was_drawn_is_drawn_again():
     scene = random_scene(30, 1)
     leaves = dict(zip(AGAIN, scene.arguments(torch.float32)[:4], strict=True))

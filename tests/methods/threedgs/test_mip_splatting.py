@@ -42,6 +42,14 @@ def test_the_width_of_a_pixel_by_hand():
     assert sampling_widths([where], means[2:]).tolist() == [0, 0]
 
 
+def test_a_scene_in_a_large_unit_has_the_same_filter_in_pixels():
+    where, means = camera(2), torch.tensor([[0.0, 0, 0], [0, 0, 1]])
+    pose = where.world_to_camera.clone()
+    pose[:3, 3] /= 32
+    small = sampling_widths([replace(where, world_to_camera=pose)], means / 32)
+    torch.testing.assert_close(small, sampling_widths([where], means) / 32)
+
+
 def test_the_filter_widens_and_keeps_what_a_gaussian_holds():
     generator = torch.Generator().manual_seed(0)
     scales = 10 ** (6 * torch.rand(200, 3, generator=generator) - 5).double()

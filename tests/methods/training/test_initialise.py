@@ -1,6 +1,7 @@
 """SfM points become Gaussians."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +9,14 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from torch import Tensor
 
 from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.methods.training import initialise
 from splatproof.reference.rasterizer.spherical_harmonics import C0
-from splatproof.reference.types.camera import project_points
+from splatproof.reference.types.camera import Camera, project_points
+from splatproof.reference.types.scene import Scene, Sweep
 
 
 def brute_force(points: np.ndarray) -> np.ndarray:
@@ -39,6 +42,15 @@ def test_few_and_equal_points_are_finite():
     assert initialise.neighbour_distance(same[:0], lone=1.0).shape == (0,)
 
 
+@pytest.mark.parametrize("unit", [1e-4, 1e-6])
+def test_gaussians_of_a_scene_in_a_large_unit_are_as_wide_as_its_points_are_apart(unit):
+    points = torch.from_numpy(np.random.default_rng(0).normal(size=(100, 3)))
+    points = torch.cat([points, points[:1]])
+    got = initialise.neighbour_distance(unit * points, lone=1.0) / unit
+    want = initialise.neighbour_distance(points, lone=1.0)
+    torch.testing.assert_close(got, want.clamp(min=float(want.median())))
+
+
 def test_colour_opacity_and_rotation():
     scene = tiny_scene()
     model = initialise.from_points(scene, degree=2, opacity=0.1)
@@ -60,6 +72,55 @@ def test_extent_of_cameras_in_one_place_comes_from_the_points():
     scene = tiny_scene(views=2)
     distance = (scene.points.positions - camera(1).centre).norm(dim=1).median()
     assert initialise.extent(scene) == pytest.approx(1.1 * float(distance))
+
+
+def test_cameras_that_turn_about_one_place_stand_in_one_place():
+    """Their centres -R^T t differ by rounding: as an extent that would freeze all positions."""
+    scene = tiny_scene(views=6)
+    centre = torch.tensor([0.1, 0.2, -4.3], dtype=torch.float64)
+
+    def turned(index: int) -> Camera:
+        pose, angle = torch.eye(4, dtype=torch.float64), torch.tensor(0.05 * index).double()
+        pose[0, :2] = torch.stack([angle.cos(), -angle.sin()])
+        pose[1, :2] = torch.stack([angle.sin(), angle.cos()])
+        pose[:3, 3] = -pose[:3, :3] @ centre
+        return replace(camera(index), world_to_camera=pose)
+
+    views = tuple(replace(view, camera=turned(i)) for i, view in enumerate(scene.views))
+    assert len({tuple(view.camera.centre.tolist()) for view in views}) > 1
+    distance = (scene.points.positions - centre).norm(dim=1).median()
+    found = initialise.extent(replace(scene, views=views))
+    assert found == pytest.approx(1.1 * float(distance))
+
+
+def moved(scene: Scene, move: Callable[[Tensor], Tensor]) -> Scene:
+    return replace(scene, points=sparse_points(move(scene.points.positions)))
+
+
+@pytest.mark.parametrize(
+    ("move", "said"),
+    [
+        (lambda p: p - torch.tensor([0, 0, 99.0]), "behind the cameras; say which axes"),
+        (lambda p: p * 1e-3 - torch.tensor([0, 0, 4.0]), "below 0.01 nothing is drawn; give"),
+        (lambda p: p + torch.tensor([99.0, 0, 0]), "beside the pictures; are poses and points"),
+    ],
+)  # fmt: skip
+def test_points_that_no_training_photo_shows_are_refused_with_what_is_in_the_way(move, said):
+    scene = tiny_scene()
+    with pytest.raises(DataError, match=f"'tiny': none of the 5 .* 40 sparse points: .*{said}"):
+        initialise.require_sight(moved(scene, move))
+
+
+def test_one_point_in_one_training_photo_is_enough_and_so_are_sweeps_or_no_points():
+    scene = tiny_scene()
+    behind = torch.arange(40)[:, None] < 39
+    initialise.require_sight(
+        moved(scene, lambda p: torch.where(behind, p - torch.tensor([0, 0, 99.0]), 0 * p))
+    )
+    initialise.require_sight(moved(scene, lambda p: p[:0]))
+    sweep = Sweep(positions=torch.zeros(1, 3), origin=torch.zeros(3, dtype=torch.float64))
+    swept = tuple(replace(view, load_sweep=lambda: sweep) for view in scene.views)
+    initialise.require_sight(moved(replace(scene, views=swept), lambda p: p - 99))
 
 
 @pytest.mark.parametrize(

@@ -86,6 +86,12 @@ def test_rays_go_through_the_middle_of_their_cells(stride):
     assert_close(rays.norm(dim=1), torch.ones(len(rays), dtype=D))
 
 
+@pytest.mark.parametrize("size", [(1, 9), (9, 1), (2, 2)])
+def test_an_image_smaller_than_half_a_cell_has_no_ray(size):
+    small = replace(nadir(), height=size[0], width=size[1])
+    assert multi_plane.pixel_rays(small, 4).shape == (0, 3)
+
+
 @given(seed=st.integers(0, 2**16), count=st.integers(1, 6), height=st.floats(0.5, 50))
 def test_hits_lie_on_their_planes_and_on_their_rays(seed, count, height):
     camera = nadir(height)

@@ -363,6 +363,16 @@ def test_flow_is_unsure_where_there_is_no_texture_and_where_images_differ():
     assert float(match_by_flow(a, b)[1].median()) < 0.3
 
 
+@pytest.mark.parametrize("size", [(1, 1), (40, 7), (7, 40), (11, 11), (8, 12)])
+def test_flow_is_sure_of_nothing_in_photos_that_are_too_small_for_it(size):
+    height, width = size
+    image = torch.from_numpy(textured()[:height, :width].copy())
+    warp, certainty = match_by_flow(image, image)
+    assert warp.shape == (height, width, 2)
+    assert certainty.isfinite().all()
+    assert bool(certainty.any()) == (size == (8, 12))
+
+
 def turned_pair() -> tuple[Tensor, Tensor, Tensor]:
     """Two views of one texture, turned by 40 degrees and moved by half an image; A to B."""
     texture = cv2.resize(textured(3), (640, 360))

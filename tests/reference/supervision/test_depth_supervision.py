@@ -94,6 +94,11 @@ def test_sky_is_finite_at_the_ends():
     assert float(ds.sky_loss(alpha, torch.tensor([[True, False]]))) < 1e-5
 
 
+def test_no_pixel_says_nothing_of_the_sky():
+    none = torch.zeros(1, 0, dtype=D)
+    assert float(ds.sky_loss(none, none > 0)) == 0
+
+
 def test_gradients():
     image, depth = picture(4, 5, 1), depth_map(4, 5, 1).requires_grad_()
     hit = torch.rand(4, 5, generator=torch.Generator().manual_seed(0)) > 0.5
