@@ -212,6 +212,11 @@ def _work(says: Connection, job: Job, threads: int) -> None:
             facts = job.work(lambda *at: says.send(("report", at)))
     except SplatproofError as error:
         says.send(("error", type(error)(f"block {job.facts.block}: {error}")))
+    except OSError as error:  # a full disk, say
+        where = f"{error.filename}: " if error.filename else ""
+        said = f"block {job.facts.block}: {where}{error.strerror or error}"
+        again = "when that is mended the same command continues from its checkpoint"
+        says.send(("error", MissingError(f"{said}; {again}")))
     else:
         says.send(("done", facts))
 

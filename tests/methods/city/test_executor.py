@@ -11,7 +11,7 @@ import torch
 
 from helpers.baking import baked
 from helpers.city_scene import small_scene
-from splatproof.base.errors import DataError, SplatproofError, UsageError
+from splatproof.base.errors import DataError, MissingError, SplatproofError, UsageError
 from splatproof.methods.city.executor import run_blocks
 from splatproof.methods.city.jobs import block_jobs
 from splatproof.methods.city.partition import PartitionSettings, partition
@@ -80,6 +80,17 @@ def test_an_error_in_a_worker_names_the_block(tmp_path):
     checkpoint.write_bytes(b"spoilt")
     with pytest.raises(DataError, match="block 1: .*not a whole safetensors file"):
         run_blocks(spoilt[1:], threads=1, report=nothing)
+
+
+def test_what_the_disk_has_against_a_worker_is_one_line_that_names_the_block(tmp_path, capfd):
+    job = jobs(tmp_path)[1]
+    job.folder.mkdir(parents=True)
+    (job.folder / "checkpoint").symlink_to(tmp_path / "no such disk" / "folder")
+    with pytest.raises(
+        MissingError, match="block 1: .*checkpoint: File exists; when that is mended"
+    ):
+        run_blocks([job], threads=1, report=nothing)
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_views_that_cannot_be_sent_are_refused(tmp_path):
