@@ -58,6 +58,20 @@ def test_loads_are_within_the_bound_where_points_are_light(blocks, imbalance, se
     assert found.worst == pytest.approx(max(abs(x / mean - 1) for x in found.loads.tolist()))
 
 
+@pytest.mark.parametrize("blocks", [2, 5])
+def test_slabs_keep_the_bound_where_no_cut_of_metis_does(blocks, monkeypatch):
+    def lopsided(graph, settings):
+        """All of it to the last block but a voxel for each of the others."""
+        return np.minimum(np.arange(len(graph.weights)), settings.blocks - 1)
+
+    monkeypatch.setattr(odbp, "smallest_cut", lopsided)
+    positions, loads = cloud(6000, 1, cells=24)
+    found = cut(positions, loads, blocks, imbalance=0.05)
+    assert found.balanced
+    assert found.worst <= 0.05
+    assert found.labels.unique().tolist() == list(range(blocks))
+
+
 @settings(max_examples=15)
 @given(blocks=st.integers(2, 6), seed=SEEDS)
 def test_blocks_are_connected_through_edges_and_bridges(blocks, seed):
