@@ -4,13 +4,14 @@ import json
 import math
 import shutil
 import traceback
-from dataclasses import asdict, dataclass, field
+from contextlib import chdir
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import torch
 
-from splatproof.base.errors import SplatproofError
+from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.files import read_json, read_text, write_text
 from splatproof.base.folders import SUFFIX, new_folder
 from splatproof.base.memory import peak_memory_mb, peak_within
@@ -45,8 +46,12 @@ from splatproof.suites.training_scene import training_scene
 
 CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
+PACKAGE = f"{__name__.partition('.')[0]}."
+"""How the names of our own modules begin."""
+TRACEBACK = "failure.txt"
+"""File of a case that failed, beside its record."""
 OURS = (
-    RECORD_NAME, CASE_NAME, TRAINED, CURVE, "failure.txt",
+    RECORD_NAME, CASE_NAME, TRAINED, CURVE, TRACEBACK,
     "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS,
 )  # fmt: skip
 """Everything that a case leaves in its folder."""
@@ -140,12 +145,13 @@ def run_case(job: Job, tell: Tell) -> None:
         job: What to run, and where.
         tell: Hears where the case is.
     """
+    job = replace(job, folder=job.folder.absolute())  # a method may change the current folder
     try:
         with threads(job.threads):
             _prepare(job)
             _run(job, tell)
     except Exception as error:  # noqa: BLE001 (whatever a method raises, the other cases go on)
-        write_text(job.folder / "failure.txt", traceback.format_exc())
+        write_text(job.folder / TRACEBACK, traceback.format_exc())
         write_record(job.folder, failed_result(job, reason_of(error)))
 
 
@@ -306,33 +312,54 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
         spent.cpu_seconds, spent.peak_memory_mb = cpu_seconds, peak_mb
 
     spent.facts |= {BEGAN: now(), BOOT: boot()}
-    model = method.fit(
-        scene.for_training(),
-        job.case.settings,
-        Run(
-            folder=job.folder,
-            seed=job.case.seed,
-            backend=job.backend,
-            threads=job.threads,
-            background=job.case.protocol.background,
-            report=report,
-            on_stage=spent.stages.__setitem__,
-            on_fact=spent.facts.__setitem__,
-            on_count=spent.counters.__setitem__,
-            on_elsewhere=elsewhere,
-            checkpoint_seconds=job.checkpoint_seconds,
-            image_bytes=job.image_bytes,
-            workers=job.workers,
-            engine=job.engine,
-            cache=job.cache,
-            say=lambda line: tell("train", 0, 0, {}, line),
-            on_model=watch,
-        ),
-    )
+    with chdir("."):
+        model = method.fit(
+            scene.for_training(),
+            job.case.settings,
+            Run(
+                folder=job.folder,
+                seed=job.case.seed,
+                backend=job.backend,
+                threads=job.threads,
+                background=job.case.protocol.background,
+                report=report,
+                on_stage=spent.stages.__setitem__,
+                on_fact=spent.facts.__setitem__,
+                on_count=spent.counters.__setitem__,
+                on_elsewhere=elsewhere,
+                checkpoint_seconds=job.checkpoint_seconds,
+                image_bytes=job.image_bytes,
+                workers=job.workers,
+                engine=job.engine,
+                cache=job.cache,
+                say=lambda line: tell("train", 0, 0, {}, line),
+                on_model=watch,
+            ),
+        )
     spent.facts[ENDED] = now()
+    if not isinstance(model, Reconstruction):
+        raise UsageError(
+            f"method {method.name}: fit returned a {type(model).__name__}, expected a Reconstruction, "
+            "e.g. an ExplicitModel"
+        )
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
         save_model(model, folder, job.case.origin)
+        _check_kept(model, folder, job)
+
+
+def _check_kept(model: Reconstruction, folder: Path, job: Job) -> None:
+    """Refuse a class of somebody else's that is loaded as another: what is scored would not be it."""
+    made = type(model)
+    if made.__module__.startswith(PACKAGE):  # ours come back as they were
+        return
+    again = type(load_reconstruction(folder, backend=job.backend))
+    if again is not made:
+        raise UsageError(
+            f"method {job.case.method}: fit returned a {made.__name__} of kind {model.kind!r}, which is "
+            f"loaded as a {again.__name__}, and what is loaded is scored; give it a kind of its own "
+            "and that a loader (Method.loaders)"
+        )
 
 
 def _identity(job: Job) -> dict:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,8 +14,10 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
+from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import UsageError
 from splatproof.base.locks import locked
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
@@ -212,6 +215,45 @@ def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypat
     monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
     (outcome,) = run(suite(case()), tmp_path)
     assert outcome.result.error == "RuntimeError: first line second line"
+
+
+class Painted(ExplicitModel):
+    """Draws otherwise than what it stores."""
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (None, "method fake: fit returned a NoneType, expected a Reconstruction"),
+        (
+            Painted(model=random_gaussians(3, degree=0)),
+            "method fake: fit returned a Painted of kind 'explicit', which is loaded as a ExplicitModel",
+        ),
+    ],
+)
+def test_a_model_that_would_be_scored_as_another_is_refused(tmp_path, monkeypatch, returned, said):
+    method = replace(METHODS["fake"], fit=lambda *_: returned)
+    monkeypatch.setitem(METHODS, "fake", method)
+    for _ in range(2):  # also where it was tried before
+        (outcome,) = run(suite(case()), tmp_path)
+        assert outcome.result.error.startswith(said)
+
+
+def test_a_method_that_changes_the_current_folder_moves_nothing(tmp_path, monkeypatch):
+    elsewhere, here = tmp_path / "elsewhere", tmp_path / "here"
+    elsewhere.mkdir()
+    here.mkdir()
+
+    def fit(*given):
+        os.chdir(elsewhere)
+        return fake_methods.fit(*given)
+
+    monkeypatch.chdir(here)
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
+    (outcome,) = run(suite(case()), "runs")
+    assert outcome.status == "finished"
+    assert list(elsewhere.iterdir()) == []
+    assert Path.cwd() == here
 
 
 def test_progress_tells_every_stage_in_order(tmp_path):

@@ -97,7 +97,9 @@ class Runs:
         for outcome in outcomes:
             if outcome.result.error:
                 raise CaseFailed(f"{outcome.case.label}: {outcome.result.error} ({outcome.folder})")
-        return Ran(suite=suite.name, folder=folder / suite.name, outcomes=outcomes, runs=self, only=only)
+        return Ran(
+            suite=suite.name, folder=folder / suite.name, outcomes=outcomes, runs=self, only=only
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
