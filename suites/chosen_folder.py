@@ -6,7 +6,8 @@ from typing import Any
 
 from splatproof.base.differing import differences
 from splatproof.base.errors import UsageError
-from splatproof.suites.run_case import OURS, Job
+from splatproof.suites.case_folder import OURS
+from splatproof.suites.run_case import Job
 from splatproof.suites.same_model import made_of
 
 

@@ -4,10 +4,12 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from splatproof.base.errors import UsageError
+from splatproof.base.errors import SplatproofError, UsageError
 from splatproof.base.typed_toml import build
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.methods.contracts.method import Cost, Method
 from splatproof.methods.registry import get_method, methods
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.scene import Scene
@@ -68,9 +70,10 @@ def estimate(case: Case, scene: Scene, backend: str, ratios: Sequence[float] = (
         scene: Opened under the case's protocol.
         backend: Name of the rasterizer; methods state the cost of "cpu" only.
         ratios: Measured over stated training seconds of earlier cases.
+    Raises: UsageError where the method's cost fails or is none.
     """
     factor = statistics.median(ratios) if ratios else 1.0
-    stated = get_method(case.method).cost(case.settings, scene)
+    stated = _stated(get_method(case.method), case.settings, scene)
     score = sum(_pixels(scene, i) for i in scene.test) * PIXEL_SCORE / usable_cores()
     basis = "the method's own estimate"
     if ratios:
@@ -96,8 +99,22 @@ def _ratio(record: Result, suite: Suite, scenes: dict[tuple[str, str], Scene]) -
         settings = build(method.settings, record.settings, "record")
     except UsageError:
         return []
-    stated = method.cost(settings, scene).cpu_seconds / usable_cores()
+    stated = _stated(method, settings, scene).cpu_seconds / usable_cores()
     return [record.training_seconds / stated] if stated > 0 else []
+
+
+def _stated(method: Method, settings: Any, scene: Scene) -> Cost:
+    """What the method says. Raises: UsageError naming the method where it can say nothing of use."""
+    try:
+        stated = method.cost(settings, scene)
+        if not (stated.cpu_seconds >= 0 and stated.memory_mb >= 0):
+            raise ValueError(f"{stated}, expected 0 or more")
+    except SplatproofError:
+        raise
+    except Exception as error:  # a method that is not ours may raise anything
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UsageError(f"method {method.name}: its cost fails ({said}); mend it") from error
+    return stated
 
 
 def _pixels(scene: Scene, index: int) -> int:

@@ -4,16 +4,16 @@ import json
 import math
 import shutil
 import traceback
-from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from contextlib import chdir, suppress
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import torch
 
-from splatproof.base.errors import SplatproofError
-from splatproof.base.files import read_json, read_text, write_text
-from splatproof.base.folders import SUFFIX, new_folder
+from splatproof.base.errors import SplatproofError, UsageError
+from splatproof.base.files import read_text, write_text
+from splatproof.base.folders import new_folder
 from splatproof.base.memory import peak_memory_mb, peak_within
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.reading_clock import READING
@@ -31,18 +31,18 @@ from splatproof.reference.types.result import BEGAN, BOOT, ENDED, ImageScore, Re
 from splatproof.reference.types.scene import Scene
 from splatproof.suites import appearance
 from splatproof.suites import case_costs as measure
+from splatproof.suites.case_folder import TRACEBACK, prepare
 from splatproof.suites.case_keys import case_key
-from splatproof.suites.environment import boot, environment, git_commit, now, package_version
+from splatproof.suites.environment import boot, environment, now
 from splatproof.suites.held_out import (
     check_masks,
     render_milliseconds,
     score_views,
     scored_views,
 )
-from splatproof.suites.marks import FOLDER as MARKS
 from splatproof.suites.marks import Marks, timed_metrics, timed_scores
-from splatproof.suites.records import RECORD_NAME, write_record
-from splatproof.suites.same_model import CASE_NAME, CURVE, TRAINED, take_model
+from splatproof.suites.records import write_record
+from splatproof.suites.same_model import CURVE, TRAINED, take_model
 from splatproof.suites.scene_scores.city_scores import city_scores, peak_name
 from splatproof.suites.scene_scores.true_geometry import geometry_metrics
 from splatproof.suites.suite_files import Case
@@ -54,11 +54,8 @@ CHECKPOINT_SECONDS = 15.0
 """Default seconds of training between two checkpoints; a kill loses at most this much."""
 BEGUN_BY = "begun by"
 """The fact of a record that names the code by which a case was begun that other code has ended."""
-OURS = (
-    RECORD_NAME, TRAINED, CURVE, "failure.txt",
-    "renders", "truth", "masks", "errors", "seams", "blocks", "model", "checkpoint", MARKS, CASE_NAME,
-)  # fmt: skip
-"""Everything that a case leaves in its folder; last, by what the folder is known to be a case's."""
+PACKAGE = f"{__name__.partition('.')[0]}."
+"""How the names of our own modules begin."""
 
 
 @runtime_checkable
@@ -151,12 +148,20 @@ def run_case(job: Job, tell: Tell) -> None:
         job: What to run, and where.
         tell: Hears where the case is.
     """
+    job = replace(job, folder=job.folder.absolute())  # a method may change the current folder
     try:
         with threads(job.threads):
-            _run(job, tell, _prepare(job))
+            made_of = {
+                "key": job.key,
+                "case": job.case.label,
+                "backend": job.backend,
+                "data": job.data,
+            }
+            begun_by = prepare(job.folder, made_of, asdict(job.case.origin), resume=job.resume)
+            _run(job, tell, begun_by)
     except Exception as error:  # noqa: BLE001 (whatever a method raises, the other cases go on)
         with suppress(OSError):  # a full disk: the record's one line comes first
-            write_text(job.folder / "failure.txt", traceback.format_exc())
+            write_text(job.folder / TRACEBACK, traceback.format_exc())
         write_record(job.folder, failed_result(job, reason_of(error)))
 
 
@@ -181,54 +186,14 @@ def failed_result(job: Job, reason: str) -> Result:
     )  # fmt: skip
 
 
-def clear(folder: Path) -> None:
-    """Remove everything that a case leaves in its folder, and nothing else."""
-    for name in OURS:
-        for path in (folder / name, folder / (name + SUFFIX)):
-            if path.is_dir():
-                shutil.rmtree(path)
-            else:
-                path.unlink(missing_ok=True)
-
-
-def _prepare(job: Job) -> str:
-    """Leave in the folder only what belongs to this very case, and no record.
-
-    Returns: The code by which it was begun, where that is another; else "".
-    """
-    job.folder.mkdir(parents=True, exist_ok=True)
-    path, code = job.folder / CASE_NAME, git_commit() or package_version("splatproof")
-    made_of = {"key": job.key, "case": job.case.label, "backend": job.backend, "data": job.data}
-    before = read_json(path) if path.exists() else {}
-    same = {name: before.get(name) for name in made_of} == made_of
-    begun = any((job.folder / name).exists() for name in (TRAINED, "checkpoint"))
-    by = before.get("code", code)  # an earlier release does not say it
-    if not (same and begun and job.resume):
-        if before:  # what a kill leaves of it is known as a case's, and goes on as none
-            write_text(path, json.dumps(before | {"key": ""}) + "\n")
-        clear(job.folder)
-        # the origin only explains what the key means: errors name what differs
-        told = {"origin": asdict(job.case.origin), "code": code}
-        write_text(path, json.dumps(made_of | told) + "\n")
-        by = code
-    for name in (RECORD_NAME, "failure.txt"):
-        (job.folder / name).unlink(missing_ok=True)
-    return by if by != code else ""
-
-
 def _run(job: Job, tell: Tell, begun_by: str) -> None:
     weights = load_weights(job.case.protocol.metrics)
     spent = Spent()
     read = READING.seconds()
     tell("load", 0, 0, {})
     if begun_by:
-        tell(
-            "load",
-            0,
-            0,
-            {},
-            f"begun by other code ({begun_by}), which the record says; --no-resume starts over",
-        )
+        line = f"begun by other code ({begun_by}), which the record says; --no-resume starts over"
+        tell("load", 0, 0, {}, line)
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
@@ -340,33 +305,54 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
         spent.cpu_seconds, spent.peak_memory_mb = cpu_seconds, peak_mb
 
     spent.facts |= {BEGAN: now(), BOOT: boot()}
-    model = method.fit(
-        scene.for_training(),
-        job.case.settings,
-        Run(
-            folder=job.folder,
-            seed=job.case.seed,
-            backend=job.backend,
-            threads=job.threads,
-            background=job.case.protocol.background,
-            report=report,
-            on_stage=spent.stages.__setitem__,
-            on_fact=spent.facts.__setitem__,
-            on_count=spent.counters.__setitem__,
-            on_elsewhere=elsewhere,
-            checkpoint_seconds=job.checkpoint_seconds,
-            image_bytes=job.image_bytes,
-            workers=job.workers,
-            engine=job.engine,
-            cache=job.cache,
-            say=lambda line: tell("train", 0, 0, {}, line),
-            on_model=watch,
-        ),
-    )
+    with chdir("."):
+        model = method.fit(
+            scene.for_training(),
+            job.case.settings,
+            Run(
+                folder=job.folder,
+                seed=job.case.seed,
+                backend=job.backend,
+                threads=job.threads,
+                background=job.case.protocol.background,
+                report=report,
+                on_stage=spent.stages.__setitem__,
+                on_fact=spent.facts.__setitem__,
+                on_count=spent.counters.__setitem__,
+                on_elsewhere=elsewhere,
+                checkpoint_seconds=job.checkpoint_seconds,
+                image_bytes=job.image_bytes,
+                workers=job.workers,
+                engine=job.engine,
+                cache=job.cache,
+                say=lambda line: tell("train", 0, 0, {}, line),
+                on_model=watch,
+            ),
+        )
     spent.facts[ENDED] = now()
+    if not isinstance(model, Reconstruction):
+        raise UsageError(
+            f"method {method.name}: fit returned a {type(model).__name__}, expected a Reconstruction, "
+            "e.g. an ExplicitModel"
+        )
     tell("save", 0, 0, {})
     with measure.timed(spent.stages, "save"), new_folder(job.folder / "model") as folder:
         save_model(model, folder, job.case.origin)
+        _check_kept(model, folder, job)
+
+
+def _check_kept(model: Reconstruction, folder: Path, job: Job) -> None:
+    """Refuse a class of somebody else's that is loaded as another: what is scored would not be it."""
+    made = type(model)
+    if made.__module__.startswith(PACKAGE):  # ours come back as they were
+        return
+    again = type(load_reconstruction(folder, backend=job.backend))
+    if again is not made:
+        raise UsageError(
+            f"method {job.case.method}: fit returned a {made.__name__} of kind {model.kind!r}, which is "
+            f"loaded as a {again.__name__}, and what is loaded is scored; give it a kind of its own "
+            "and that a loader (Method.loaders)"
+        )
 
 
 def _identity(job: Job) -> dict:

@@ -141,7 +141,10 @@ def test_data_that_changed_are_told_and_the_model_stays(town, capsys, monkeypatc
 @pytest.mark.usefixtures("no_store")
 def test_a_fit_that_fails_leaves_its_reason_and_runs_again(town, capsys):
     assert fit("--fail-with", "no sky") == 1
-    assert "town/fake/default/seed0 failed: no sky (folder out)" in capsys.readouterr().err
+    assert (
+        "town/fake/default/seed0 failed: no sky (traceback: out/failure.txt)"
+        in capsys.readouterr().err
+    )
     assert read_record(town / "out").error == "no sky"
     assert "no sky" in (town / "out/failure.txt").read_text()
     assert fit("--fail-with", "no sky") == 1

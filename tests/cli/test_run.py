@@ -14,7 +14,7 @@ from helpers import fake_methods
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
 from splatproof.methods.registry import METHODS
-from splatproof.suites import estimate, runner
+from splatproof.suites import environment, estimate, runner
 from splatproof.suites import run_case as cases
 from splatproof.suites.workers import in_process
 
@@ -97,12 +97,32 @@ def test_a_model_is_taken_of_a_case_that_was_chosen_another_time(suite, capsys):
 
 
 @pytest.mark.usefixtures("no_store")
+def test_results_that_another_commit_made_are_kept_and_said_to_be_old(suite, capsys, monkeypatch):
+    def at(commit: str, *options: str) -> str:
+        monkeypatch.setattr(environment, "git_commit", lambda: commit)
+        assert bench_run(suite, "--quiet", *options) == 0
+        return capsys.readouterr().err
+
+    old, new = 40 * "a", 40 * "b"
+    assert at(old, "--only", "*/seed0") == ""
+    assert at(old) == ""
+    said = at(new)
+    assert said.startswith(f"bench: 2 of 2 results were kept and are of commit {old[:10]}, while")
+    assert f"this code is {new[:10]}; another --out, or --no-resume" in said
+    assert at("") == ""
+    assert at(new, "--no-resume") == ""
+    assert at(new) == ""
+
+
+@pytest.mark.usefixtures("no_store")
 def test_a_failed_case_is_told_and_the_exit_code_is_1(suite, capsys):
     suite.write_text(SUITE.replace("iterations = 6", 'iterations = 6\nfail_with = "no sky"'))
     assert bench_run(suite, "--json", "--quiet") == 1
     said = capsys.readouterr()
     assert [record["status"] for record in lines(said.out)] == ["failed", "failed"]
     assert said.err.count("no sky") == 2
+    folder = "runs/mine/town/fake/default"
+    assert f"(traceback: {folder}/seed1/failure.txt)" in said.err
 
 
 def test_a_dry_run_prints_estimates_and_leaves_nothing(suite, capsys):

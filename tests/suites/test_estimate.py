@@ -9,6 +9,7 @@ import torch
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene
 from helpers.tiny_scene import sparse_points
+from splatproof.base.errors import UsageError
 from splatproof.methods.city.cost import START_SECONDS
 from splatproof.methods.city.refine import RefineSettings
 from splatproof.methods.city.settings import CitySettings
@@ -46,6 +47,20 @@ def test_more_iterations_and_more_views_cost_what_the_method_says():
     assert (less.memory_mb, more.memory_mb) == (4000, 8000)
     assert less.basis == "the method's own estimate"
     assert "not known" in estimate.estimate(case(1), SCENE, "cuda").basis
+
+
+@pytest.mark.parametrize(
+    ("cost", "said"),
+    [
+        (lambda settings, scene: 1 / 0, "ZeroDivisionError: division by zero"),
+        (lambda settings, scene: None, "AttributeError"),
+        (lambda settings, scene: Cost(cpu_seconds=-1.0, memory_mb=1.0), "expected 0 or more"),
+    ],
+)
+def test_a_cost_that_fails_is_named_in_one_line(monkeypatch, cost, said):
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], cost=cost))
+    with pytest.raises(UsageError, match=f"method fake: its cost fails .*{said}.*; mend it"):
+        estimate.estimate(case(1), SCENE, "cpu")
 
 
 def test_3dgs_says_more_for_more_iterations_and_larger_models():

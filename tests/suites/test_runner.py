@@ -16,12 +16,15 @@ import torch
 
 from helpers import fake_methods
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
+from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import UsageError
 from splatproof.base.files import write_text
 from splatproof.base.locks import locked
+from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
+from splatproof.suites import case_folder
 from splatproof.suites import run_case as cases
 from splatproof.suites.held_out import kept
 from splatproof.suites.records import read_record
@@ -233,6 +236,45 @@ def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypat
     assert outcome.result.error == "RuntimeError: first line second line"
 
 
+class Painted(ExplicitModel):
+    """Draws otherwise than what it stores."""
+
+
+@pytest.mark.parametrize(
+    ("returned", "said"),
+    [
+        (None, "method fake: fit returned a NoneType, expected a Reconstruction"),
+        (
+            Painted(model=random_gaussians(3, degree=0)),
+            "method fake: fit returned a Painted of kind 'explicit', which is loaded as a ExplicitModel",
+        ),
+    ],
+)
+def test_a_model_that_would_be_scored_as_another_is_refused(tmp_path, monkeypatch, returned, said):
+    method = replace(METHODS["fake"], fit=lambda *_: returned)
+    monkeypatch.setitem(METHODS, "fake", method)
+    for _ in range(2):  # also where it was tried before
+        (outcome,) = run(suite(case()), tmp_path)
+        assert outcome.result.error.startswith(said)
+
+
+def test_a_method_that_changes_the_current_folder_moves_nothing(tmp_path, monkeypatch):
+    elsewhere, here = tmp_path / "elsewhere", tmp_path / "here"
+    elsewhere.mkdir()
+    here.mkdir()
+
+    def fit(*given):
+        os.chdir(elsewhere)
+        return fake_methods.fit(*given)
+
+    monkeypatch.chdir(here)
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
+    (outcome,) = run(suite(case()), "runs")
+    assert outcome.status == "finished"
+    assert list(elsewhere.iterdir()) == []
+    assert Path.cwd() == here
+
+
 def test_progress_tells_every_stage_in_order(tmp_path):
     seen = []
     run(suite(case()), tmp_path, on_progress=seen.append)
@@ -258,9 +300,9 @@ def test_training_that_had_ended_is_not_repeated(tmp_path, monkeypatch):
 
 
 def test_what_other_code_has_begun_goes_on_and_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(cases, "git_commit", lambda: "older")
+    monkeypatch.setattr(case_folder, "git_commit", lambda: "older")
     run(suite(case(fail_with="stop")), tmp_path)
-    monkeypatch.setattr(cases, "git_commit", lambda: "newer")
+    monkeypatch.setattr(case_folder, "git_commit", lambda: "newer")
     notes = list[str]()
     (outcome,) = run(
         suite(case(fail_with="stop")), tmp_path, on_progress=lambda at: notes.append(at.note)
@@ -277,7 +319,7 @@ def test_what_other_code_has_begun_goes_on_and_says_so(tmp_path, monkeypatch):
             run(suite(case()), whole)
     assert "begun by" not in run(suite(case()), whole)[0].result.environment
     (whole / "tiny/town/fake/default/seed0/record.json").unlink()
-    monkeypatch.setattr(cases, "git_commit", lambda: "newest")
+    monkeypatch.setattr(case_folder, "git_commit", lambda: "newest")
     assert run(suite(case()), whole)[0].result.environment["begun by"] == "newer"
     (outcome,) = run(suite(case()), whole, resume=False)
     assert "begun by" not in outcome.result.environment

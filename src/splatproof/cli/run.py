@@ -17,6 +17,7 @@ from splatproof.cli.running import (
     Screen,
     check_options,
     exit_code,
+    of_other_code,
     options,
     prepare,
     record,
@@ -93,6 +94,8 @@ def run(
             chosen, out, planned=whole.cases, on_progress=screen.progress, on_result=screen.result,
             **options(running, blocks),
         )  # fmt: skip
+    if older := of_other_code(outcomes):
+        output.warn(older)
     if sync_cases(out / whole.name, uri):
         output.warn("the records are on disk; the next `bench run` or `bench report` logs them")
     if not output.wants_json():

@@ -1,6 +1,6 @@
 """What `bench fit` and `bench run` share: how cases are run, and what is shown meanwhile."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -142,10 +142,14 @@ class Screen:
 
     def result(self, outcome: "Outcome") -> None:
         """Tell what became of the case."""
+        from splatproof.suites.case_folder import TRACEBACK
+
         result, case = outcome.result, outcome.case
         self._show(outcome)
         if result.error:
-            output.warn(f"{case.label} failed: {result.error} (folder {outcome.folder})")
+            where = outcome.folder / TRACEBACK
+            told = f"traceback: {where}" if where.exists() else f"folder {outcome.folder}"
+            output.warn(f"{case.label} failed: {result.error} ({told})")
             return
         spent = sum(result.stages.values())
         output.log(f"{outcome.status}: {case.label}  {scores(case, result.metrics)}  {spent:.1f} s")
@@ -187,6 +191,29 @@ def record(outcome: "Outcome") -> dict[str, object]:
         "peak_memory_mb": result.peak_memory_mb,
         "render_ms": result.render_ms,
     }
+
+
+def of_other_code(outcomes: "Sequence[Outcome]") -> str:
+    """One line where results were kept that another commit made; empty where none is known to be.
+
+    A kept result says nothing of the code that is here now: whoever compares two versions must know.
+
+    Args:
+        outcomes: What became of each case.
+    """
+    from splatproof.reports.comparing.sides import short_commit
+    from splatproof.suites.environment import git_commit
+
+    kept = [one.result.environment.get("commit", "") for one in outcomes if one.status == "kept"]
+    now = git_commit() if any(kept) else ""
+    other = [commit for commit in kept if commit and now and commit != now]
+    if not other:
+        return ""
+    made = ", ".join(sorted({short_commit(commit) for commit in other}))
+    return (
+        f"{len(other)} of {len(outcomes)} results were kept and are of commit {made}, while this code is "
+        f"{short_commit(now)}; another --out, or --no-resume, measures this code"
+    )
 
 
 def exit_code(outcomes: "Iterable[Outcome]") -> int:
