@@ -1,6 +1,7 @@
 """`bench train-prior`: what it makes, that it learns, and what it refuses."""
 
 import json
+import os
 
 import pytest
 import torch
@@ -130,6 +131,17 @@ def test_what_cannot_be_trained_is_said_in_one_line(given, said, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.usefixtures("_tiny")
+def test_a_place_that_cannot_be_written_is_refused_before_training(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(train_prior, "_trained", lambda *_: pytest.fail("trained"))
+    (tmp_path / "n.safetensors").mkdir()
+    assert main(["train-prior", "depth", str(tmp_path / "n.safetensors")]) == 2
+    assert "is a folder, expected a file to write" in capsys.readouterr().err
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    assert main(["train-prior", "depth", str(tmp_path / "new/n.safetensors")]) == 3
+    assert f"{tmp_path / 'new'}: cannot write here; choose" in capsys.readouterr().err
 
 
 def test_worlds_are_made_once_in_the_cache_and_opened_scene_by_scene(monkeypatch, tmp_path):

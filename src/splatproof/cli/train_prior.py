@@ -1,6 +1,7 @@
 """`bench train-prior`: train the networks that make priors, on worlds that no suite tests."""
 
 import json
+import os
 import shlex
 import time
 from collections.abc import Callable, Iterator
@@ -11,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import tyro
 
-from splatproof.base.errors import UsageError
-from splatproof.base.files import sha256, write_text
+from splatproof.base.errors import MissingError, UsageError
+from splatproof.base.files import check_target, sha256, write_text
 from splatproof.cli import output
 
 if TYPE_CHECKING:
@@ -314,6 +315,10 @@ def _check(out: Path, worlds: tuple[str, ...], preset: str, seeds: int, steps: i
     for name, value in (("seeds", seeds), ("steps", steps)):
         if value < 1:
             raise UsageError(f"--{name} is {value}, expected 1 or more")
+    check_target(out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(out.parent, os.W_OK):
+        raise MissingError(f"{out.parent}: cannot write here; choose another folder")
 
 
 def _scenes(world: str, preset: str, seed: int, protocol: str = "default") -> "Iterator[Scene]":
