@@ -121,6 +121,12 @@ def run_fake_case(job: Job, tell: Tell) -> None:
     run_case(job, tell)
 
 
+def run_talking_case(job: Job, tell: Tell) -> None:
+    """Target for a worker process: a case that prints."""
+    print("a method's own words", flush=True)
+    run_fake_case(job, tell)
+
+
 def settings_table(**values: object) -> dict[str, object]:
     """All settings as a result records them."""
     return asdict(FakeSettings(**values))  # pyright: ignore[reportArgumentType]
