@@ -132,7 +132,7 @@ def _frame(walk: _Walk) -> None:
 
 def image_names(folder: Path) -> list[str]:
     """Names of the images of a model. Raises: DataError as `index_binary`."""
-    return [name for _, name, _, _ in _records(folder / "images.bin", "image", _image)]
+    return [name for _, name, _, _ in _records(_Walk(folder / "images.bin"), "image", _image)]
 
 
 def index_binary(folder: Path) -> ModelIndex:

@@ -1,5 +1,6 @@
 """Run a case here or in a process of its own."""
 
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -50,6 +51,8 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
 
 def _work(says: Connection, target: Launch, job: Job) -> None:
     """What the worker does: be alone in the case's folder, run."""
+    # what a method prints is no result of the command, whose stdout may be read line by line
+    os.dup2(2, 1)
     # The worker of a killed run may still be at its last step: wait until its lock is gone.
     try:
         with locked(job.folder / ".worker"):

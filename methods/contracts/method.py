@@ -1,14 +1,18 @@
 """What a method is: a name, settings, a fit, what it costs, and the models that it leaves."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.reconstruction import Reconstruction, Stored
 from splatproof.methods.contracts.run import Run
 from splatproof.reference.types.scene import Scene
 
+NAMES = re.compile(r"[a-zA-Z0-9][a-zA-Z0-9+._-]*")
+"""What a method may be called: a folder's name, without "@", which begins a variant's."""
 Loader = Callable[[Path, Stored, str], Reconstruction]
 """load(folder, stored, backend): the model of a folder whose model.json and arrays were read."""
 
@@ -41,3 +45,11 @@ class Method:
     """How to load the kinds of models that only this method leaves, by kind."""
     blocks: bool = False
     """Whether it trains a scene in blocks, so that Run.engine and Run.workers apply."""
+
+    def __post_init__(self) -> None:
+        """Refuse a name that is no folder, or that rows of tables read otherwise. Raises: UsageError."""
+        if not NAMES.fullmatch(self.name):
+            raise UsageError(
+                f"method name {self.name!r}: expected letters, digits, '+', '-', '_' and '.', a letter "
+                "or digit first"
+            )

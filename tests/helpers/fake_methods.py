@@ -127,6 +127,12 @@ def run_on_a_full_disk(job: Job, tell: Tell) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(job.folder / "record.json"))
 
 
+def run_talking_case(job: Job, tell: Tell) -> None:
+    """Target for a worker process: a case that prints."""
+    print("a method's own words", flush=True)
+    run_fake_case(job, tell)
+
+
 def settings_table(**values: object) -> dict[str, object]:
     """All settings as a result records them."""
     return asdict(FakeSettings(**values))  # pyright: ignore[reportArgumentType]

@@ -138,7 +138,8 @@ def test_a_double_id_among_many_is_found_at_once(tmp_path):
     nothing = np.zeros(0, np.int64)
     index = ModelIndex(
         cameras=[1], image_ids=[], image_names=[], image_cameras=[], image_observations=[],
-        point_ids=ids, track_lengths=np.zeros(len(ids), np.int64), track_images=nothing,
+        point_ids=ids, positions=np.zeros((len(ids), 3)), colours=np.zeros((len(ids), 3), np.uint8),
+        track_lengths=np.zeros(len(ids), np.int64), track_images=nothing,
         track_observations=nothing,
     )  # fmt: skip
     begun = time.process_time()

@@ -4,6 +4,8 @@ import errno
 import json
 import math
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -258,6 +260,12 @@ def test_a_model_that_would_be_scored_as_another_is_refused(tmp_path, monkeypatc
         assert outcome.result.error.startswith(said)
 
 
+@pytest.mark.parametrize("name", ["", "a/b", "../a", "a@b", "two words"])
+def test_a_method_whose_name_is_no_folder_or_a_variants_is_refused(name):
+    with pytest.raises(UsageError, match="expected letters, digits"):
+        replace(METHODS["fake"], name=name)
+
+
 def test_a_method_that_changes_the_current_folder_moves_nothing(tmp_path, monkeypatch):
     elsewhere, here = tmp_path / "elsewhere", tmp_path / "here"
     elsewhere.mkdir()
@@ -353,6 +361,40 @@ def test_a_worker_gives_the_numbers_of_this_process(tmp_path):
     assert apart.status == "finished"
     assert apart.result.images == here.result.images
     assert [p.step for p in seen if p.stage == "train"] == list(range(1, 41))
+
+
+TALKS = """
+import sys
+from functools import partial
+from helpers import fake_methods
+from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites.runner import run_suite
+from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.workers import in_worker
+
+if __name__ == "__main__":
+    fake_methods.register()
+    case = Case(
+        scene="town", method="fake", settings=fake_methods.FakeSettings(), seed=0,
+        protocol=load_protocol("default"),
+    )
+    suite = Suite(name="tiny", description="", cases=(case,), scenes=("town",))
+    launch = partial(in_worker, target=fake_methods.run_talking_case)
+    run_suite(suite, sys.argv[1], backend="reference", launch=launch)
+    print("a result")
+"""
+
+
+def test_what_a_method_prints_is_no_result(tmp_path):
+    script = tmp_path / "talks.py"
+    script.write_text(TALKS)
+    path = os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, str(script), str(tmp_path / "runs")], capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": path}, check=True, timeout=300,
+    )  # fmt: skip
+    assert done.stdout == "a result\n"
+    assert "a method's own words" in done.stderr
 
 
 def test_a_worker_that_dies_without_a_word_fails_its_case_only(tmp_path):
