@@ -285,10 +285,8 @@ def _probed(
     ), choices  # fmt: skip
 
 
-def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:
-    """Whether there is time for one more training of the probe.
-
-    Before the first for three, of which one is the usual settings': fewer say nothing.
+def _left(clock: Clock, ends: float, each: float) -> Callable[[int], bool]:
+    """Whether there is time for so many more trainings of the probe.
 
     Args:
         clock: Seconds.
@@ -297,9 +295,9 @@ def _left(clock: Clock, ends: float, each: float) -> Callable[[], bool]:
     """
     times = [clock()]
 
-    def left() -> bool:
+    def left(trainings: int) -> bool:
         times.append(clock())
         longest = max(each, *(b - a for a, b in pairwise(times)))
-        return times[-1] + longest * (3 if len(times) == 2 else 1) <= ends
+        return times[-1] + longest * trainings <= ends
 
     return left

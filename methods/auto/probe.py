@@ -41,7 +41,7 @@ class Probe:
     run: Run
     """Seed, background and threads of the trainings; no folder."""
 
-    def score(self, settings: Settings) -> tuple[float, ...]:
+    def score(self, settings: Settings, attempt: int = 0) -> tuple[float, ...]:
         """PSNR of each held-out view after a whole training under some settings.
 
         Nothing is fitted to a held-out photo: a model with exposures shows it in the mean exposure of those that it
@@ -49,11 +49,13 @@ class Probe:
 
         Args:
             settings: What is tried; photos are not shrunk further.
+            attempt: By whose draws: each has a seed of its own.
         """
         settings = replace(settings, resolution=Resolution())
-        start = started(self.scene, settings, self.run, "3dgs")
-        model, plan = prepare(start, settings, self.run)
-        trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, self.run)
+        run = replace(self.run, seed=self.run.seed + attempt)
+        start = started(self.scene, settings, run, "3dgs")
+        model, plan = prepare(start, settings, run)
+        trainer = Trainer(exposed(model, settings.exposure, plan.views), plan, run)
         while trainer.step < plan.steps:
             trainer.advance()
         fitted = explicit(trainer.model, self.scene, self.run.backend)

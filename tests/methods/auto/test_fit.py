@@ -97,6 +97,7 @@ def test_the_probe_holds_views_out_and_keeps_its_hands_off_the_others():
     scores = found.score(Settings(iterations=20, sh_degree=0))
     assert len(scores) == len(found.held)
     assert scores == found.score(Settings(iterations=20, sh_degree=0))
+    assert scores != found.score(Settings(iterations=20, sh_degree=0), 1)
     assert probe_of(tiny_scene(views=4), Run()) is None
 
 

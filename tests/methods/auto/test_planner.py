@@ -289,20 +289,48 @@ def test_candidates_compete_one_after_the_other():
         Candidate(setting="dropout", value=0.0, because=""),
     ]
 
-    def score(settings):
+    def score(settings, attempt):
         return tuple(
             20 + (settings.opacity_weight == 0) - (settings.dropout == 0.4)
             + 2.0 * (settings.dropout == 0 and settings.opacity_weight == 0) + 0.01 * view
             for view in range(4)
         )  # fmt: skip
 
-    won, choices = compete(start, tried, score, better, lambda: True)
+    won, choices = compete(start, tried, score, better, lambda trainings: True)
     assert (won.opacity_weight, won.dropout) == (0.0, 0.0)
     assert [choice.component for choice in choices] == ["opacity weight", "dropout"]
     assert "-1.00 dB on 4 held-out training views" in choices[1].because
-    same, nothing = compete(start, tried, score, better, lambda: False)
+    same, nothing = compete(start, tried, score, better, lambda trainings: False)
     assert same == start
     assert [choice.because for choice in nothing] == ["usual; no time to probe"] * 2
+
+
+@pytest.mark.parametrize(
+    ("gains", "most", "wins", "told"),
+    [
+        ((0.5, 0.6), 9, True, "+0.55 dB on 4 held-out training views, twice"),
+        ((0.5, -0.4), 9, False, "+0.05 dB on 4 held-out training views, twice"),
+        ((0.5, -0.4), 3, True, "+0.50 dB on 4 held-out training views"),  # no time for two more
+        ((0.1, 9.0), 9, False, "+0.10 dB on 4 held-out training views"),
+    ],
+)
+def test_what_wins_once_has_to_win_by_other_draws_as_well(gains, most, wins, told):
+    """A gain that draws alone made is none by others; what loses at once is not tried again."""
+    start = usual(AutoSettings(), FACTS)
+    tried = [Candidate(setting="exposure", value="gain", because="")]
+    trainings = []
+
+    def score(settings, attempt):
+        trainings.append((settings.exposure, attempt))
+        return (20 + attempt + gains[attempt] * (settings.exposure == "gain"),) * 4
+
+    def left(count):
+        return len(trainings) + count <= most
+
+    won, (choice,) = compete(start, tried, score, better, left)
+    assert won.exposure == ("gain" if wins else "off")
+    assert choice.because == f"probe: gain: {told}"
+    assert len(set(trainings)) == len(trainings) == (4 if "twice" in told else 2)
 
 
 @pytest.mark.parametrize(
