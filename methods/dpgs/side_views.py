@@ -29,6 +29,8 @@ Draw = Callable[[View], RenderOutput]
 """draw(view): the model as it is now, without gradient."""
 Neutral = Callable[[View, Float[Tensor, "h w 3"]], Float[Tensor, "h w 3"]]
 """neutral(view, photo): the photo as the model shows it where no photo's exposure is asked for."""
+KEPT = 8
+"""Photos that a round keeps with what the model has at their cameras: neighbours on an orbit are guided by the same few."""
 SIDE = "side view"
 """What the names of side views begin with."""
 
@@ -156,6 +158,7 @@ class Guide:
         """
         self.photos, self.draw, self.neutral = photos, draw, neutral
         self.forward = torch.stack([photo.camera.rotation[2] for photo in photos]).double()
+        self._textures: dict[int, SeenView] = {}
 
     @torch.no_grad()
     def of(self, cameras: Sequence[Camera]) -> Iterator[tuple[SeenView, Bool[Tensor, "h w"], int]]:
@@ -183,13 +186,19 @@ class Guide:
 
     @torch.no_grad()
     def texture(self, index: int) -> SeenView:
-        """A photo in neutral exposure, which is read now, with what the model has at its camera.
+        """A photo in neutral exposure with what the model has at its camera; the last `KEPT` are not read again.
 
         Args:
             index: Which of the photos.
         """
-        photo = self.photos[index]
-        return replace(self._seen(photo), image=self.neutral(photo, photo.load()))
+        found = self._textures.pop(index, None)
+        if found is None:
+            photo = self.photos[index]
+            found = replace(self._seen(photo), image=self.neutral(photo, photo.load()))
+        self._textures[index] = found  # now the newest
+        if len(self._textures) > KEPT:
+            del self._textures[next(iter(self._textures))]
+        return found
 
     def _side(self, camera: Camera) -> SeenView:
         output = self.draw(camera_view(camera, SIDE))

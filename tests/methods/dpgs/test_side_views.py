@@ -13,7 +13,7 @@ from helpers.tiny_scene import camera, sparse_points, tiny_scene
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.dpgs.refiners import read_refiner
 from splatproof.methods.dpgs.settings import SideSettings
-from splatproof.methods.dpgs.side_views import Guide, SideOrder, SideViews
+from splatproof.methods.dpgs.side_views import KEPT, Guide, SideOrder, SideViews
 from splatproof.methods.dpgs.spirals import least_turn, parts, side_cameras
 from splatproof.reference.supervision.side_views import warp_and_fill
 from splatproof.reference.supervision.spiral_path import SpiralSettings
@@ -269,8 +269,8 @@ def test_a_round_is_made_once_and_found_again(tmp_path):
     targets = [view.load() for view in views[:2]]
     assert isinstance(made.draw, Wall)
     count = len(made.draw.drawn)
-    # each photo, each side view before and after, and the photo that guides it
-    assert count == 5 + 2 + 2 + 2
+    # each photo, each side view before and after, and the photo that guides both
+    assert count == 5 + 2 + 2 + 1
     views[3].load()
     assert len(made.draw.drawn) == 2 * count
     shares = {}
@@ -340,6 +340,27 @@ def test_views_of_thousands_of_photos_are_not_kept():
     photos = tiny_scene(views=21).train_views
     assert len(list(Guide(photos, draw).of([camera(2)]))) == 1
     assert most <= 4  # of 20 photos
+
+
+def test_a_photo_that_guides_its_neighbours_is_read_once_and_no_more_than_a_few_are_kept():
+    read = []
+
+    def counting(index: int, view: View) -> View:
+        return replace(view, load=lambda: read.append(index) or view.load())
+
+    given = tiny_scene(views=KEPT + 3).train_views
+    guide = Guide([counting(index, view) for index, view in enumerate(given)], Wall())
+    first = guide.texture(0)
+    assert guide.texture(1).camera is given[1].camera
+    assert guide.texture(0) is first
+    assert read == [0, 1]
+    for index in range(2, KEPT + 1):  # the oldest, which is 1 now, goes
+        guide.texture(index)
+    assert guide.texture(0) is first
+    guide.texture(1)
+    assert read == [*range(KEPT + 1), 1]
+    again = Guide(given, Wall()).texture(1)
+    assert torch.equal(guide.texture(1).image, again.image)
 
 
 def test_a_photos_exposure_is_taken_from_it():
