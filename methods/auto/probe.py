@@ -49,7 +49,7 @@ class Probe:
 
         Args:
             settings: What is tried; photos are not shrunk further.
-            attempt: By whose draws: each has a seed of its own.
+            attempt: Number from 0; each has draws of its own.
         """
         settings = replace(settings, resolution=Resolution())
         run = replace(self.run, seed=self.run.seed + attempt)
