@@ -10,6 +10,9 @@ FAR_UNITS = 1e4
 FAR_EXTENTS = 1e3
 NEAR_EXTENTS = 0.01
 """Near plane of a small scene, in its extents."""
+LEAST_EXTENT = 1e-6
+"""Extent in scene units up to which cameras stand in one place: centres of poses that turn about one point differ by
+what rounding leaves."""
 _PARALLEL = 0.9
 _FLAT = 0.5
 
@@ -37,10 +40,10 @@ def near_plane(centres: Float64[np.ndarray, "n 3"]) -> float:
     cameras, where nothing would be drawn. Ours.
 
     Args:
-        centres: Camera centres; where all are one, nothing says how small the scene is.
+        centres: Camera centres; where all are one, to rounding, nothing says how small the scene is.
     """
     extent = _extent(centres)
-    return min(NEAR, NEAR_EXTENTS * extent) if extent > 0 else NEAR
+    return min(NEAR, NEAR_EXTENTS * extent) if extent > LEAST_EXTENT else NEAR
 
 
 def _extent(centres: Float64[np.ndarray, "n 3"]) -> float:

@@ -66,3 +66,11 @@ def test_far_scenes_are_moved(offset, size, far):
 def test_a_small_scene_has_a_nearer_near_plane(size, near):
     corners = np.array([[-1.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0]]) * size
     assert near_plane(corners + [4e6, 0, 0]) == pytest.approx(near, rel=1e-4)
+
+
+@pytest.mark.parametrize("place", [[0, 0, 0], [1, 2, 3], [4e5, 4e6, 100]])
+def test_rounding_makes_no_small_scene_of_cameras_that_turn_about_one_place(place):
+    turns = Rotation.from_euler("zyx", np.random.default_rng(0).uniform(-3, 3, (12, 3))).as_matrix()
+    moved = -np.einsum("nij,j->ni", turns, place)
+    centres = -np.einsum("nji,nj->ni", turns, moved)
+    assert near_plane(centres) == 0.01
