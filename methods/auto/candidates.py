@@ -72,9 +72,8 @@ def compete(
     """
     told: dict[str, list[str]] = {}
     expects = {one.setting: one.without for one in tried}
-    best = (
-        score(settings, 0) if tried and left(3) else ()
-    )  # one alone says nothing, two hardly more
+    # one training alone says nothing, two hardly more
+    best = score(settings, 0) if tried and left(3) else ()
     for one in tried if best else ():
         if not left(1):
             break
