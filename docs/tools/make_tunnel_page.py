@@ -26,12 +26,13 @@ scored), or in one fitted to all of it (one seed, never ranked). `tunnel_relit` 
 `tunnel/second` and `tunnel/third` are drives through other rock past other things: DLG-GS's claims on Scaffold-GS are judged by the mean
 of the three tunnels, as its tables are.
 
-- `3dgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
+- `3dgs`, `mip-splatting`, `absgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
   networks must beat.
 - `dlg-gs`: adapted colours and depth constraints, with a depth prior (`~depth-oracle+noise`: true depth, warped,
   blurred and disturbed as networks do; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
   terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map;
-  `@z` depth along the axis, as the prior has it, in place of the paper's distance to the camera.
+  `@z` depth along the axis, as the prior has it, in place of the paper's distance to the camera; `@no-dropout` and
+  `@no-volume` without these terms.
 """,
     printed=(
         Printed(

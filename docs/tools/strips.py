@@ -98,15 +98,25 @@ def strip(folder: Path, chosen: Sequence[Crop], title: str) -> Image:
     columns = []
     for crop in chosen:
         tiles = [_tile(folder / kind / picture_name(crop.view), crop) for kind in KINDS]
-        columns.append(np.vstack([_line(crop.view.rpartition(".")[0], WIDTH), *tiles]))
+        columns.append(np.vstack([line_of(crop.view.rpartition(".")[0], WIDTH), *tiles]))
     body = np.hstack([part for one in columns for part in (one, _gap(one))][:-1])
-    return np.vstack([_line(title, body.shape[1]), body])
+    return np.vstack([line_of(title, body.shape[1]), body])
 
 
 def _tile(path: Path, crop: Crop) -> Image:
     picture = cv2.imread(str(path))
     if picture is None:
         raise FileNotFoundError(f"{path}: no such picture; run the case again")
+    return tile_of(picture, crop)
+
+
+def tile_of(picture: Image, crop: Crop) -> Image:
+    """The shown part of a picture, WIDTH pixels wide.
+
+    Args:
+        picture: A view's photo, or what a model made of the view.
+        crop: What is shown of it.
+    """
     size = (WIDTH, round(WIDTH * crop.height / crop.width))
     kind = cv2.INTER_AREA if crop.width > WIDTH else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(picture[crop.part], size, interpolation=kind))
@@ -116,7 +126,8 @@ def _gap(column: Image) -> Image:
     return np.full((column.shape[0], 4, 3), 255, dtype=np.uint8)
 
 
-def _line(text: str, width: int) -> Image:
+def line_of(text: str, width: int) -> Image:
+    """Black text on white, `width` pixels wide."""
     bar = np.full((BAR, width, 3), 255, dtype=np.uint8)
     cv2.putText(bar, text, (4, 15), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (0, 0, 0), 1, cv2.LINE_AA)
     return bar
