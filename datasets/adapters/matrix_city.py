@@ -16,6 +16,7 @@ from splatproof.base.inside import inside
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
+    field_of_view,
     pinhole_camera,
     positive,
 )
@@ -116,9 +117,7 @@ def _name(file: Path, city: Path) -> str:
 
 def _raw_block(city: Path, path: Path, side: Literal["train", "test"]) -> list[PosedPhoto]:
     data, frames = read_frames(path, key="frame_index", kind=int)
-    angle = positive(data.get("camera_angle_x"), str(path), "camera_angle_x")
-    if angle >= math.pi:
-        raise DataError(f"{path}: camera_angle_x is {angle}, expected radians below pi")
+    angle = field_of_view(data.get("camera_angle_x"), str(path), "camera_angle_x")
     photos = []
     for frame in frames:
         where = f"{path}: frame {frame['frame_index']}"

@@ -1,5 +1,6 @@
 """What the adapters share: checked numbers and poses, turned to OpenCV axes."""
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,21 @@ def positive(value: Any, where: str, name: str) -> float:
     """
     in_range(value, f"{where}: {name}", above=True, fault=DataError)
     return float(value)
+
+
+def field_of_view(value: Any, where: str, name: str) -> float:
+    """A value from a file as an angle above 0 and below pi, in radians.
+
+    Args:
+        value: As for `positive`.
+        where: File and frame, for errors.
+        name: Name of the field, for errors.
+    Raises: DataError naming the file and the field.
+    """
+    angle = positive(value, where, name)
+    if angle >= math.pi:
+        raise DataError(f"{where}: {name} is {angle}, expected radians below pi")
+    return angle
 
 
 def find_photo(stem: Path, suffixes: Sequence[str], listed_in: Callable[[], str]) -> Path:

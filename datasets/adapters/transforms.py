@@ -20,6 +20,7 @@ from splatproof.datasets.adapters.ply_points import read_ply_points
 from splatproof.datasets.adapters.posed import (
     OPENGL_TO_OPENCV,
     checked_pose,
+    field_of_view,
     pinhole_camera,
     positive,
 )
@@ -78,7 +79,8 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     """Read a nerfstudio scene: intrinsics for all frames or for each, a split if it has one.
 
     A frame's own number wins over the file's. Without `camera_model` lenses are fisheyes where
-    `is_fisheye`, of instant-ngp's captures, says so. `test_filenames` is the test split (without it
+    `is_fisheye`, of instant-ngp's captures, says so. Those may give the field of view in place of
+    focal lengths, and leave out size and principal point: the photo's own, and its middle. `test_filenames` is the test split (without it
     `val_filenames`); images that no list names are left out. `protocol.images` other than
     "photos" or "images" names the folder of smaller copies beside the frames' own.
     `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Frames whose
@@ -117,7 +119,9 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
             PosedPhoto(
                 name=name,
                 path=file,
-                camera=_camera({**data, **frame}, where),
+                camera=_camera(
+                    _completed({**data, **frame}, inside(folder, name, where), where), where
+                ),
                 camera_to_world=opengl_pose(frame, where),
                 split="test" if split == "test" else "train" if split else None,
                 factor=copy_factor(protocol.images),
@@ -195,6 +199,26 @@ def _lists(path: Path, data: dict[str, object], known: set[str]) -> dict[str, st
     return splits
 
 
+def _completed(values: dict[str, object], photo: Path, where: str) -> dict[str, object]:
+    """Intrinsics with what captures of instant-ngp may leave out: size, focal lengths, principal point."""
+    known = dict(values)
+    if (known.get("w") is None or known.get("h") is None) and photo.is_file():
+        known["w"], known["h"] = photo_size(photo)
+    width, height = image_size(known.get("w"), known.get("h"), where)
+    for focal, angle, side in (
+        ("fl_x", "camera_angle_x", width),
+        ("fl_y", "camera_angle_y", height),
+    ):
+        if known.get(focal) is None and known.get(angle) is not None:
+            known[focal] = side / (2 * math.tan(field_of_view(known[angle], where, angle) / 2))
+    if known.get("fl_y") is None:  # square pixels
+        known["fl_y"] = known.get("fl_x")
+    for centre, side in (("cx", width), ("cy", height)):
+        if known.get(centre) is None:
+            known[centre] = side / 2
+    return known
+
+
 def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
     model = values.get("camera_model", FISHEYE if values.get("is_fisheye") else "OPENCV")
     if model not in (*PERSPECTIVE, FISHEYE):
@@ -246,9 +270,7 @@ def open_blender(folder: Path, protocol: Protocol) -> Scene:
     for described, split in zip(BLENDER_FILES, ("train", "test"), strict=True):
         path = folder / described
         data, frames = read_frames(path)
-        angle = positive(data.get("camera_angle_x"), str(path), "camera_angle_x")
-        if angle >= math.pi:
-            raise DataError(f"{path}: camera_angle_x is {angle}, expected radians below pi")
+        angle = field_of_view(data.get("camera_angle_x"), str(path), "camera_angle_x")
         for frame in frames:
             name = Path(f"{frame['file_path']}.png").as_posix()
             file = inside(folder, name, f"{path}: file_path")

@@ -1,4 +1,5 @@
 import json
+import math
 
 import numpy as np
 import pytest
@@ -155,6 +156,31 @@ def test_a_capture_of_a_fisheye_with_two_coefficients_is_no_perspective_one(tmp_
     assert worst_error(open_scene(tmp_path, protocol()), points) < 0.1
     path.write_text(json.dumps(data | {"is_fisheye": False}))
     assert worst_error(open_scene(tmp_path, protocol()), points) > 0.1
+
+
+def test_a_capture_that_gives_its_field_of_view_alone(tmp_path):
+    """As instant-ngp's captures may: the size is the photo's, the centre its middle, pixels are square."""
+    nerfstudio(tmp_path, distorted=False)
+    path = tmp_path / "transforms.json"
+    said = json.loads(path.read_text())
+    for name in ("w", "h", "fl_x", "fl_y", "cx", "cy"):
+        del said[name]
+    path.write_text(json.dumps(said | {"camera_angle_x": 1.0}))
+    camera = open_scene(tmp_path, protocol()).views[0].camera
+    focal = camera.width / (2 * math.tan(0.5))
+    expected = torch.tensor(
+        [[focal, 0, camera.width / 2], [0, focal, camera.height / 2], [0, 0, 1]]
+    )
+    torch.testing.assert_close(camera.K.float(), expected)
+    path.write_text(json.dumps(said | {"camera_angle_x": 1.0, "camera_angle_y": 0.5, "cx": 3.0}))
+    camera = open_scene(tmp_path, protocol()).views[0].camera
+    expected[1, 1] = camera.height / (2 * math.tan(0.25))
+    expected[0, 2] = 3.0
+    torch.testing.assert_close(camera.K.float(), expected)
+    path.write_text(json.dumps(said | {"camera_angle_x": 3.2}))
+    refused(tmp_path, "camera_angle_x is 3.2, expected radians below pi")
+    path.write_text(json.dumps(said))
+    refused(tmp_path, "fl_x is None")
 
 
 def test_nerfstudio_points(tmp_path):
