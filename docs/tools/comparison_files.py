@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import fmean
 
-from comparison_page import Page, is_length, render_page
+from comparison_page import Page, compared_row, render_page
 from kept_rows import Picture, committed, joined, pictures_of
 from matplotlib.axes import Axes
 from printed_tables import Printed
@@ -101,7 +101,8 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         if (runs / name / case.folder / "record.json").exists()
     ]
     found = [(case, folder, read_record(folder)) for case, folder in cases]
-    judged = {claim.metric for claim in load_claims(name, numbers())}
+    claims = load_claims(name, numbers())
+    judged = {claim.metric for claim in claims}
     new = [asdict(_with_images_of(measured(result), judged)) for _, _, result in found]
     old = committed(docs / f"{name}.json")
     rows, kept = joined(new, old, load_suite(name).cases, comparison.earlier)
@@ -117,7 +118,7 @@ def collect(comparison: Comparison, runs: Path, docs: Path) -> None:
         (case, folder, result) for case, folder, result in found
         if (case.scene_name, case.protocol.name) == (comparison.scene, comparison.protocol)
         and not result.error
-        and case.seed == 0 and not is_length(case.row)
+        and case.seed == 0 and compared_row(case.row, claims)
     ]  # fmt: skip
     curves = _curves(shown, name, docs, later=bool(kept))
     listing = docs / f"{name}_pictures.json"

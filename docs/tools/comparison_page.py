@@ -78,7 +78,7 @@ def _head(page: Page) -> str:
     machines = "; ".join(sorted({row.machine for row in done if row.machine})) or "nothing yet"
     return HEAD.format(
         title=page.title, suite=page.suite, machines=machines, intro=page.intro.rstrip(),
-        missing=_missing(page), settled=SETTLED, missed=round(100 * MISSED), larger=_larger(page.suite), counted=_counted(page),
+        missing=_missing(page) + _unknown(page), settled=SETTLED, missed=round(100 * MISSED), larger=_larger(page.suite), counted=_counted(page),
     )  # fmt: skip
 
 
@@ -108,6 +108,18 @@ def _missing(page: Page) -> str:
     short = Counter(row for _, _, row in lacking)
     named = ", ".join(f"{row} ({short[row]} of {asked[row]})" for row in short)
     return f"**Incomplete**: {len(lacking)} of {len(page.planned)} rows (a scene and protocol each) lack seeds: {named}."
+
+
+def _unknown(page: Page) -> str:
+    """A sentence on records of before settings were kept in them."""
+    without = Counter(row.row for row in page.rows if not row.settings)
+    if not without:
+        return ""
+    named = ", ".join(f"{row} ({count})" for row, count in without.items())
+    return (
+        f"\n\n{sum(without.values())} of {len(page.rows)} records are of before records kept their settings, so that the "
+        f"suite's are not checked against theirs: {named}."
+    )
 
 
 def _claims(found: Sequence[Judged]) -> str:
@@ -177,8 +189,17 @@ def _place(page: Page, scene: str, protocol: str) -> str:
 
 def _compared(page: Page, named: Iterable[str]) -> list[str]:
     """The rows among some that tables compare: one of other length is a control, but for claims that look at it."""
-    claimed = {row for claim in page.claims for row in claim.rows}
-    return [name for name in named if not is_length(name) or name in claimed]
+    return [name for name in named if compared_row(name, page.claims)]
+
+
+def compared_row(row: str, claims: Iterable[Claim]) -> bool:
+    """Whether a page shows a row beside others: one of another length is a control, but for claims that look at it.
+
+    Args:
+        row: Its name.
+        claims: Those of the page.
+    """
+    return not is_length(row) or any(row in claim.rows for claim in claims)
 
 
 def is_length(row: str) -> bool:

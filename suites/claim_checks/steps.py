@@ -8,23 +8,17 @@ from pathlib import Path
 
 import torch
 
-from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.dlg_gs.fit import prepare as dlg_gs
-from splatproof.methods.dlg_gs.settings import Settings as DlgSettings
-from splatproof.methods.hdgs.fit import prepare as hdgs
-from splatproof.methods.hdgs.settings import Settings as HdgsSettings
 from splatproof.methods.kernels.rasterizer import rasterize
-from splatproof.methods.priors.attach import with_priors
-from splatproof.methods.pvg.fit import prepare as pvg
-from splatproof.methods.pvg.settings import Settings as PvgSettings
 from splatproof.methods.scaffold.fit import prepare as scaffold
 from splatproof.methods.scaffold.settings import Settings as ScaffoldSettings
 from splatproof.methods.training.loop import Trainer
-from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.scene import Scene, SparsePoints, View
 from splatproof.suites.claim_checks.check import Check, Measurement
+from splatproof.suites.studies.speed import neural_starts as starts
+from splatproof.suites.studies.speed.neural import FULL, SMALL
+from splatproof.suites.studies.speed.neural_starts import Size
 from splatproof.suites.twins.random_scenes import speed_scene
 
 WARM, TURN, TURNS = 60, 10, 11
@@ -103,49 +97,43 @@ def scaffold_step(reduced: bool, folder: Path) -> Measurement:
 
 
 def dlg_over_scaffold(reduced: bool, folder: Path) -> Measurement:
-    """How many times as long a step of dlg-gs takes as one of scaffold-gs.
+    """How many times as long a step of dlg-gs takes as one of scaffold-gs, from the same anchors.
 
     Args:
-        reduced: Fewer steps.
+        reduced: Fewer Gaussians, fewer steps.
         folder: Not written to.
     """
     del folder
-    scene = open_scene("tunnel", load_protocol("tunnel"))
-    given = with_priors(scene, "oracle+noise", 0).for_training()
-    both = [
-        Trainer(*dlg_gs(given, DlgSettings(), Run()), Run()),
-        Trainer(*scaffold(given, ScaffoldSettings(), Run()), Run()),
-    ]
-    return _ratio("dlg-gs over scaffold-gs, tunnel 224x128", both, reduced=reduced)
+    size = SMALL if reduced else FULL
+    both = [starts.dlg(size), starts.scaffold_gs(size)]
+    return _ratio("dlg-gs over scaffold-gs", size, both, reduced=reduced)
 
 
 def hdgs_over_pvg(reduced: bool, folder: Path) -> Measurement:
-    """How many times as long a step of hdgs takes as one of pvg.
+    """How many times as long a step of hdgs takes as one of pvg, on one drive.
 
     Args:
-        reduced: Fewer steps.
+        reduced: Fewer Gaussians, fewer steps.
         folder: Not written to.
     """
     del folder
-    scene = open_scene("street", load_protocol("street")).for_training()
-    both = [
-        Trainer(*hdgs(scene, HdgsSettings(), Run()), Run()),
-        Trainer(*pvg(scene, PvgSettings(), Run()), Run()),
-    ]
-    return _ratio("hdgs over pvg, street 240x160", both, reduced=reduced)
+    size = SMALL if reduced else FULL
+    by_itself, anchored_ones = starts.moving(size)
+    return _ratio("hdgs over pvg", size, [anchored_ones, by_itself], reduced=reduced)
 
 
-def _ratio(compared: str, both: Sequence[Trainer], *, reduced: bool) -> Measurement:
+def _ratio(compared: str, size: Size, both: Sequence[Trainer], *, reduced: bool) -> Measurement:
     found = turns(both, reduced=reduced)
     first, second = (statistics.median(column) for column in zip(*found, strict=True))
     return Measurement(
         values=tuple(one / other for one, other in found),
-        compared=f"{compared}: {first:.3g} and {second:.3g} ms a step, in turns in one process",
+        compared=f"{compared}, about {size.gaussians:,} Gaussians, {size.width}x{size.height}: {first:.3g} and "
+        f"{second:.3g} ms a step, in turns in one process",
     )
 
 
 STEPS = {
     "scaffold_step": Check(measure=scaffold_step, unit="ms", seconds=(12.0, 2.0)),
-    "dlg_step": Check(measure=dlg_over_scaffold, unit="times", seconds=(45.0, 8.0)),
-    "hdgs_step": Check(measure=hdgs_over_pvg, unit="times", seconds=(40.0, 6.0)),
+    "dlg_step": Check(measure=dlg_over_scaffold, unit="times", seconds=(35.0, 4.0)),
+    "hdgs_step": Check(measure=hdgs_over_pvg, unit="times", seconds=(25.0, 4.0)),
 }
