@@ -103,4 +103,4 @@ if __name__ == "__main__":
         draw_lines(images / "lanes.jpg", street, lanes)
         for name, shown in MOMENTS.items():
             folders = {row: street / row / "street" / "seed0" for row in shown}
-            draw_moments(images / f"{name}.jpg", "street", load_protocol("street"), "left", folders)
+            draw_moments(images / f"{name}.jpg", "street", load_protocol("street"), folders, "left")

@@ -6,11 +6,16 @@ RUNS the page is made again from the committed files.
 """
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from comparison_files import DOCS, Comparison, main
+from depth_lines import draw_depths
+from moment_lines import draw_moments
 from picture_lines import draw_lines
 from printed_tables import Line, Printed
+
+from splatproof.metrics.protocol_files import load_protocol
 
 TUNNEL = Comparison(
     suite="tunnel",
@@ -69,10 +74,35 @@ LINES = {
     ),
 }  # fmt: skip
 """Pictures: the lines of each, below the photos."""
+DEPTHS = (
+    "absgs/tunnel/seed0",
+    "scaffold-gs@double/tunnel/seed1",
+    "dlg-gs@dlaam-double/tunnel/seed0",
+    "dlg-gs@vdjc-double~depth-oracle+noise/tunnel/seed0",
+)
+"""Cases whose depth is drawn below the true one."""
+STOPS = (
+    "mip-splatting/tunnel/seed0",
+    "absgs/tunnel/seed0",
+    "scaffold-gs@double/tunnel/seed1",
+    "dlg-gs@dlaam-double/tunnel/seed0",
+    "dlg-gs@affine~depth-oracle+noise/tunnel/seed0",
+    "dlg-gs~depth-sweep/tunnel/seed0",
+)
+"""Cases whose renders of consecutive stops are drawn below the photos."""
+
+
+def _folders(tunnel: Path, cases: Sequence[str]) -> dict[str, Path]:
+    """Folders of cases by row."""
+    return {case.partition("/")[0]: tunnel / case for case in cases}
+
 
 if __name__ == "__main__":
     main(TUNNEL)
     if len(sys.argv) > 1:
-        tunnel = Path(sys.argv[1]) / "tunnel" / "tunnel"
+        images, tunnel = DOCS / "images" / "tunnel", Path(sys.argv[1]) / "tunnel" / "tunnel"
         for name, lines in LINES.items():
-            draw_lines(DOCS / "images" / "tunnel" / f"{name}.jpg", tunnel, lines)
+            draw_lines(images / f"{name}.jpg", tunnel, lines)
+        rules = load_protocol("tunnel")
+        draw_depths(images / "depth.jpg", "tunnel", rules, _folders(tunnel, DEPTHS))
+        draw_moments(images / "stops.jpg", "tunnel", rules, _folders(tunnel, STOPS), "camera_0")

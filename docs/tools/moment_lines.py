@@ -18,7 +18,7 @@ BESIDE = 2
 
 
 def draw_moments(
-    path: Path, scene: str, protocol: Protocol, sensor: str, folders: Mapping[str, Path]
+    path: Path, scene: str, protocol: Protocol, folders: Mapping[str, Path], sensor: str
 ) -> None:
     """Write a strip of one camera of a drive, where the runs have the models of all its rows.
 
@@ -26,8 +26,8 @@ def draw_moments(
         path: JPEG that is written.
         scene: Name of a scene whose views know their time and camera.
         protocol: Which of its moments are held out.
-        sensor: Name of the camera.
         folders: A case's folder by row.
+        sensor: Name of the camera.
     """
     if not all((folder / "model").is_dir() for folder in folders.values()):
         return

@@ -38,7 +38,7 @@ def test_the_held_out_moment_with_most_that_moves_is_in_the_middle():
 
 def test_a_row_without_a_model_draws_nothing(tmp_path):
     path = tmp_path / "strip.jpg"
-    draw_moments(path, "street", load_protocol("street"), "left", {"pvg": tmp_path / "pvg"})
+    draw_moments(path, "street", load_protocol("street"), {"pvg": tmp_path / "pvg"}, "left")
     assert not path.exists()
 
 
@@ -55,7 +55,7 @@ def test_photos_stand_above_what_each_row_made(tmp_path, monkeypatch):
     )
     path = tmp_path / "strip.png"
     folders = {row: tmp_path / row for row in levels}
-    draw_moments(path, "any", load_protocol("street"), "front", folders)
+    draw_moments(path, "any", load_protocol("street"), folders, "front")
     image = cv2.imread(str(path))
     assert image is not None
     assert image.shape[1] == (2 * BESIDE + 1) * WIDTH
