@@ -88,6 +88,9 @@ TWINS: dict[str, tuple[str, ...]] = {
     "packing": ("small file", "quantisation"),
     "training step": ("training step",),
     "hybrid step": ("training step",),
+    "attention": ("training step", "attention"),
+    "colour head": ("training step", "lighting"),
+    "consistency": ("training step", "support network"),
 }
 """Optimised components without a ladder of their own: every packing approximates, and a step is judged for every
-method (`splatproof.suites.hard_cases.steps`)."""
+method (`splatproof.suites.hard_cases.steps`), with what dlg-gs and hdgs add in it."""
