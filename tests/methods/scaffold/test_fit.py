@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
@@ -140,6 +141,14 @@ def test_saved_and_rendered_in_another_process(tmp_path, more):
     )  # fmt: skip
     image = read_tensors(tmp_path / "image")[0]["image"]
     assert torch.equal(image, model.render(tiny_scene().views[0]).colour)
+
+
+def test_only_anchors_and_networks_are_stored(trained, tmp_path):
+    save_model(trained, tmp_path, Origin())
+    anchor = 3 + 4 * 3 + 8 + 6  # centre, offsets, features, scales
+    networks = sum(numbers_of_layers(8 + 3, 8, 4 * each) for each in (1, 7, 3))
+    levels = 8 * trained.primitives  # whole numbers of 8 bytes
+    assert bytes_of_tensors(tmp_path) == 4 * (trained.primitives * anchor + networks) + levels
 
 
 def test_baked_at_a_view_it_looks_the_same_there(trained, tmp_path):

@@ -48,7 +48,7 @@ def test_killed_and_continued_is_the_same_to_the_bit(tmp_path):
         if now >= 20:  # between two densifications, with sums of absolute gradients behind it
             raise Killed
 
-    sums = AbsDensity(**FAST | {"interval": 8, "least_interval": 8}, split_gradient=5e-4)
+    sums = replace(AbsDensity(**FAST, split_gradient=5e-4), interval=8, least_interval=8)
     settings = AbsGS(iterations=40, sh_degree=1, density=sums)
     method, run = get_method("absgs"), Run(threads=1, seed=3)
     cut = replace(run, folder=tmp_path, checkpoint_seconds=0.0)
