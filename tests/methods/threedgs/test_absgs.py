@@ -24,6 +24,7 @@ FAST: dict[str, Any] = {
 def test_its_own_thresholds_hold_where_a_suite_sets_others():
     settings = build(AbsGS, {"density": {"interval": 50}}, "suite.toml")
     assert settings.density == AbsDensity(interval=50)
+    assert AbsGS().density == AbsDensity()
     assert (settings.density.split_gradient, settings.density.split_size) == (4e-4, 1e-3)
 
 
