@@ -136,7 +136,7 @@ def _with_moments(
                 sky=sky if sky.is_file() else None,
                 moving=moving_masks(folder / FOLDER, str(Path(photo.name).with_suffix(".png"))),
                 time=moment.time if moment else None,
-                sensor=moment.sensor if moment else photo.sensor,
+                sensor=moment.sensor if moment and moment.sensor else photo.sensor,
             )
         )
     return found

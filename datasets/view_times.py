@@ -11,6 +11,8 @@ from splatproof.base.numbers import finite
 
 NAME = "views.json"
 SKY = "sky"
+EXPECTED = '{"<photo>": {"time": <seconds>, "sensor": "<camera, may be left out>"}, ...}'
+"""What views.json looks like, for errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,8 +21,8 @@ class Moment:
 
     time: float
     """Seconds from any start."""
-    sensor: str
-    """Name of the camera."""
+    sensor: str = ""
+    """Name of the camera; empty: the model's camera says which."""
 
 
 def sky_path(scene: Path, name: str) -> Path:
@@ -45,7 +47,7 @@ def write_moments(scene: Path, moments: Mapping[str, Moment]) -> None:
 
 
 def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
-    """Read views.json.
+    """Read views.json; a view may lack its sensor.
 
     Args:
         scene: The scene's folder.
@@ -57,23 +59,21 @@ def read_moments(scene: Path, names: list[str]) -> dict[str, Moment]:
     if not path.is_file():
         return {}
     table = read_json(path)
-    try:
-        found = {
-            name: Moment(time=_seconds(entry["time"]), sensor=str(entry["sensor"]))
-            for name, entry in table.items()
-        }
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise DataError(
-            f"{path}: {type(error).__name__} {error}; expected for each photo a time and a sensor"
-        ) from None
+    if not isinstance(table, dict):
+        raise DataError(f"{path}: no table by the names of photos; write {EXPECTED}")
+    found = {name: _moment(path, name, entry) for name, entry in table.items()}
     for name in names:
         if name not in found:
             raise DataError(f"{path}: view {name!r} is missing; name all views or remove the file")
     return found
 
 
-def _seconds(value: object) -> float:
-    number = finite(value)
-    if number is None:
-        raise ValueError(f"{value!r:.60} is no finite number")
-    return number
+def _moment(path: Path, name: str, entry: object) -> Moment:
+    said = entry if isinstance(entry, dict) else {}
+    seconds, sensor = finite(said.get("time")), said.get("sensor")
+    if seconds is None:
+        raise DataError(
+            f"{path}: time of view {name!r:.60} is {said.get('time')!r:.60}, expected a finite number; "
+            f"write {EXPECTED}"
+        )
+    return Moment(time=seconds, sensor="" if sensor is None else str(sensor))

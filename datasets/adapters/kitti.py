@@ -74,7 +74,9 @@ def recognises_tracking(folder: Path) -> bool:
 def open_raw(folder: Path, protocol: Protocol) -> Scene:
     """Read a drive (<date>_drive_<n>_sync); the calibration files stand in the date's folder.
 
-    Where it has tracklet_labels.xml, masks of what moves are outlines of its boxes.
+    Where it has tracklet_labels.xml, masks of what moves are outlines of its boxes. A sweep has its
+    frame's time, like the pose that it is placed by: the scanner triggers the cameras as it faces forward, so
+    the dates of its own, velodyne_points/timestamps*.txt, are not read.
 
     Args:
         folder: The drive's folder, with image_02, image_03, oxts and velodyne_points.

@@ -163,6 +163,17 @@ def test_each_view_has_its_sweep_in_the_scene_frame(tmp_path, write):
 
 
 @BOTH
+def test_a_sweep_has_its_frames_time_whatever_the_scanners_clock_says(tmp_path, write):
+    folder, _ = write(tmp_path)
+    if write is raw:
+        late = [f"2011-09-26 13:00:00.{i}55951104\n" for i in range(4)]  # 30 ms after the photos
+        (folder / "velodyne_points/timestamps.txt").write_text("".join(late))
+    views = open_scene(folder, protocol()).views
+    assert [view.sweep_time for view in views] == [view.time for view in views]
+    assert {tenths(view) for view in views} == {0, 1, 2, 3}
+
+
+@BOTH
 def test_views_of_a_moment_without_a_sweep_have_none(tmp_path, write):
     folder, _ = write(tmp_path)
     path = sorted(tmp_path.rglob("*.bin"))[2]

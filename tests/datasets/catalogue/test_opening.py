@@ -1,3 +1,4 @@
+import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -123,6 +124,10 @@ def test_rigs_with_a_second_sensor_are_read(tmp_path):
     found = scene.views[1].camera.world_to_camera[:3].numpy()
     assert found == pytest.approx(expected.matrix(), abs=1e-12)
     assert [view.sensor for view in scene.views] == ["camera 1", "camera 2"]
+    times = {view_name(0): {"time": 0}, view_name(1): {"time": 0, "sensor": "right"}}
+    (folder / "views.json").write_text(json.dumps(times))
+    timed = open_scene(folder, protocol()).views
+    assert [view.sensor for view in timed] == ["camera 1", "right"]
 
 
 def test_far_coordinates_are_shifted_in_float64(tmp_path):

@@ -1,6 +1,7 @@
 """Growing and pruning of anchors on cases that are worked out by hand."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -79,6 +80,27 @@ def test_a_pull_grows_anchors_up_to_its_level(pull, highest):
             assert abs(centre[0] - 12) <= cell / 2
 
 
+def test_each_level_has_its_own_grid():
+    """By a slot that is on none of the grids: no level's anchor stands where that of another does."""
+    found = []
+    for seed in range(12):  # each level is heard with a chance of a half and more
+        strategy, model = control(), parameters()
+        model.rows["log_scales"][:, :3] = math.log(2)
+        model.rows["offsets"][1, 1] = torch.tensor([2.3, 0.55, -0.7]) / 2
+        for _ in range(9):
+            strategy.observe(seen([3], [9e-4]))
+        edit = adjusted(strategy, model, seed)
+        assert edit.fresh is not None
+        new = (edit.values[name][edit.fresh] for name in ("levels", "centres", "log_scales"))
+        found += zip(*new, strict=True)
+    want = {0: [12.0, 0, 0], 1: [12.0, 1, -1], 2: [12.25, 0.5, -0.75]}
+    assert {int(level) for level, _, _ in found} == want.keys()
+    for level, centre, log_scales in found:
+        assert centre.tolist() == want[int(level)]
+        cell = torch.full((6,), VOXEL * 4.0 ** (2 - int(level)))
+        torch.testing.assert_close(log_scales, cell.log())
+
+
 def test_a_new_anchor_is_where_its_slot_is_with_the_feature_of_its_source():
     strategy, model = control(), parameters()
     for _ in range(9):
@@ -124,13 +146,26 @@ def test_slots_that_were_drawn_too_rarely_wait_and_keep_their_statistics():
     assert len(strategy.state()["drawn"]) == K * len(edits[0].values["centres"])
 
 
+def test_what_was_not_drawn_asks_for_nothing_and_what_was_not_decoded_was_not_visited():
+    strategy, view = control(), seen([2, 3, 5], [0.5, 1.0, 2.0])
+    drawn = torch.tensor([1.0, 0.0, 1.0])  # the second is too faint or too far for any pixel
+    strategy.observe(replace(view, radii=drawn, decoded=torch.tensor([1, 2])))
+    state = strategy.state()
+    assert state["gradient"].tolist() == pytest.approx([0, 0, 0.5, 0, 0, 2.0])
+    assert state["drawn"].tolist() == [0, 0, 1, 0, 0, 1]
+    assert state["visits"].tolist() == [0, 1, 1]
+    assert state["opacity"].tolist() == [0, 1.0, 0.5]
+
+
 def test_what_stays_transparent_goes_with_its_moments_and_the_rest_keeps_its_own():
     strategy, model = control(), parameters()
     optimizer = Adam(model)
     optimizer.first["features"] = torch.tensor([[1.0, 1], [2, 2], [3, 3]])
     optimizer.first["network"] = torch.tensor([7.0, 7])
-    for _ in range(9):  # the middle one is decoded every time and shows nothing
+    for _ in range(7):  # the middle one is decoded every time and shows nothing
         strategy.observe(seen([0, 4], [0.0, 0.0]))
+    for _ in range(2):
+        strategy.observe(seen([0, 4, 5], [0.0, 0.0, 1.0]))  # too rarely to ask yet
     edit = adjusted(strategy, model)
     model.edit(edit)
     optimizer.edit(edit)
@@ -139,6 +174,8 @@ def test_what_stays_transparent_goes_with_its_moments_and_the_rest_keeps_its_own
     assert optimizer.first["features"].tolist() == [[1, 1], [3, 3]]
     assert optimizer.first["network"].tolist() == [7, 7]
     assert strategy.state()["visits"].tolist() == [0, 0]
+    assert strategy.state()["drawn"].tolist() == [0, 0, 0, 2]
+    assert strategy.state()["gradient"].tolist() == pytest.approx([0, 0, 0, 2.0])
 
 
 def test_new_anchors_start_without_moments():
@@ -164,13 +201,13 @@ def test_an_anchor_is_not_judged_before_it_was_seen_often_enough():
 
 def test_the_last_anchor_stays_and_scales_are_bounded():
     strategy, model = control(), parameters()
-    model.rows["log_scales"][:, 3:] = 5.0
+    model.rows["log_scales"][:] = 5.0
     for _ in range(9):
         strategy.observe(seen([2], [0.0], opacity=1e-4))
     edit = adjusted(strategy, model)
     assert edit.values["centres"].tolist() == [[10, 0, 0]]
     assert edit.values["log_scales"][0, 3:].tolist() == pytest.approx([math.log(20.0)] * 3)
-    assert edit.values["log_scales"][0, :3].tolist() == [0, 0, 0]
+    assert edit.values["log_scales"][0, :3].tolist() == [5, 5, 5]  # how far offsets reach
 
 
 def test_steps_shrink_with_the_run():

@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.tensor_files import read_tensors
@@ -20,6 +21,7 @@ from splatproof.methods.contracts.reconstruction import Adapts, Origin, save_mod
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.cost import cost
 from splatproof.methods.dlg_gs.fit import fit
+from splatproof.methods.dlg_gs.model import INPUTS
 from splatproof.methods.dlg_gs.settings import Rates, Settings
 from splatproof.methods.models.decoded import AdaptingModel, DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
@@ -165,6 +167,18 @@ def test_saved_and_rendered_in_another_process(trained, tmp_path):
     image = read_tensors(tmp_path / "image")[0]["image"]
     view = replace(tiny_scene().views[0], appearance="4.png")
     assert torch.equal(image, trained.render(view).colour)
+
+
+def test_only_anchors_and_networks_are_stored(trained, tmp_path):
+    save_model(trained, tmp_path, Origin())
+    anchor = 3 + 4 * 3 + 8 + 6  # centre, offsets, features, scales
+    networks = sum(numbers_of_layers(8 + 3, 8, 4 * each) for each in (1, 7, 3))
+    photos = 5 * 12 + 12 * 8  # statistics of each training photo, and the layer that reads them
+    attention = 1 + 3 + 3 * INPUTS**2
+    light = photos + attention + numbers_of_layers(3 + 8 + INPUTS, 8, 8, 4)
+    levels = 8 * trained.primitives  # whole numbers of 8 bytes
+    wanted = 4 * (trained.primitives * anchor + networks + light) + levels
+    assert bytes_of_tensors(tmp_path) == wanted
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_drive import tiny_drive
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
@@ -88,6 +89,7 @@ def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
 
 VARIANTS = [
     {"layers": 4, "k_rule": "leaf", "leaf": 2},
+    {"layers": 5, "k_rule": "leaf", "leaf": 1},
     {"layers": 2, "ice": "off", "motion": "static", "sky": SkySettings(resolution=0), "lidar": LidarSettings(weight=0.0)},
 ]  # fmt: skip
 
@@ -120,11 +122,19 @@ def test_a_sky_is_not_baked_and_said_to_be(trained):
     assert trained.unbaked == ("its sky",)
 
 
-def test_only_anchors_and_networks_are_stored(trained, tmp_path):
-    tensors = trained.store(tmp_path).tensors
-    per_anchor = 3 + 8 + 4 + 4 + 3 + 1 + 3 + 1 + 2 * 3 + 6 * 3
-    rows = [v for n, v in tensors.items() if not n.startswith("shared.")]
-    assert sum(v.numel() for v in rows) == per_anchor * trained.primitives
+@pytest.mark.parametrize("ice", ["full", "off"])
+def test_only_anchors_and_networks_are_stored(tmp_path, ice):
+    """Of the consistency step nothing where it is off."""
+    model = fit(tiny_drive(), replace(SHORT, iterations=1, ice=ice), RUN)
+    save_model(model, tmp_path, Origin())
+    anchor = 3 + 8 + 4 + 4 + 3 + 1 + 3 + 1 + 2 * 3 + 6 * 3
+    leaves = 3  # Gaussians of each of an anchor's two children
+    heads = sum(numbers_of_layers(8 + 4, 8, leaves * each) for each in (3, 1, 7))
+    residuals = sum(numbers_of_layers(40, 8, width) for width in (leaves * 3, 2 * 3, 2 * 8, 2 * 3))
+    support = 27 * 8 * 8 + numbers_of_layers(8, 8)
+    support += numbers_of_layers(4, 16, 8) + numbers_of_layers(8, 16, 1)
+    shared = heads + residuals + (support if ice == "full" else 0) + 6 * 8 * 8 * 3  # the sky's
+    assert bytes_of_tensors(tmp_path) == 4 * (model.primitives * anchor + shared)
 
 
 def test_a_damaged_model_is_refused_in_one_line(trained, tmp_path):

@@ -1,7 +1,9 @@
 """The model of moving anchors: what is decoded, where, and what neither view nor time may change."""
 
+import itertools
 import math
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 import torch
@@ -11,6 +13,8 @@ from splatproof.base.errors import UsageError
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import TRAINED, Moment
 from splatproof.methods.contracts.run import Run
+from splatproof.methods.hdgs.consistency import Ice, supported
+from splatproof.methods.hdgs.decode import decode_some
 from splatproof.methods.hdgs.fit import prepare
 from splatproof.methods.hdgs.model import CYCLE, Frame, HdgsModel, pyramid_of
 from splatproof.methods.hdgs.networks import hierarchy, support
@@ -86,6 +90,33 @@ def test_what_is_decoded_is_the_reference_of_supported_features():
     assert torch.equal(splats.rows, mine // 4)
     assert splats.decoded is not None
     assert torch.equal(splats.decoded, splats.rows[::4])
+
+
+def test_each_part_of_the_consistency_step_that_is_left_out_is_left_out():
+    """The networks of support are drawn last: models with and without them have the others alike."""
+    view, colours = tiny_drive().views[2], {}
+    for ice in get_args(Ice):
+        model = shaken(ice=ice)
+        rows, shared, frame = model.parameters.rows, model.parameters.shared, model.frame
+        seen = model.in_view(view.camera, model.time(view))
+        features = rows["features"][seen]
+        if ice != "off":
+            features = supported(
+                support(shared), rows["features"], model.parameters.labels["centres"],
+                rows["quaternions"], rows["log_scales"].exp(), model.near(), seen, ice,
+            )  # fmt: skip
+        want = decode_some(
+            model.anchors(), hierarchy(shared, 3), model.sizes, model.time(view),
+            frame.inwards(view.camera.centre), seen, features=features,
+            unit=frame.unit, middle=frame.middle,
+        )  # fmt: skip
+        found = model.splats(view, TRAINED)
+        assert found.colours is not None
+        assert want.colours is not None
+        torch.testing.assert_close(found.colours, want.colours, atol=1e-6, rtol=1e-6)
+        colours[ice] = drawn(model, view)
+    for one, other in itertools.combinations(colours, 2):
+        assert not torch.allclose(colours[one], colours[other], atol=1e-3), (one, other)
 
 
 def test_the_anchors_own_motion_repeats_and_the_dead_are_not_decoded():

@@ -217,11 +217,20 @@ def test_off_changes_nothing_and_says_that_there_is_none_to_fit(models):
     assert exposed(model, "off", tiny_scene().train_views) is model
 
 
-@pytest.mark.parametrize("method", ["absgs", "mip-splatting", "scaffold-gs"])
-def test_every_method_learns_them(method, tmp_path):
+@pytest.mark.parametrize(
+    ("method", "more"),
+    [
+        ("absgs", {}),
+        ("mip-splatting", {}),
+        ("fsgs", {}),
+        ("scaffold-gs", {}),
+        ("dlg-gs", {"vdjc": "off", "dlaam": "off"}),
+    ],
+)
+def test_every_method_learns_them(method, more, tmp_path):
     facts: dict[str, str] = {}
     run = replace(RUN, on_fact=facts.__setitem__)
-    model = trained(method, lit(GAINS), run, exposure="gain")
+    model = trained(method, lit(GAINS), run, exposure="gain", **more)
     assert facts["gradients by"] == "autograd"
     save_model(model, tmp_path, Origin())
     again = load_reconstruction(tmp_path)

@@ -8,20 +8,23 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.methods.anchors.control import AnchorDensity
+from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import get_method
 from splatproof.methods.scaffold.cost import cost
-from splatproof.methods.scaffold.fit import fit
+from splatproof.methods.scaffold.fit import fit, terms
 from splatproof.methods.scaffold.settings import Settings
 from splatproof.methods.storage.ply import read_ply, write_ply
 from splatproof.methods.threedgs.settings import Settings as ThreeDGS
+from splatproof.methods.training.terms import Photometric
 
 DENSITY = AnchorDensity(
     start=0, adjust_start=0, interval=10, least_interval=10, stop=30_000, gradient=1e-4
@@ -68,6 +71,32 @@ def test_it_learns_better_than_one_colour_and_about_as_well_as_3dgs():
     assert error(ours, views) < 1.6 * error(other, views)  # 2 dB
 
 
+@torch.no_grad()
+def mean_volume(model: DecodedModel) -> float:
+    """Of the Gaussians that the first view is decoded into."""
+    return float(model.model.splats(tiny_scene().views[0], TRAINED).scales.prod(dim=1).mean())
+
+
+def test_volume_weighs_what_the_settings_say():
+    told: dict[float, list[dict[str, float]]] = {0.0: [], 100.0: []}
+    volumes = {
+        weight: mean_volume(
+            fit(
+                tiny_scene(),
+                replace(SHORT, iterations=20, volume=weight),
+                replace(RUN, report=lambda *now, seen=seen: seen.append(now[2])),
+            )
+        )
+        for weight, seen in told.items()
+    }
+    assert volumes[100.0] < 0.9 * volumes[0.0]
+    assert told[0.0][-1].keys() == {"loss", "photometric", "gaussians"}
+    assert told[100.0][-1].keys() == {"loss", "photometric", "volume", "gaussians"}
+    image, volume = terms(replace(SHORT, volume=0.3, dssim=0.7))
+    assert isinstance(image, Photometric)
+    assert (image.dssim, volume.name, volume.weight) == (0.7, "volume", 0.3)
+
+
 def test_anchors_grew_and_went(trained):
     levels = trained.model.parameters.labels["levels"]
     assert (levels >= 0).any()
@@ -112,6 +141,14 @@ def test_saved_and_rendered_in_another_process(tmp_path, more):
     )  # fmt: skip
     image = read_tensors(tmp_path / "image")[0]["image"]
     assert torch.equal(image, model.render(tiny_scene().views[0]).colour)
+
+
+def test_only_anchors_and_networks_are_stored(trained, tmp_path):
+    save_model(trained, tmp_path, Origin())
+    anchor = 3 + 4 * 3 + 8 + 6  # centre, offsets, features, scales
+    networks = sum(numbers_of_layers(8 + 3, 8, 4 * each) for each in (1, 7, 3))
+    levels = 8 * trained.primitives  # whole numbers of 8 bytes
+    assert bytes_of_tensors(tmp_path) == 4 * (trained.primitives * anchor + networks) + levels
 
 
 def test_baked_at_a_view_it_looks_the_same_there(trained, tmp_path):

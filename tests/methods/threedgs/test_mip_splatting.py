@@ -1,5 +1,6 @@
 """Method mip-splatting: the filter by hand, what it conserves, and a run that is continued to the bit."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -24,11 +25,29 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.methods.training.loop import Trainer
 from splatproof.reference.rasterizer.smoothing import sampling_widths, smoothed
+from splatproof.reference.types.camera import Camera
+from splatproof.reference.types.scene import Scene
 
 DENSITY = Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=10_000,
                   gradient=1e-5)  # fmt: skip
 SHORT = MipSettings(iterations=60, sh_degree=1, density=DENSITY)
 RUN = Run(threads=1, seed=3)
+
+
+def at_distance(where: Camera, z: float) -> Camera:
+    """The camera, from so far away from the origin."""
+    pose = where.world_to_camera.clone()
+    pose[2, 3] = z
+    return replace(where, world_to_camera=pose)
+
+
+def from_three_distances() -> Scene:
+    """The tiny scene, the last training photo taken from nearer, the held-out one from nearer still."""
+    scene = tiny_scene()
+    views = [*scene.views]
+    for index, z in ((0, 2.0), (5, 3.0)):
+        views[index] = replace(views[index], camera=at_distance(views[index].camera, z))
+    return replace(scene, views=tuple(views))
 
 
 def test_the_width_of_a_pixel_by_hand():
@@ -40,6 +59,27 @@ def test_the_width_of_a_pixel_by_hand():
     both = sampling_widths([where, replace(where, K=2 * where.K)], means[:1])
     assert both.item() == pytest.approx(near / 2)
     assert sampling_widths([where], means[2:]).tolist() == [0, 0]
+
+
+def test_a_camera_counts_for_what_lies_up_to_a_border_beside_its_image():
+    where = camera(2)
+    size, beside = torch.tensor([24, 18]), torch.tensor([[-0.1, 0.5], [-0.2, 0.5], [1.1, 0.5],
+                                                         [1.2, 0.5], [0.5, 1.1], [0.5, 1.2]])  # fmt: skip
+    away = 4 * (beside - 0.5) * size / 38.4
+    means = torch.cat([away, torch.zeros(6, 1)], dim=1) - where.world_to_camera[:3, 3].float()
+    means[:, 2] = 0
+    means = torch.cat([means, torch.tensor([[0.0, 0, 4]])])  # the farthest that is seen
+    near, far = 4 / 38.4, 8 / 38.4
+    want = [near, far, near, far, near, far, far]
+    assert sampling_widths([where], means).tolist() == pytest.approx(want)
+
+
+def test_the_nearest_camera_counts_but_none_that_all_but_touches():
+    cameras = [at_distance(camera(2), z) for z in (4.0, 6.0, 5.0)]
+    means = torch.tensor([[0.0, 0, 0], [0.2, -0.2, -3.9]])  # 0.1 before the nearest of them
+    for order in itertools.permutations(cameras):
+        widths = sampling_widths(order, means)
+        assert widths.tolist() == pytest.approx([4 / 38.4, 1.1 / 38.4])
 
 
 def test_a_scene_in_a_large_unit_has_the_same_filter_in_pixels():
@@ -56,6 +96,7 @@ def test_the_filter_widens_and_keeps_what_a_gaussian_holds():
     opacities, widths = torch.rand(2, 200, generator=generator).double()
     wide, faint = smoothed(scales, opacities, widths)
     assert (wide > scales).all()
+    torch.testing.assert_close(wide.square() - widths.square()[:, None], scales.square())
     torch.testing.assert_close(faint * wide.prod(dim=1), opacities * scales.prod(dim=1))
     same = smoothed(scales, opacities, torch.zeros(200).double())
     torch.testing.assert_close(same, (scales, opacities))
@@ -84,9 +125,13 @@ def test_a_wide_filter_leaves_no_small_gaussian():
 
 
 def test_the_filters_follow_the_gaussians_through_densification():
-    model, plan = prepare(tiny_scene(), SHORT, RUN)
+    scene = from_three_distances()
+    cameras = [view.camera for view in scene.train_views]
+    model, plan = prepare(scene, SHORT, RUN)
     control, parameters = plan.density, model.parameters
     assert isinstance(control, MipControl)
+    want = sampling_widths(cameras, parameters.rows["means"]) * math.sqrt(0.2)
+    assert torch.equal(parameters.labels[FILTER], want)
     parameters.rows["means"][:, 2] += 1.0
     before = parameters.labels[FILTER].clone()
     control.gradient_sum = torch.ones(len(parameters))
@@ -95,7 +140,7 @@ def test_the_filters_follow_the_gaussians_through_densification():
     for edit in control.edits(10, parameters, torch.Generator().manual_seed(0)):
         parameters.edit(edit)
     assert len(parameters) > len(before)
-    want = sampling_widths(control.cameras, parameters.rows["means"]) * math.sqrt(0.2)
+    want = sampling_widths(cameras, parameters.rows["means"]) * math.sqrt(0.2)
     assert torch.equal(parameters.labels[FILTER], want)
 
 
