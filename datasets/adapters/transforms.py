@@ -202,21 +202,15 @@ def _lists(path: Path, data: dict[str, object], known: set[str]) -> dict[str, st
 def _completed(values: dict[str, object], photo: Path, where: str) -> dict[str, object]:
     """Intrinsics with what captures of instant-ngp may leave out: size, focal lengths, principal point."""
     known = dict(values)
-    if (known.get("w") is None or known.get("h") is None) and photo.is_file():
+    if not {"w", "h"} & known.keys() and photo.is_file():
         known["w"], known["h"] = photo_size(photo)
     width, height = image_size(known.get("w"), known.get("h"), where)
-    for focal, angle, side in (
-        ("fl_x", "camera_angle_x", width),
-        ("fl_y", "camera_angle_y", height),
-    ):
-        if known.get(focal) is None and known.get(angle) is not None:
+    angles = (("fl_x", "camera_angle_x", width), ("fl_y", "camera_angle_y", height))
+    for focal, angle, side in angles:
+        if focal not in known and angle in known:
             known[focal] = side / (2 * math.tan(field_of_view(known[angle], where, angle) / 2))
-    if known.get("fl_y") is None:  # square pixels
-        known["fl_y"] = known.get("fl_x")
-    for centre, side in (("cx", width), ("cy", height)):
-        if known.get(centre) is None:
-            known[centre] = side / 2
-    return known
+    known.setdefault("fl_y", known.get("fl_x"))  # square pixels
+    return {"cx": width / 2, "cy": height / 2} | known
 
 
 def _camera(values: dict[str, object], where: str) -> pycolmap.Camera:
