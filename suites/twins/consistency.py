@@ -62,12 +62,12 @@ def _stored(leaves: Leaves, given: Mapping[str, Any]) -> tuple[Tensor, Tensor, T
     return features, given["centres"].to(features), quaternions, scales
 
 
-def support_by_definition(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _by_definition(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The reference, with all 27 cells of every site."""
     return support_network.support(_network(leaves), *_stored(leaves, given), 1.0)
 
 
-def support_by_products(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _by_products(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """Torch, with the pairs that exist."""
     features = leaves["features"]
     return supported_by_products(
@@ -75,7 +75,7 @@ def support_by_products(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     )  # fmt: skip
 
 
-def support_natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The kernel, with the same pairs."""
     near, features = given["pairs"], leaves["features"]
     return native.support(
@@ -88,11 +88,11 @@ CONSISTENCY = Component(
     name="consistency",
     problem=sites,
     reference=Twin(
-        name="reference float64", start=functional(support_by_definition), dtype=torch.float64
+        name="reference float64", start=functional(_by_definition), dtype=torch.float64
     ),
     twins=(
-        Twin(name="cpu", start=functional(support_natively)),
-        Twin(name="torch", start=functional(support_by_products)),
+        Twin(name="cpu", start=functional(_natively)),
+        Twin(name="torch", start=functional(_by_products)),
     ),
     usual="cpu", judged=(500,), tiny=(30,),
     cases=(Case(size=(8_000,), quick=True),),

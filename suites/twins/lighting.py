@@ -54,19 +54,19 @@ def _projections(leaves: Leaves, given: Mapping[str, Any]) -> AttentionWeights:
     )  # fmt: skip
 
 
-def attend_densely(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _attend_densely(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The definition, over all pairs."""
     features = leaves["features"]
     centres = given["centres"].to(features)
     return reference.local_attention(features, centres, RADIUS, _projections(leaves, given))
 
 
-def attend_by_lists(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _attend_by_lists(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """Torch, over lists of neighbours."""
     return local_attention(leaves["features"], given["lists"], _projections(leaves, given))
 
 
-def attend_natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _attend_natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The kernel, over the same lists."""
     query, key, value = (leaves["features"] @ leaves[name] for name in PROJECTIONS)
     rows = torch.arange(len(query))
@@ -77,11 +77,11 @@ ATTENTION = Component(
     name="attention",
     problem=near,
     reference=Twin(
-        name="reference float64", start=functional(attend_densely), dtype=torch.float64
+        name="reference float64", start=functional(_attend_densely), dtype=torch.float64
     ),
     twins=(
-        Twin(name="cpu", start=functional(attend_natively)),
-        Twin(name="torch", start=functional(attend_by_lists)),
+        Twin(name="cpu", start=functional(_attend_natively)),
+        Twin(name="torch", start=functional(_attend_by_lists)),
     ),
     usual="cpu", judged=(1_000,), tiny=(60,),
     cases=(Case(size=(10_000,), quick=True),),
@@ -111,14 +111,14 @@ def _hidden(leaves: Leaves, owner: Tensor) -> tuple[Tensor, Tensor]:
     return one, one.relu() @ leaves["weight1"] + leaves["bias1"]
 
 
-def adapt_in_torch(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _adapt_in_torch(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The head, its first layer made once an anchor, and the mix."""
     _, two = _hidden(leaves, given["owner"])
     out = torch.sigmoid(two.relu() @ leaves["weight2"] + leaves["bias2"])
     return mix_colours(leaves["colours"], out[:, :3], out[:, 3:])
 
 
-def adapt_natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
+def _adapt_natively(leaves: Leaves, given: Mapping[str, Any]) -> Tensor:
     """The kernel."""
     none = torch.zeros_like(leaves["bias1"])  # of_each has the first layer's
     head = Mlp(
@@ -132,11 +132,11 @@ COLOUR_HEAD = Component(
     name="colour head",
     problem=coloured,
     reference=Twin(
-        name="reference float64", start=functional(adapt_in_torch), dtype=torch.float64
+        name="reference float64", start=functional(_adapt_in_torch), dtype=torch.float64
     ),
     twins=(
-        Twin(name="cpu", start=functional(adapt_natively)),
-        Twin(name="torch", start=functional(adapt_in_torch)),
+        Twin(name="cpu", start=functional(_adapt_natively)),
+        Twin(name="torch", start=functional(_adapt_in_torch)),
     ),
     usual="cpu", judged=(1_000,), tiny=(20,),
     cases=(Case(size=(17_000,), quick=True),),

@@ -25,6 +25,7 @@ from splatproof.suites.claim_checks import (
     trained,
 )
 from splatproof.suites.claim_checks.registry import CHECKS, run_check
+from splatproof.suites.studies.speed.neural import SMALL
 from splatproof.suites.twins.registry import COMPONENTS
 
 STEPS = 16
@@ -65,7 +66,7 @@ class Slow(Trainer):
 def test_a_step_that_takes_thrice_as_long_is_measured_so(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(steps, "QUICK_TURNS", 5)
     both = [Slow(60), Slow(20)]
-    found = steps._ratio("one over other", both, reduced=True)
+    found = steps._ratio("one over other", SMALL, both, reduced=True)
     assert statistics.median(found.values) == pytest.approx(3, rel=0.3)
     assert [one.step for one in both] == [steps.QUICK_WARM + 5 * steps.QUICK_TURN] * 2
 
