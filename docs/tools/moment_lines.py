@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from strips import QUALITY, WIDTH, Crop, Image, crops, line_of, tile_of
+from strips import QUALITY, Crop, Image, crops, line_of, tile_of
 
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.loading import load_reconstruction
@@ -15,6 +15,8 @@ from splatproof.suites.held_out import drawn, to_8_bit
 
 BESIDE = 2
 """Moments shown on either side of a held-out one: five in all."""
+WIDTH = 270
+"""Pixels that a view is wide."""
 
 
 def draw_moments(
@@ -74,4 +76,4 @@ def _moving_pixels(view: View) -> int:
 
 def _line(images: Sequence[Image], crop: Crop) -> Image:
     """Images of RGB side by side, as BGR."""
-    return np.hstack([tile_of(image[..., ::-1], crop) for image in images])
+    return np.hstack([tile_of(image[..., ::-1], crop, WIDTH) for image in images])

@@ -110,15 +110,16 @@ def _tile(path: Path, crop: Crop) -> Image:
     return tile_of(picture, crop)
 
 
-def tile_of(picture: Image, crop: Crop) -> Image:
-    """The shown part of a picture, WIDTH pixels wide.
+def tile_of(picture: Image, crop: Crop, width: int = WIDTH) -> Image:
+    """The shown part of a picture.
 
     Args:
         picture: A view's photo, or what a model made of the view.
         crop: What is shown of it.
+        width: Pixels that it is wide.
     """
-    size = (WIDTH, round(WIDTH * crop.height / crop.width))
-    kind = cv2.INTER_AREA if crop.width > WIDTH else cv2.INTER_CUBIC
+    size = (width, round(width * crop.height / crop.width))
+    kind = cv2.INTER_AREA if crop.width > width else cv2.INTER_CUBIC
     return np.asarray(cv2.resize(picture[crop.part], size, interpolation=kind))
 
 

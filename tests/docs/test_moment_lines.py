@@ -5,8 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
-from moment_lines import BESIDE, draw_moments, moments
-from strips import BAR, WIDTH
+from moment_lines import BESIDE, WIDTH, draw_moments, moments
+from strips import BAR
 
 from helpers.tiny_scene import tiny_scene
 from splatproof.metrics.protocol_files import load_protocol
