@@ -37,7 +37,7 @@ mean of the three. Protocol `street_lane_shift` trains on all moments and shows 
   K = 6 for each anchor of the last layer, `-even` that from 20,000, 5,000 and 2,500 anchors (`@n5`), as many Gaussians as three
   layers start from; `@ice-off`, `@conv`, `@no-mod`, `@no-gate` parts of the consistency step; `@no-lds` without local
   depth supervision; `@gds` with the ranks of a depth prior (`~depth-oracle+noise`: true depth, warped, blurred and
-  disturbed as networks do; `~depth-lidar`: sweeps, completed); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`: layer 0 does not move;
+  disturbed as networks do; `~depth-lidar`: sweeps, completed; `~depth-own`: our network; `~depth-sweep`: matched photos); `@uniform` growing; `@no-ur` keeps anchors out of view; `@static`: layer 0 does not move;
   `@no-lidar` lacks the LiDAR's term and still starts from sweeps, `@no-sweeps` reads none, as `pvg@no-lidar`; `@no-sky` learns no sky;
   `@no-smoothing` draws every step at its photo's own time; `@24k` starts from at most 24,000 anchors in place of 10,000.
   `@ours`: two layers of at most 36,000 anchors with six Gaussians each, a sky that pixels mostly covered do not teach, other rates of

@@ -37,7 +37,7 @@ of the three tunnels, as its tables are.
   blurred and disturbed as networks do; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
   terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map;
   `@z` depth along the axis, as the prior has it, in place of the paper's distance to the camera; `@no-dropout` and
-  `@no-volume` without these terms.
+  `@no-volume` without these terms; `@affine` of any method learns an affine exposure.
 """,
     printed=(
         Printed(
