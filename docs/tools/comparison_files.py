@@ -11,6 +11,7 @@ from statistics import fmean
 from comparison_page import Page, compared_row, render_page
 from kept_rows import Picture, committed, joined, pictures_of
 from matplotlib.axes import Axes
+from PIL import Image
 from printed_tables import Printed
 from strips import crops, file_name, save_strips
 
@@ -27,6 +28,8 @@ from splatproof.suites.suite_files import Case, load_suite
 DOCS = Path(__file__).parents[1]
 CURVES = "Training loss and number of stored primitives (Gaussians, or anchors of several each)"
 """What a picture of curves shows."""
+COLOURS_KEPT = 128
+"""Colours that such a picture is kept in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,6 +182,11 @@ def _curves(shown: Shown, name: str, docs: Path, *, later: bool) -> list[Picture
     stem = f"curves_{file_name(drawn[0][0])}" if later else "curves"
     path = docs / "images" / name / f"{stem}.png"
     save(figure, path)
+    with Image.open(
+        path
+    ) as drawn_in_full:  # lines of many rows in few colours: a third of the bytes
+        small = drawn_in_full.convert("RGB").quantize(COLOURS_KEPT)
+    small.save(path, optimize=True)
     which = f", of {', '.join(row for row, _ in drawn)}" if later else ""
     return [Picture(path=path.relative_to(docs).as_posix(),
                     caption=f"{CURVES} over the steps{which}, seed 0.")]  # fmt: skip
