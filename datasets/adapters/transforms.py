@@ -79,10 +79,10 @@ def open_nerfstudio(folder: Path, protocol: Protocol) -> Scene:
     """Read a nerfstudio scene: intrinsics for all frames or for each, a split if it has one.
 
     A frame's own number wins over the file's. Without `camera_model` lenses are fisheyes where
-    `is_fisheye`, of instant-ngp's captures, says so. Those may give the field of view in place of
-    focal lengths, and leave out size and principal point: the photo's own, and its middle. `test_filenames` is the test split (without it
-    `val_filenames`); images that no list names are left out. `protocol.images` other than
-    "photos" or "images" names the folder of smaller copies beside the frames' own.
+    `is_fisheye`, of instant-ngp's captures, says so. These may give the field of view in place of
+    focal lengths, and leave out size and principal point, which are the photo's own and its middle then.
+    `test_filenames` is the test split (without it `val_filenames`); images that no list names are left out.
+    `protocol.images` other than "photos" or "images" names the folder of smaller copies beside the frames' own.
     `ply_file_path` gives the sparse points, in the frame of the frames' own matrices. Frames whose
     photo is not there, as in the captures of instant-ngp, are left out with that reason, unless the
     protocol is strict. Pixels

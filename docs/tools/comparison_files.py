@@ -182,11 +182,10 @@ def _curves(shown: Shown, name: str, docs: Path, *, later: bool) -> list[Picture
     stem = f"curves_{file_name(drawn[0][0])}" if later else "curves"
     path = docs / "images" / name / f"{stem}.png"
     save(figure, path)
-    with Image.open(
-        path
-    ) as drawn_in_full:  # lines of many rows in few colours: a third of the bytes
-        small = drawn_in_full.convert("RGB").quantize(COLOURS_KEPT)
-    small.save(path, optimize=True)
+    # lines have few colours: less than a third of the bytes
+    with Image.open(path) as whole:
+        few = whole.convert("RGB").quantize(COLOURS_KEPT)
+    few.save(path, optimize=True)
     which = f", of {', '.join(row for row, _ in drawn)}" if later else ""
     return [Picture(path=path.relative_to(docs).as_posix(),
                     caption=f"{CURVES} over the steps{which}, seed 0.")]  # fmt: skip

@@ -7,15 +7,13 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
+from picture_lines import MOST
 from strips import QUALITY, Image, line_of
 from torch import Tensor
 
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.loading import load_reconstruction
 from splatproof.reference.types.protocol import Protocol
-
-MOST = 5
-"""Views of such a picture."""
 
 
 def draw_depths(path: Path, scene: str, protocol: Protocol, folders: Mapping[str, Path]) -> None:

@@ -163,6 +163,14 @@ def some_rows() -> list[Measured]:
     ]
 
 
+def test_a_page_names_records_that_have_no_settings():
+    known = [replace(one, settings={"iterations": 100}) for one in some_rows()]
+    assert "before records kept their settings" not in render_page(small_page(known), [])
+    text = render_page(small_page([*known[:-1], row("b", 2)]), [])
+    assert "1 of 7 records are of before records kept their settings" in text
+    assert "not checked against theirs: b (1)." in text
+
+
 def test_a_page_shows_verdicts_tables_and_lengths():
     text = render_page(small_page(some_rows()), [Picture(path="x.jpg", caption="See")])
     assert "All 3 rows of the suite are here." in text

@@ -5,16 +5,15 @@ from dataclasses import replace
 import pytest
 import torch
 
+from helpers.covered_sky import require_taught_below
 from helpers.tiny_drive import tiny_drive
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
-from splatproof.methods.dynamic.sky import SKY
 from splatproof.methods.hdgs.control import HdgsControl
 from splatproof.methods.hdgs.density import HdgsDensity
 from splatproof.methods.hdgs.fit import fit, prepare
 from splatproof.methods.hdgs.settings import DepthSettings, Settings
 from splatproof.methods.training.terms import Photometric, Term
-from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import DepthPrior, Scene
 
 SMALL = Settings(
@@ -70,15 +69,7 @@ def test_the_terms_weigh_what_the_settings_say():
 def test_pixels_that_are_covered_by_so_much_teach_the_sky_nothing(covered):
     scene = with_priors()
     model, _ = prepare(scene, replace(SMALL, sky=SkySettings(resolution=4, covered=covered)), RUN)
-    alpha = torch.linspace(0, 1, 18 * 24).reshape(18, 24)
-    cube = model.parameters.shared[SKY].requires_grad_()
-    output = RenderOutput(
-        colour=torch.zeros(18, 24, 3), alpha=alpha, depth=alpha, radii=torch.zeros(0)
-    )
-    model.finish_image(scene.views[0], output).sum().backward()
-    assert cube.grad is not None
-    left = (1 - alpha)[alpha < covered].sum()
-    assert float(cube.grad.sum()) == pytest.approx(3 * float(left), rel=1e-5)
+    require_taught_below(model, scene.views[0], covered)
 
 
 def test_density_control_follows_the_settings_and_the_drive():

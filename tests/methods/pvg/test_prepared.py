@@ -6,17 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 
+from helpers.covered_sky import require_taught_below
 from helpers.tiny_drive import tiny_drive
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.model import TRAINED
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.settings import SkySettings
-from splatproof.methods.dynamic.sky import SKY
 from splatproof.methods.models.decoded import DecodedModel
 from splatproof.methods.pvg.fit import KIND, prepare
 from splatproof.methods.pvg.model import restored
 from splatproof.methods.pvg.settings import Settings
-from splatproof.reference.types.render import RenderOutput
 
 SMALL = Settings(iterations=1, sh_degree=0, sky=SkySettings(resolution=0, weight=0.0))
 RUN = Run(threads=1, seed=3)
@@ -26,15 +25,7 @@ RUN = Run(threads=1, seed=3)
 def test_pixels_that_are_covered_by_so_much_teach_the_sky_nothing(covered):
     scene = tiny_drive(moments=4)
     model, _ = prepare(scene, replace(SMALL, sky=SkySettings(resolution=4, covered=covered)), RUN)
-    alpha = torch.linspace(0, 1, 18 * 24).reshape(18, 24)
-    cube = model.parameters.shared[SKY].requires_grad_()
-    output = RenderOutput(
-        colour=torch.zeros(18, 24, 3), alpha=alpha, depth=alpha, radii=torch.zeros(0)
-    )
-    model.finish_image(scene.views[0], output).sum().backward()
-    assert cube.grad is not None
-    left = (1 - alpha)[alpha < covered].sum()
-    assert float(cube.grad.sum()) == pytest.approx(3 * float(left), rel=1e-5)
+    require_taught_below(model, scene.views[0], covered)
 
 
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
