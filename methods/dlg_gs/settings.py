@@ -40,6 +40,11 @@ class Settings(scaffold.Settings):
     """Weight of the Gaussians' depth term."""
     mc: float = 0.01
     """Weight of the anchors' depth term."""
+    depth_final: float = 1.0
+    """Share of their weights that both depth terms still have at the last step, reached log-linearly from
+    the first on, in (0, 1]; 1: constant, as in the paper. Where priors of single photos are wrong, what is
+    left of them late is an error that each view can be given its own way (the 3DGS release ends its
+    depth term at 0.01 of its weight)."""
     depth: Depth = "distance"
     """What both depth terms blend the inverse of: "distance" to the camera's centre, as the paper prints
     it; or "z" along the optical axis, as depth priors have it: true geometry has an error against true
@@ -77,6 +82,7 @@ class Settings(scaffold.Settings):
             require(0 <= getattr(self, name) < math.inf, name, getattr(self, name), ">= 0")
         for name in ("factor_width", "head"):
             require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
+        require(0 < self.depth_final <= 1, "depth_final", self.depth_final, "(0, 1]")
         require(0 <= self.dropout_share < 1, "dropout_share", self.dropout_share, "[0, 1)")
 
     @property

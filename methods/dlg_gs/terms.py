@@ -14,6 +14,7 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.depth_error import disparity_error
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.fit import mean_volume
+from splatproof.methods.training.schedules import log_linear
 from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
 from splatproof.reference.anchors import lighting_appearance
 from splatproof.reference.supervision import depth_constraint
@@ -27,7 +28,9 @@ def terms(settings: Settings, run: Run) -> tuple[ImageTerm, ...]:
         run: Whose backend draws depths and what is left without dropped Gaussians.
     """
     made = colour_terms(settings)
-    depth = Depth(run, kind=settings.depth, weighted=settings.weight_map)
+    depth = Depth(
+        run, kind=settings.depth, weighted=settings.weight_map, final=settings.depth_final
+    )
     if settings.vdjc in ("ec", "both") and settings.ec:
         made.append(Term(name="gaussian depth", loss=depth.of_gaussians, weight=settings.ec))
     if settings.moves and settings.mc:
@@ -75,18 +78,22 @@ class Depth:
     Source: DLG-GS, Sec. 2.2.
     """
 
-    def __init__(self, run: Run, *, kind: depth_constraint.Depth, weighted: bool) -> None:
+    def __init__(
+        self, run: Run, *, kind: depth_constraint.Depth, weighted: bool, final: float
+    ) -> None:
         """Start without any prior in memory.
 
         Args:
             run: Its backend draws; priors are kept in as many bytes as images are.
             kind: How far a position is: its distance, or its z.
             weighted: Whether pixels whose two renders differ count less.
+            final: Share of the error that counts at the last step, in (0, 1].
         """
         self.backend = get_backend(run.backend)
         self.priors = TensorCache(run.image_bytes)
         self.kind: depth_constraint.Depth = kind
         self.weighted = weighted
+        self.share = log_linear(1.0, final)
 
     def of_gaussians(self, frame: Frame) -> Float[Tensor, ""]:
         """EC, by how far the Gaussians are: it moves and fades them, and leaves their shape alone.
@@ -133,7 +140,9 @@ class Depth:
             lambda: depth_constraint.normalise_disparity(load().disparity.to(device), valid),
         )
         weight = frame.once("appearance weight", lambda: self._weight(frame))
-        return disparity_error(disparity, target, valid, weight)
+        moment = frame.moment
+        share = self.share(moment.step, moment.total)
+        return share * disparity_error(disparity, target, valid, weight)
 
     def _weight(self, frame: Frame) -> Tensor:
         """How much each pixel's depth counts."""

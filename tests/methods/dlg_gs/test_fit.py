@@ -242,6 +242,7 @@ def test_without_priors_it_says_what_does_without():
     ("given", "told"),
     [
         ({"radius": -1.0}, "radius is -1.0, expected >= 0"),
+        ({"depth_final": 0.0}, r"depth_final is 0.0, expected \(0, 1\]"),
         ({"dropout_share": 1.0}, r"dropout_share is 1.0, expected \[0, 1\)"),
         ({"factor_width": 0}, "factor_width is 0, expected >= 1"),
         ({"k": 0}, "k is 0, expected >= 1"),

@@ -137,6 +137,17 @@ def test_depths_by_the_paper(weighted, kind):
     torch.testing.assert_close(found, want, atol=1e-7, rtol=1e-4)
 
 
+@pytest.mark.parametrize("name", ["gaussian depth", "anchor depth"])
+def test_depth_terms_fade_log_linearly_to_their_share_at_the_end(name):
+    constant, fading = (Made(replace(SMALL, depth_final=share)) for share in (1.0, 0.04))
+    for step, share in [(0, 1.0), (25, 0.2), (50, 0.04)]:
+        for made in (constant, fading):
+            made.frame = replace(made.frame, moment=replace(made.frame.moment, step=step, total=50))
+        whole, left = constant.loss(name), fading.loss(name)
+        torch.testing.assert_close(left, share * whole, rtol=1e-5, atol=0)
+        assert whole == Made(SMALL).loss(name)
+
+
 def test_true_geometry_has_no_error_against_the_oracle_by_z_alone():
     """Dots on the true depth of a wide view, and true depth as the prior of the pixels that have one."""
     where = replace(camera(2), K=torch.tensor([[9.0, 0, 12], [0, 9, 9], [0, 0, 1]]).double())
