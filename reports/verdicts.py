@@ -264,7 +264,8 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
 
     That is as much as the second half of its steps gave (against the row method@half), and twice what
     twice the steps give (method@double): the latter is measured where the former is foretold, and counts
-    where both are there. Of a row of twice the steps the second half is what it gained on its method.
+    where both are there. Of a row of twice the steps the second half is what it gained on its method, and twice its steps
+    are those of method@double-double.
 
     Args:
         run: A run of the method; its scene and protocol count. A variant is taken to need as many steps
@@ -278,10 +279,11 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
     Source: ours.
     """
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
-    is_double = other_length(_variant(run))[1] == DOUBLE
+    own = _variant(run)
+    is_double = other_length(own)[1] == DOUBLE
     for stem in _stems(run):
         if doubled := _doubling_gains(run, metric, alike, stem, DOUBLE):
-            return (1 if is_double else 2) * float(np.mean(doubled))
+            return (1 if is_double and stem != own else 2) * float(np.mean(doubled))
         if not is_double and (second := _doubling_gains(run, metric, alike, stem, HALF)):
             return float(np.mean(second))
     return math.nan

@@ -338,6 +338,8 @@ def test_a_row_of_twice_the_steps_says_it_better_than_one_of_half():
         ("a@double", "+1"), ("a@ours-double", "+0.05"),
         # run at twice the steps alone, it is taken to have gained as much as what it is a variant of
         ("a@ours-part-double", "+0.05"),
+        # unless four times the steps are there
+        ("a@long-double", "+0.4"), ("a@long", "+2"), ("a@long-double-double", "+0.2"),
         # its own half says more of it than twice the steps of its method
         ("a@quick", "+0.2"), ("a@quick-part", "+0.2"),
     ],
@@ -349,6 +351,7 @@ def test_a_variant_of_a_variant_needs_as_many_steps_as_that_where_it_is_known(ro
         for name, gain in (
             ("a", 0), ("a@double", 1.0), ("a@ours", 0), ("a@ours-double", 0.05), ("a@ours-part-double", 3.0),
             ("a@quick", 0.2), ("a@quick-half", 0.0),
+            ("a@long", 0.0), ("a@long-double", 1.0), ("a@long-double-double", 1.2),
         )
     ]  # fmt: skip
     found = further_gain(run(row, 0, [20.0] * 6), "psnr", lengths)
