@@ -66,6 +66,8 @@ class Measured:
     blocks_uncounted: bool = False
     """Whether it was recorded before the processes that train blocks were counted: what it says of processor
     seconds and peak memory is that of the first process alone, and is left out of `values`."""
+    turns: str = ""
+    """Session in which `render_ms` was taken in turns with others, see Result; "": in none."""
     images: dict[str, dict[str, float]] = field(default_factory=dict)
     """Metrics of each scored image by name; what is undefined is left out."""
 
@@ -117,6 +119,7 @@ def measured(result: Result) -> Measured:
         counters=dict(sorted(result.counters.items())),
         values=_finite(values),
         blocks_uncounted=uncounted,
+        turns=result.turns,
         images={image.name: _finite(image.metrics) for image in result.images},
     )
 

@@ -32,8 +32,9 @@ what seeds move."""
 SETTLED_SHARE = 0.1
 """The same of values that are no dB, as a share of the value."""
 
+FRAME = "render_ms"
 TIMES = (
-    "train_seconds", "four_machine_seconds", "render_ms", "seconds_max_over_mean",
+    "train_seconds", "four_machine_seconds", FRAME, "seconds_max_over_mean",
     "seconds_std_over_mean",
 )  # fmt: skip
 """Metrics that other work on the machine changes."""
@@ -89,7 +90,7 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
         return _without(claim, "not testable here", fault)
     every = [run for pair in pairs for side in pair for run in side]
     seeds = min(len(side) for pair in pairs for side in pair)
-    if fault := _untimed(claim.metric, every):
+    if fault := untimed_among(claim.metric, every):
         return _without(claim, "not testable here", fault, seeds)
     if short := _short(claim, every, seeds):
         return _without(claim, "too short to judge", short, seeds)
@@ -106,8 +107,15 @@ def judge(claim: Claim, runs: Sequence[Measured], generator: np.random.Generator
     return Judged(claim=claim, verdict=verdict, difference=found, seeds=seeds, reason=reason)
 
 
-def _untimed(metric: str, every: Sequence[Measured]) -> str:
-    """Why costs of runs are not compared, with the rows that each reason is about; empty where they are."""
+def untimed_among(metric: str, every: Sequence[Measured]) -> str:
+    """Why costs of runs are not compared, with the rows that each reason is about; empty where they are.
+
+    Args:
+        metric: Name of a value of cases.
+        every: Finished runs that are compared with one another.
+    """
+    if metric == FRAME and len(sessions := {run.turns for run in every}) == 1 and all(sessions):
+        return ""  # drawn in turns with one another
     rows: dict[str, set[str]] = {}
     for run in every:
         if why := untimed(metric, run):
@@ -162,6 +170,8 @@ def untimed(metric: str, run: Measured) -> str:
         return ""
     if run.blocks_uncounted:
         return f"{UNCOUNTED}: whether the machine had other work is not known"
+    if metric == FRAME and run.turns:
+        return "its frames had turns with other rows, not with what it is compared with"
     return "timed while the machine had other work" if waited(run) else ""
 
 
@@ -275,7 +285,8 @@ def further_gain(run: Measured, metric: str, runs: Sequence[Measured]) -> float:
         metric: Name of a value of cases.
         runs: All cases of the suite.
     Returns: Mean over the seeds that both rows have, of sums over steps without what the steps
-        themselves add; nan where there are no two such rows.
+        themselves add; nan where there are no two such rows. Of times a frame both have to be of one session of turns, or of
+        none.
     Source: ours.
     """
     alike = [r for r in runs if (r.scene, r.protocol) == (run.scene, run.protocol) and not r.error]
@@ -302,6 +313,7 @@ def _doubling_gains(
         for other in others
         for whole in alike
         if (whole.row, whole.seed) == (other.named(stem), other.seed)
+        and (metric != FRAME or whole.turns == other.turns)
         and metric in whole.values and metric in other.values
     ]  # fmt: skip
     return [longer.values[metric] - before * short.values[metric] for short, longer in pairs]

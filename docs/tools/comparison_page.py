@@ -79,7 +79,23 @@ def _head(page: Page) -> str:
     return HEAD.format(
         title=page.title, suite=page.suite, machines=machines, intro=page.intro.rstrip(),
         missing=_missing(page) + _unknown(page), settled=SETTLED, missed=round(100 * MISSED), larger=_larger(page.suite), counted=_counted(page),
+        turns=_turns(done),
     )  # fmt: skip
+
+
+def _turns(done: Sequence[Measured]) -> str:
+    """Which rows' frames were timed in turns; empty where none were."""
+    sessions: dict[tuple[str, str], list[str]] = {}
+    for run in done:
+        if run.turns:
+            sessions.setdefault((run.turns, f"{run.scene}, {run.protocol}"), []).append(run.row)
+    if not sessions:
+        return ""
+    groups = [
+        f"{', '.join(f'`{row}`' for row in dict.fromkeys(rows))} ({place})"
+        for (_, place), rows in sessions.items()
+    ]
+    return f", but those of a frame of {'; '.join(groups)}, which had turns with one another (`bench frames`)"
 
 
 def _counted(page: Page) -> str:
@@ -263,7 +279,7 @@ HEAD = """# {title}
 
 Made by `python docs/tools/make_{suite}_page.py RUNS` from the records of `bench run {suite} --out RUNS` (here in
 [{suite}.json]({suite}.json)); a test compares. `bench run {suite} --quick` runs every method in miniature and
-judges nothing{larger}. Measured on {machines}; times beside other work.
+judges nothing{larger}. Measured on {machines}; times beside other work{turns}.
 
 {intro}
 

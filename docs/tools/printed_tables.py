@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from splatproof.reports.measured import Measured
-from splatproof.reports.verdicts import TIMES, waited
+from splatproof.reports.verdicts import untimed_among
 from splatproof.suites.published.rows import numbers
 
 OURS = {"storage_mb": "disk_mb", "fps": "fps", "psnr": "psnr", "ssim": "ssim_3dgs",
@@ -154,12 +154,9 @@ def busy(table: Printed, metric: str, rows: Sequence[Measured]) -> str:
         rows: Our cases that are compared.
     """
     named = {line.row for line in table.lines}
-    waiting = sorted({run.row for run in rows if run.row in named and waited(run)})
-    if not waiting or SECONDS.get(metric) not in TIMES:
-        return ""
-    return (
-        f"{metric} not testable here ({', '.join(waiting)}: timed while the machine had other work)"
-    )
+    own = [run for run in rows if run.row in named]
+    why = untimed_among(SECONDS[metric], own) if metric in SECONDS else ""
+    return f"{metric} not testable here ({why})" if why else ""
 
 
 def _agreement(metric: str, pairs: Sequence[tuple[float, float]]) -> str:

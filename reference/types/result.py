@@ -104,6 +104,9 @@ class Result:
     """Bytes of the saved model."""
     render_ms: float
     """Median milliseconds a test frame after warm-up, without I/O."""
+    turns: str = ""
+    """Name of the session in which this model was drawn in turns with others, which `render_ms` is of then; "": it is
+    of right after the case's own training."""
     split_sha256: str
     """Hash of the train and test name lists."""
     model_sha256: str

@@ -68,6 +68,7 @@ def result_from_json(text: str, source: str) -> Result:
     record.setdefault("counters", {})  # older than counting
     record.setdefault("curve_seconds", [])  # older than its clock
     record.setdefault("timed", [])  # older than marks
+    record.setdefault("turns", "")  # older than turns
     result = _read(record, Result, "result", source)
     newer = {name: rule for name, rule in RULES.items() if name not in result.protocol_rules}
     return dataclasses.replace(result, protocol_rules=result.protocol_rules | newer)

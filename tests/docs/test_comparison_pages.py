@@ -171,6 +171,19 @@ def test_a_page_names_records_that_have_no_settings():
     assert "not checked against theirs: b (1)." in text
 
 
+def test_a_page_names_rows_whose_frames_had_turns_with_one_another():
+    rows = some_rows()
+    assert "times beside other work.\n" in render_page(small_page(rows), [])
+    turned = [replace(one, turns="x" if one.row == "b" else "") for one in rows]
+    text = render_page(small_page(turned), [])
+    told = (
+        "but those of a frame of `b` (s, p), which had turns with one another (`bench frames`).\n"
+    )
+    assert f"times beside other work, {told}" in text
+    both = [replace(one, turns="y" if one.row == "a" else one.turns) for one in turned]
+    assert "of a frame of `a` (s, p); `b` (s, p), which" in render_page(small_page(both), [])
+
+
 def test_a_page_shows_verdicts_tables_and_lengths():
     text = render_page(small_page(some_rows()), [Picture(path="x.jpg", caption="See")])
     assert "All 3 rows of the suite are here." in text
@@ -283,6 +296,8 @@ def test_printed_rows_beside_ours():
         "psnr 0 of 1; fps not testable here (a, b: timed while the machine had other work)."
         in (printed_tables([table], busy)[-1])
     )
+    together = [replace(one, turns="x") for one in busy]
+    assert "psnr 0 of 1; fps 0 of 1." in printed_tables([table], together)[-1]
     turned = [replace(one, row="b" if one.row == "a" else "a") for one in some_rows()]
     assert "psnr 1 of 1" in printed_tables([table], turned)[-1]
     assert "psnr 0 of 0" in printed_tables([table], [])[-1]

@@ -78,6 +78,48 @@ def test_times_of_a_machine_that_had_other_work_judge_nothing(metric, wall, expe
         assert judged.reason == "a, b: timed while the machine had other work"
 
 
+@pytest.mark.parametrize(
+    ("sessions", "expected", "reason"),
+    [
+        (("one", "one"), "holds", ""),
+        (("one", "two"), "not testable here", "a, b: its frames had turns with other rows"),
+        (("one", ""), "not testable here", "a: its frames had turns with other rows"),
+        (("", ""), "not testable here", "a, b: timed while the machine had other work"),
+    ],
+)  # fmt: skip
+def test_frames_that_had_their_turns_together_are_judged_whatever_their_training_met(
+    sessions, expected, reason
+):
+    found = [
+        run(row, seed, [20.0] * 6, turns=session, values={
+            "render_ms": factor * 10 + 0.1 * seed, "train_seconds": 300.0, "cpu_seconds": 100.0
+        })
+        for row, factor, session in zip("ab", (1.0, 2.0), sessions, strict=True)
+        for seed in range(3)
+    ]  # fmt: skip
+    claim = dataclasses.replace(
+        CLAIM, metric="render_ms", better="lower", relative=True, printed=-0.5
+    )
+    judged = verdict(claim, found)
+    assert judged.verdict == expected, judged
+    assert reason in judged.reason
+    slower = dataclasses.replace(claim, metric="train_seconds")
+    assert "timed while the machine had other work" in verdict(slower, found).reason
+
+
+def test_a_frame_of_other_length_says_something_if_it_had_its_turn_in_the_same_session():
+    rows = {"a": 10.0, "a@half": 4.0, "b": 20.0, "b@half": 19.0}
+    found = {
+        name: run(name, 0, [20.0] * 6, turns="one", values={"render_ms": ms})
+        for name, ms in rows.items()
+    }
+    assert further_gain(found["a"], "render_ms", list(found.values())) == 6.0
+    apart = [*found.values()]
+    apart[1] = dataclasses.replace(apart[1], turns="two")
+    assert math.isnan(further_gain(found["a"], "render_ms", apart))
+    assert further_gain(found["b"], "render_ms", apart) == 1.0
+
+
 UNCOUNTED = "b: recorded before the processes of blocks were counted"
 
 

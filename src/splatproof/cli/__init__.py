@@ -106,6 +106,13 @@ COMMANDS = {
         plugins=True,
         scenes=True,
     ),
+    "frames": Command(
+        module="frames",
+        functions={"": "frames"},
+        help="Time a frame of a suite's saved models, drawn in turns.",
+        plugins=True,
+        scenes=True,
+    ),
     "protocols": Command(
         module="protocols",
         functions={"": "protocols"},
