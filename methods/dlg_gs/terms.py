@@ -11,7 +11,8 @@ from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.dlg_gs.depth_error import disparity_error
+from splatproof.methods.dlg_gs.depth_error import appearance_weight, disparity_error
+from splatproof.methods.dlg_gs.disparity import anchor_disparity, gaussian_disparity
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.fit import mean_volume
 from splatproof.methods.training.terms import Frame, ImageTerm, Photometric, Term, photometric_loss
@@ -98,7 +99,7 @@ class Depth:
         if self.backend.again and frame.output.colour.requires_grad:
             # as much of each Gaussian is seen as in the picture itself
             rasterizer = partial(self.backend.again, frame.output)
-        disparity = depth_constraint.gaussian_disparity(
+        disparity = gaussian_disparity(
             frame.view.camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
             depth=self.kind, rasterizer=rasterizer,
         )  # fmt: skip
@@ -112,9 +113,9 @@ class Depth:
         """
         splats = frame.splats
         assert splats.rows is not None
-        anchors = centres_of(frame.model.parameters).index_select(0, splats.rows)
-        disparity = depth_constraint.anchor_disparity(
-            frame.view.camera, anchors, splats.means, splats.quaternions, splats.scales,
+        disparity = anchor_disparity(
+            frame.view.camera, centres_of(frame.model.parameters), splats.rows,
+            splats.means, splats.quaternions, splats.scales,
             depth=self.kind, rasterizer=self.backend.rasterize,
         )  # fmt: skip
         return self._error(disparity, frame)
@@ -140,7 +141,7 @@ class Depth:
         colours = frame.output.colour.detach()
         if not self.weighted or colours.shape[2] == 3:
             return torch.ones_like(frame.output.alpha)
-        return depth_constraint.appearance_weight(colours[..., :3], colours[..., 3:])
+        return appearance_weight(colours[..., :3], colours[..., 3:])
 
 
 class Dropout:
