@@ -58,6 +58,17 @@ class Lighting:
     """Unit in which networks read distances, in scene units."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LitSplats(Splats):
+    """Splats with adapted and original colours, for a render of the adapted ones alone.
+
+    As a part of both they would have a gradient of six channels, half of them zeros.
+    """
+
+    adapted: Float[Tensor, "n 3"]
+    """The first three channels of `colours`."""
+
+
 class DlgModel(AnchorModel):
     """An AnchorModel whose splats have two colours while it trains: adapted c~ and original c.
 
@@ -105,8 +116,10 @@ class DlgModel(AnchorModel):
             network(HEAD, self.parameters.shared), original, self.factor(view),
             self.attended(view.camera, seen), place[rows],
         )  # fmt: skip
-        both = torch.cat([adapted, original], dim=1) if moment.trains else adapted
-        return replace(splats, colours=both)
+        if not moment.trains:
+            return replace(splats, colours=adapted)
+        both = torch.cat([adapted, original], dim=1)
+        return LitSplats(**vars(splats) | {"colours": both, "adapted": adapted})
 
     def factor(self, view: View) -> Float[Tensor, " e"]:
         """eps_s that a view is shown in, see `chosen_code`.
