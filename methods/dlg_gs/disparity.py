@@ -40,7 +40,7 @@ def gaussian_disparity(
     carried = inverses(camera, means, depth)
     fixed = quaternions.detach(), scales.detach()
     drawn = rasterizer(camera, means, *fixed, opacities, colours=carried[:, None])
-    return drawn.colour[..., 0]
+    return drawn.colour.squeeze(dim=2)
 
 
 def anchor_disparity(
@@ -74,7 +74,8 @@ def anchor_disparity(
     carried = inverses(camera, anchors, depth).index_select(0, rows)
     opacities = torch.full_like(carried, ANCHOR_OPACITY).detach()
     fixed = means.detach(), quaternions.detach(), scales.detach()
-    return rasterizer(camera, *fixed, opacities, colours=carried[:, None]).colour[..., 0]
+    drawn = rasterizer(camera, *fixed, opacities, colours=carried[:, None])
+    return drawn.colour.squeeze(dim=2)
 
 
 def inverses(camera: Camera, positions: Float[Tensor, "n 3"], depth: Depth) -> Float[Tensor, " n"]:

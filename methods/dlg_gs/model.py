@@ -114,7 +114,7 @@ class DlgModel(AnchorModel):
         place[seen] = torch.arange(len(seen), device=seen.device)
         adapted = adapted_colours(
             network(HEAD, self.parameters.shared), original, self.factor(view),
-            self.attended(view.camera, seen), place[rows],
+            self.attended(view.camera, seen), place.index_select(0, rows),
         )  # fmt: skip
         if not moment.trains:
             return replace(splats, colours=adapted)
@@ -262,7 +262,7 @@ def adapted_colours(
     """
     first, *others = head.weights
     of_colour, of_factor, of_anchor = first.split([3, len(factor), attended.shape[1]])
-    of_each = attended @ of_anchor + (factor @ of_factor + head.biases[0])
+    of_each = torch.addmm(factor @ of_factor + head.biases[0], attended, of_anchor)
     if native.applies(colours, of_each, head):
         return native.adapt(colours, of_each, owner, head)
     hidden = torch.relu(colours @ of_colour + of_each.index_select(0, owner))
