@@ -56,7 +56,7 @@ class _Error(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, disparity: Tensor, target: Tensor, valid: Tensor, weight: Tensor):
         known = disparity.flatten() if valid.all() else disparity.masked_select(valid)
-        low, high = _ends(known) if len(known) else (0.0, 0.0)
+        low, high = _ends(known) if len(known) else (disparity.new_zeros(()),) * 2
         spread = high - low
         ctx.gradient = None
         if not spread > 0:  # a constant map is 0 everywhere, and so is its gradient
@@ -73,14 +73,17 @@ class _Error(torch.autograd.Function):
         return by, None, None, None
 
 
-def _ends(values: Tensor) -> list[float]:
-    """The two QUANTILES, one after the other: numpy finds several ranks at once without vectors, more slowly."""
+def _ends(values: Tensor) -> list[Tensor]:
+    """The two QUANTILES, to the bit as the reference's `quantiles` has them.
+
+    One after the other: numpy finds several ranks at once without vectors, more slowly.
+    """
     left, found = values.cpu().numpy().copy(), []
     for share in QUANTILES:
         rank = share * (len(values) - 1)
         below = math.floor(rank)
         left.partition(below)
-        here = float(left[below])
-        above = float(np.fmin.reduce(left[below + 1 :])) if below < rank else here
-        found.append(here + (rank - below) * (above - here))
+        above = np.fmin.reduce(left[below + 1 :]) if below < rank else left[below]
+        here, there = values.new_tensor([float(left[below]), float(above)])
+        found.append(here.lerp(there, rank - below))
     return found

@@ -38,6 +38,17 @@ def test_it_is_the_references(size, seed, known, dtype):
     assert_close(gradient, by)
 
 
+@pytest.mark.parametrize("dtype", [D, torch.float32])
+@pytest.mark.parametrize("seed", range(20))
+def test_where_the_error_is_0_it_pulls_as_the_references(dtype, seed):
+    """Of two pixels in one order both have the target's value: there rounding has the sign, and it is the same."""
+    draw = lambda at: torch.rand(1, 2, generator=torch.Generator().manual_seed(at), dtype=dtype)
+    disparity, every = 5 * draw(seed), torch.ones(1, 2, dtype=torch.bool)
+    target = reference.normalise_disparity(draw(seed + 100).sort().values, every)
+    (_, gradient), (_, by) = both(disparity.sort().values, target, every, draw(seed + 200))
+    assert_close(gradient, by)
+
+
 @pytest.mark.parametrize("level", [0.0, 0.7])
 def test_a_constant_map_pulls_on_nothing(level):
     target = torch.rand(4, 5, generator=torch.Generator().manual_seed(0), dtype=D)
