@@ -14,33 +14,36 @@ from splatproof.reference.anchors.attention import AttentionWeights
 
 
 def attention_among(
-    gated: Float[Tensor, "v d"],
+    query: Float[Tensor, "v dk"],
+    key: Float[Tensor, "v dk"],
+    value: Float[Tensor, "v dv"],
     seen: Int[Tensor, " v"],
     every: Neighbours,
-    weights: AttentionWeights,
     centres: Float[Tensor, "n 3"],
     radius: float,
 ) -> Float[Tensor, "v dv"]:
     """Softmax(Q K^T / sqrt(d_k)) V of some anchors over those of them that are near.
 
     Args:
-        gated: Inputs of the anchors that take part, from `pooled_gates`.
+        query: A row for each anchor that takes part, as the next two; over sqrt(d_k) already.
+        key: What the query is compared with.
+        value: What is mixed.
         seen: Which anchors these are, ascending.
         every: Lists of all anchors; they may reach farther than the radius.
-        weights: The three projections are read.
         centres: Where all anchors stand.
         radius: How far an anchor sees others, in the unit of the centres; inf: as far as its list reaches.
 
     Source: DLG-GS, Eqs. 9 to 11.
     """
-    if native.applies(gated, centres):
-        query, key, value = (gated @ w for w in (weights.query, weights.key, weights.value))
+    if native.applies(query, centres):
         looked = None if radius == math.inf else centres
-        return native.attend(every.native, seen, query, key, value, centres=looked, radius=radius)
+        return native.attend(
+            every.native, seen, query, key, value, centres=looked, radius=radius, scaled=True
+        )  # fmt: skip
     near = every.among(seen)
     if radius < math.inf:
         near = near.within(centres[seen], radius)
-    return local_attention(gated, near, weights)
+    return _Attend.apply(query, key, value, near)  # type: ignore[return-value]
 
 
 def local_attention(

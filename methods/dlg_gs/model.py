@@ -16,11 +16,12 @@ from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.model import Moment, Schedule
 from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.dlg_gs.attention import attention_among
+from splatproof.methods.dlg_gs.gates import attention_inputs, gated_projections
 from splatproof.methods.dlg_gs.light import factors
 from splatproof.methods.dlg_gs.neighbours import Neighbours, neighbours
 from splatproof.methods.kernels import colour_head as native
 from splatproof.methods.models.adapting import chosen_code
-from splatproof.reference.anchors import attention, scaffold
+from splatproof.reference.anchors import attention
 from splatproof.reference.anchors.lighting_appearance import mix_colours
 from splatproof.reference.types import mlp
 from splatproof.reference.types.camera import Camera
@@ -55,6 +56,17 @@ class Lighting:
     """How far an anchor sees others, scene units."""
     extent: float
     """Unit in which networks read distances, in scene units."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LitSplats(Splats):
+    """Splats with adapted and original colours, for a render of the adapted ones alone.
+
+    As a part of both they would have a gradient of six channels, half of them zeros.
+    """
+
+    adapted: Float[Tensor, "n 3"]
+    """The first three channels of `colours`."""
 
 
 class DlgModel(AnchorModel):
@@ -102,10 +114,12 @@ class DlgModel(AnchorModel):
         place[seen] = torch.arange(len(seen), device=seen.device)
         adapted = adapted_colours(
             network(HEAD, self.parameters.shared), original, self.factor(view),
-            self.attended(view.camera, seen), place[rows],
+            self.attended(view.camera, seen), place.index_select(0, rows),
         )  # fmt: skip
-        both = torch.cat([adapted, original], dim=1) if moment.trains else adapted
-        return replace(splats, colours=both)
+        if not moment.trains:
+            return replace(splats, colours=adapted)
+        both = torch.cat([adapted, original], dim=1)
+        return LitSplats(**vars(splats) | {"colours": both, "adapted": adapted})
 
     def factor(self, view: View) -> Float[Tensor, " e"]:
         """eps_s that a view is shown in, see `chosen_code`.
@@ -157,12 +171,13 @@ class DlgModel(AnchorModel):
             return every.new_zeros(0, INPUTS)
         centres = every[seen]
         weights = self.attention_weights()
-        gated = attention.pooled_gates(self.attention_inputs(camera, centres), weights)
+        inputs = self.attention_inputs(camera, centres)
         if not self.mixes:
-            return gated @ weights.value
+            return attention.pooled_gates(inputs, weights) @ weights.value
         # Lists of what stands still are exact.
         radius = self.lighting.radius if self.moves else math.inf
-        return attention_among(gated, seen, self._neighbours(every), weights, every, radius)
+        projected = gated_projections(inputs, weights)
+        return attention_among(*projected, seen, self._neighbours(every), every, radius)
 
     def attention_inputs(
         self, camera: Camera, centres: Float[Tensor, "v 3"]
@@ -174,9 +189,7 @@ class DlgModel(AnchorModel):
             centres: Where it stands.
         """
         low, high = (centres.new_tensor(each) for each in (self.lighting.low, self.lighting.high))
-        code = attention.fourier_code(attention.in_box(centres, low, high))
-        direction, distance = scaffold.view_code(centres, camera.centre)
-        return torch.cat([code, direction, distance / self.lighting.extent], dim=1)
+        return attention_inputs(centres, low, high, camera.centre, self.lighting.extent)
 
     def attention_weights(self) -> attention.AttentionWeights:
         """Gates and projections; without query and key where anchors see none but themselves."""
@@ -221,7 +234,10 @@ class DlgModel(AnchorModel):
 
 def _farthest(centres: Tensor, then: Tensor) -> float:
     """How far the anchor that moved most has moved; 0 without any."""
-    return float((centres - then).norm(dim=1).amax()) if len(centres) else 0.0
+    if not len(centres):
+        return 0.0
+    square = (centres - then).square_() @ centres.new_ones(3)  # sooner than sums of so short rows
+    return math.sqrt(float(square.amax()))
 
 
 def adapted_colours(
@@ -246,7 +262,7 @@ def adapted_colours(
     """
     first, *others = head.weights
     of_colour, of_factor, of_anchor = first.split([3, len(factor), attended.shape[1]])
-    of_each = attended @ of_anchor + (factor @ of_factor + head.biases[0])
+    of_each = torch.addmm(factor @ of_factor + head.biases[0], attended, of_anchor)
     if native.applies(colours, of_each, head):
         return native.adapt(colours, of_each, owner, head)
     hidden = torch.relu(colours @ of_colour + of_each.index_select(0, owner))

@@ -11,7 +11,9 @@ from splatproof.datasets.image_cache import TensorCache
 from splatproof.methods.anchors.start import centres_of
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.contracts.run import Run
-from splatproof.methods.dlg_gs.depth_error import disparity_error
+from splatproof.methods.dlg_gs.depth_error import appearance_weight, disparity_error
+from splatproof.methods.dlg_gs.disparity import anchor_disparity, gaussian_disparity
+from splatproof.methods.dlg_gs.model import LitSplats
 from splatproof.methods.dlg_gs.settings import Settings
 from splatproof.methods.scaffold.fit import mean_volume
 from splatproof.methods.training.schedules import log_linear
@@ -55,16 +57,40 @@ def colour_terms(settings: Settings) -> list[ImageTerm]:
     if settings.dlaam == "off":
         return [Photometric(dssim=settings.dssim)]
     return [
-        Photometric(dssim=0.0, name="adapted l1", weight=1 - settings.dssim),
+        Term(name="adapted l1", loss=adapted_l1, weight=1 - settings.dssim),
         Term(name="original dssim", loss=original_dssim, weight=settings.dssim),
     ]
 
 
+def adapted_l1(frame: Frame) -> Float[Tensor, ""]:
+    """L1 of the render with adapted colours."""
+    return photometric_loss(adapted_image(frame), frame.truth, dssim=0.0, mask=frame.mask)
+
+
 def original_dssim(frame: Frame) -> Float[Tensor, ""]:
     """1 - SSIM of the render with original colours."""
-    original = replace(frame.output, colour=frame.output.colour[..., 3:])
-    image = frame.model.finish_image(frame.view.without_truth(), original)
+    image = _finished(frame, renders(frame)[1])
     return photometric_loss(image, frame.truth, dssim=1.0, mask=frame.mask)
+
+
+def adapted_image(frame: Frame) -> Float[Tensor, "h w 3"]:
+    """The frame's image, made of the render that other terms look at."""
+    return frame.once("adapted image", lambda: _finished(frame, renders(frame)[0]))
+
+
+def renders(frame: Frame) -> list[Tensor]:
+    """With adapted colours and with original ones; the former alone where there is one.
+
+    Parts of one split: its backward pass joins their gradients, where that of each part by itself fills a whole
+    picture with zeros, to be added up.
+    """
+    parts = lambda: [part.contiguous() for part in frame.output.colour.split(3, dim=-1)]
+    return frame.once("renders", parts)
+
+
+def _finished(frame: Frame, colour: Tensor) -> Tensor:
+    shown = replace(frame.output, colour=colour)
+    return frame.model.finish_image(frame.view.without_truth(), shown)
 
 
 def summed_volume(frame: Frame) -> Float[Tensor, ""]:
@@ -105,7 +131,7 @@ class Depth:
         if self.backend.again and frame.output.colour.requires_grad:
             # as much of each Gaussian is seen as in the picture itself
             rasterizer = partial(self.backend.again, frame.output)
-        disparity = depth_constraint.gaussian_disparity(
+        disparity = gaussian_disparity(
             frame.view.camera, splats.means, splats.quaternions, splats.scales, splats.opacities,
             depth=self.kind, rasterizer=rasterizer,
         )  # fmt: skip
@@ -119,9 +145,9 @@ class Depth:
         """
         splats = frame.splats
         assert splats.rows is not None
-        anchors = centres_of(frame.model.parameters).index_select(0, splats.rows)
-        disparity = depth_constraint.anchor_disparity(
-            frame.view.camera, anchors, splats.means, splats.quaternions, splats.scales,
+        disparity = anchor_disparity(
+            frame.view.camera, centres_of(frame.model.parameters), splats.rows,
+            splats.means, splats.quaternions, splats.scales,
             depth=self.kind, rasterizer=self.backend.rasterize,
         )  # fmt: skip
         return self._error(disparity, frame)
@@ -146,10 +172,10 @@ class Depth:
 
     def _weight(self, frame: Frame) -> Tensor:
         """How much each pixel's depth counts."""
-        colours = frame.output.colour.detach()
-        if not self.weighted or colours.shape[2] == 3:
+        drawn = renders(frame)
+        if not self.weighted or len(drawn) == 1:
             return torch.ones_like(frame.output.alpha)
-        return depth_constraint.appearance_weight(colours[..., :3], colours[..., 3:])
+        return appearance_weight(*drawn)
 
 
 class Dropout:
@@ -180,13 +206,12 @@ class Dropout:
         assert splats.colours is not None
         assert generator is not None
         shown = lighting_appearance.dropout_mask(len(splats), self.share, generator)
-        left = replace(
-            splats, colours=splats.colours[:, :3], opacities=splats.opacities * shown.to(splats.means)
-        )  # fmt: skip
+        lit = splats.adapted if isinstance(splats, LitSplats) else splats.colours
+        left = replace(splats, colours=lit, opacities=splats.opacities * shown.to(splats.means))
         output = self.backend.draw(
             frame.view.camera, left, background=self.background.to(left.means),
             mode=frame.model.mode,
         )  # fmt: skip
         image = frame.model.finish_image(frame.view.without_truth(), output)
-        full = frame.image.detach()
+        full = adapted_image(frame).detach()
         return photometric_loss(image, full, dssim=self.dssim, mask=frame.mask)

@@ -47,6 +47,7 @@ def attend(
     *,
     centres: Float[Tensor, "n 3"] | None = None,
     radius: float = math.inf,
+    scaled: bool = False,
 ) -> Float[Tensor, "v dv"]:
     """Softmax(Q K^T / sqrt(d_k)) V of some anchors over those of them that are near.
 
@@ -58,6 +59,7 @@ def attend(
         value: What is mixed.
         centres: Where all anchors stand, if not all that are listed count.
         radius: In the unit of the centres: how far those stand that count.
+        scaled: Whether the query is over sqrt(d_k) already.
 
     Raises: ValueError unless `applies` and the shapes fit together.
 
@@ -65,8 +67,8 @@ def attend(
     """
     if not applies(query, key, value, *([] if centres is None else [centres])):
         raise ValueError("expected torch.float32 on the CPU")
-    scaled = query / math.sqrt(key.shape[1])
-    return _Attend.apply(near, rows, plain(centres), radius, scaled, key, value)  # type: ignore[return-value]
+    query = query if scaled else query / math.sqrt(key.shape[1])
+    return _Attend.apply(near, rows, plain(centres), radius, query, key, value)  # type: ignore[return-value]
 
 
 class _Attend(torch.autograd.Function):

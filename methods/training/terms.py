@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,6 +16,8 @@ from splatproof.reference.supervision import losses
 from splatproof.reference.types.render import RenderOutput
 from splatproof.reference.types.scene import View
 from splatproof.reference.types.splats import Splats
+
+Shared = TypeVar("Shared")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,10 +35,10 @@ class Frame:
     mask: Bool[Tensor, "h w"] | None
     """Pixels that count; None: all."""
     model: Model
-    made: dict[str, Tensor] = field(default_factory=dict)
+    made: dict[str, Any] = field(default_factory=dict)
     """What terms share, by name."""
 
-    def once(self, name: str, make: Callable[[], Tensor]) -> Tensor:
+    def once(self, name: str, make: Callable[[], Shared]) -> Shared:
         """What several terms of this frame look at, made by the first that asks.
 
         Args:

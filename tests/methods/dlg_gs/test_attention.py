@@ -88,9 +88,10 @@ def test_anchors_in_view_see_those_of_them_within_the_radius(dtype, slack, radiu
     weights = reference.AttentionWeights(**{n: w.to(dtype) for n, w in vars(weights).items()})
     features, centres = features.to(dtype), centres.to(dtype)
     seen, reach = torch.arange(30)[::3], min(radius, 0.9)
-    ours = attention_among(
-        features[seen], seen, neighbours(centres, reach + slack), weights, centres, radius
-    )
+    scaled = weights.query / math.sqrt(weights.key.shape[1])
+    query, key, value = (features[seen] @ w for w in (scaled, weights.key, weights.value))
+    lists = neighbours(centres, reach + slack)
+    ours = attention_among(query, key, value, seen, lists, centres, radius)
     assert_close(ours, reference.local_attention(features[seen], centres[seen], reach, weights))
 
 

@@ -1,4 +1,4 @@
-"""The error of a disparity with its gradient by hand against the reference's, which autograd derives."""
+"""The error of a disparity with its gradient by hand, and its weight, against the reference's."""
 
 import pytest
 import torch
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from splatproof.methods.dlg_gs.depth_error import disparity_error
+from splatproof.methods.dlg_gs.depth_error import appearance_weight, disparity_error
 from splatproof.reference.supervision import depth_constraint as reference
 
 D = torch.float64
@@ -25,7 +25,7 @@ def both(disparity, target, valid, weight):
 
 @settings(max_examples=40)
 @given(
-    size=st.tuples(st.integers(1, 12), st.integers(1, 12)), seed=st.integers(0, 2**20),
+    size=st.tuples(st.integers(1, 24), st.integers(1, 24)), seed=st.integers(0, 2**20),
     known=st.sampled_from([0.0, 0.5, 1.0]), dtype=st.sampled_from([D, torch.float32]),
 )  # fmt: skip
 def test_it_is_the_references(size, seed, known, dtype):
@@ -35,6 +35,17 @@ def test_it_is_the_references(size, seed, known, dtype):
     target = reference.normalise_disparity(draw(), valid)
     (value, gradient), (want, by) = both(disparity, target, valid, weight)
     assert_close(value, want)
+    assert_close(gradient, by)
+
+
+@pytest.mark.parametrize("dtype", [D, torch.float32])
+@pytest.mark.parametrize("seed", range(20))
+def test_where_the_error_is_0_it_pulls_as_the_references(dtype, seed):
+    """Of two pixels in one order both have the target's value: there rounding has the sign, and it is the same."""
+    draw = lambda at: torch.rand(1, 2, generator=torch.Generator().manual_seed(at), dtype=dtype)
+    disparity, every = 5 * draw(seed), torch.ones(1, 2, dtype=torch.bool)
+    target = reference.normalise_disparity(draw(seed + 100).sort().values, every)
+    (_, gradient), (_, by) = both(disparity.sort().values, target, every, draw(seed + 200))
     assert_close(gradient, by)
 
 
@@ -57,3 +68,17 @@ def test_what_is_not_known_may_be_anything():
     assert_close(value, want)
     assert_close(gradient, by)
     assert torch.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("dtype", [D, torch.float32])
+def test_the_weight_is_the_references(dtype):
+    """Without gradient, and of renders that lie side by side in memory."""
+    both = torch.rand(5, 7, 6, generator=torch.Generator().manual_seed(2), dtype=dtype)
+    both[0, 0], both[0, 1, :3] = 0.5, 3.0
+    adapted, original = both.requires_grad_().split(3, dim=-1)
+    weight = appearance_weight(adapted, original)
+    far = 4 * torch.finfo(dtype).eps
+    assert_close(weight, reference.appearance_weight(adapted, original), atol=far, rtol=0)
+    assert not weight.requires_grad
+    assert weight[0, 0] == 1
+    assert weight[0, 1] == 0

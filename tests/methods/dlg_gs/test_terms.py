@@ -12,7 +12,7 @@ from splatproof.methods.contracts.model import Moment
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dlg_gs.fit import prepare
 from splatproof.methods.dlg_gs.settings import Settings
-from splatproof.methods.dlg_gs.terms import terms
+from splatproof.methods.dlg_gs.terms import adapted_image, terms
 from splatproof.methods.priors.oracle import prior_of
 from splatproof.methods.training.terms import Frame, Term
 from splatproof.reference.anchors import lighting_appearance
@@ -202,6 +202,30 @@ def test_where_gradients_reach():
     assert {n for n in Made(SMALL).reached("volume") if n.startswith("shape")}
 
 
+def test_terms_together_leave_the_gradient_of_each_by_itself():
+    """Two terms share a split, and dropout takes its colours before they are joined."""
+    names = ["adapted l1", "original dssim", "dropout"]
+    joint = Made(SMALL)
+    torch.stack([joint.loss(name) for name in names]).sum().backward()
+    apart = [Made(SMALL) for _ in names]
+    for made, name in zip(apart, names, strict=True):
+        made.loss(name).backward()
+    for name, value in joint.model.parameters.trained.items():
+        found = [made.model.parameters.trained[name].grad for made in apart]
+        each = [gradient for gradient in found if gradient is not None]
+        if value.grad is not None:
+            torch.testing.assert_close(value.grad, torch.stack(each).sum(0), atol=1e-6, rtol=1e-4)
+
+
+def test_the_adapted_image_is_the_frames():
+    made = Made(SMALL)
+    assert torch.equal(adapted_image(made.frame), made.frame.image)
+    assert made.loss("dropout") > 0
+    off = Made(replace(SMALL, dlaam="off"))
+    assert torch.equal(adapted_image(off.frame), off.frame.image)
+    assert off.loss("dropout") > 0
+
+
 def test_volume_is_the_sum_or_the_mean():
     made = Made(SMALL)
     volumes = made.frame.splats.scales.prod(dim=1)
@@ -217,10 +241,10 @@ def test_dropout_by_the_paper_and_no_gradient_through_the_full_render():
     generator = torch.Generator().manual_seed(5)
     shown = lighting_appearance.dropout_mask(len(splats), 0.4, generator)
     assert splats.colours is not None
-    left = replace(
-        splats, means=splats.means[shown], quaternions=splats.quaternions[shown],
+    left = Splats(
+        means=splats.means[shown], quaternions=splats.quaternions[shown],
         scales=splats.scales[shown], opacities=splats.opacities[shown],
-        colours=splats.colours[shown, :3], rows=None, slots=None,
+        colours=splats.colours[shown, :3],
     )  # fmt: skip
     output = get_backend("cpu").draw(
         made.frame.view.camera, left, background=torch.tensor(BACKGROUND)

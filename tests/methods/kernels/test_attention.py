@@ -41,6 +41,14 @@ def dense(centres: Tensor, tensors: list[Tensor], radius: float) -> Tensor:
     return torch.softmax(torch.where(seen, scores, -torch.inf), dim=1) @ value
 
 
+def test_a_query_that_is_scaled_already_is_taken_as_it_is():
+    g = torch.Generator().manual_seed(3)
+    lists, every = neighbours(torch.rand(9, 3, generator=g), 0.6).native, torch.arange(9)
+    query, key, value = (torch.randn(9, 4, generator=g) for _ in range(3))
+    want = native.attend(lists, every, query, key, value)
+    assert torch.equal(native.attend(lists, every, query / 2, key, value, scaled=True), want)
+
+
 def errors(
     centres: Tensor, rows: Tensor, tensors: list[Tensor], radius: float, slack: float
 ) -> list[float]:
