@@ -6,12 +6,19 @@ from pathlib import Path
 import pytest
 
 from splatproof.cli import main
+from splatproof.suites.records import read_finished
 
 
 def rows_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> list[dict]:
     """What a command that succeeds prints for machines."""
     assert main([*arguments, "--json", "--quiet"]) == 0
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def processor_seconds(out: Path) -> float:
+    """What the cases below a folder took, each training once, whatever else the machine did meanwhile."""
+    taken = {result.model_sha256: result.cpu_seconds for result in read_finished(out)}
+    return sum(taken.values())
 
 
 def judged_in_reduced_form(

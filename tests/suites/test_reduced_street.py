@@ -1,9 +1,12 @@
 """The reduced form of suite street runs whole, as a user would start it; a file of its own, to run beside others."""
 
-from helpers.printed_rows import judged_in_reduced_form, rows_of
+from helpers.printed_rows import judged_in_reduced_form, processor_seconds, rows_of
 from splatproof.suites.suite_files import load_suite
 
 SHOWN = ("moving_psnr", "still_psnr", "depth_abs_rel")
+
+MOST_SECONDS = 120.0
+"""Processor seconds: the street and the tunnel together take less than four minutes, even one case after the other."""
 
 
 def test_street_runs_every_method(tmp_path, capsys, monkeypatch):
@@ -13,5 +16,6 @@ def test_street_runs_every_method(tmp_path, capsys, monkeypatch):
     for row in rows:
         assert row["psnr"] > 10, row
         assert all(isinstance(row[name], float) for name in SHOWN), row
+    assert processor_seconds(tmp_path) < MOST_SECONDS
     reasons = judged_in_reduced_form("street", tmp_path, capsys)
     assert reasons["HDGS is above PVG in novel views"].startswith("1 seed; 3 are needed")
