@@ -34,10 +34,10 @@ of the three tunnels, as its tables are.
 - `3dgs`, `mip-splatting`, `absgs` and `scaffold-gs`; `@gain` and `@affine` learn an exposure of each photo: the baseline that appearance
   networks must beat.
 - `dlg-gs`: adapted colours and depth constraints, with a depth prior (`~depth-oracle+noise`: true depth, warped,
-  blurred and disturbed as networks do; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
+  blurred and disturbed as networks do; `~depth-oracle`: true depth as it is; `~depth-sweep`: photos matched with their neighbours, no truth); `@dlaam`, `@vdjc` one of the two alone; `@ec`, `@mc` one of the two depth
   terms; `@gates` without attention; `@rgb` and `@learnt` factors in place of HVI's; `@no-weights` without the map;
   `@z` depth along the axis, as the prior has it, in place of the paper's distance to the camera; `@no-dropout` and
-  `@no-volume` without these terms; `@affine` of any method learns an affine exposure.
+  `@no-volume` without these terms; `@fading` with depth constraints that end at a hundredth of their weights; `@affine` of any method learns an affine exposure.
 """,
     printed=(
         Printed(
@@ -80,6 +80,11 @@ DEPTHS = (
     "dlg-gs@dlaam-double/tunnel/seed0",
     "dlg-gs@vdjc-double~depth-oracle+noise/tunnel/seed0",
 )
+FADING = (
+    "dlg-gs@double~depth-oracle/tunnel/seed0",
+    "dlg-gs@z-double~depth-oracle+noise/tunnel/seed0",
+    "dlg-gs@fading-double~depth-oracle+noise/tunnel/seed0",
+)
 """Cases whose depth is drawn below the true one."""
 STOPS = (
     "mip-splatting/tunnel/seed0",
@@ -105,4 +110,5 @@ if __name__ == "__main__":
             draw_lines(images / f"{name}.jpg", tunnel, lines)
         rules = load_protocol("tunnel")
         draw_depths(images / "depth.jpg", "tunnel", rules, _folders(tunnel, DEPTHS))
+        draw_depths(images / "fading.jpg", "tunnel", rules, _folders(tunnel, FADING))
         draw_moments(images / "stops.jpg", "tunnel", rules, _folders(tunnel, STOPS), "camera_0")
