@@ -48,7 +48,7 @@ class Settings(scaffold.Settings):
     depth: Depth = "distance"
     """What both depth terms blend the inverse of: "distance" to the camera's centre, as the paper prints
     it; or "z" along the optical axis, as depth priors have it: true geometry has an error against true
-    depth under the first alone."""
+    depth under the first alone, which clouds surfaces in long runs (docs/tunnel.md)."""
     weight_map: bool = True
     """Whether depth counts less where the adapted render differs from the original one."""
     dlaam: Dlaam = "full"
