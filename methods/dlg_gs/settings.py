@@ -42,9 +42,9 @@ class Settings(scaffold.Settings):
     """Weight of the anchors' depth term."""
     depth_final: float = 1.0
     """Share of their weights that both depth terms still have at the last step, reached log-linearly from
-    the first on, in (0, 1]; 1: constant, as in the paper. Where priors of single photos are wrong, what is
-    left of them late is an error that each view can be given its own way (the 3DGS release ends its
-    depth term at 0.01 of its weight)."""
+    the first on, in (0, 1]; 1: constant, as in the paper. An error that true geometry has as well, by a
+    wrong prior or by distances (`depth`), pulls at surfaces for as long as it counts (the 3DGS release
+    ends its depth term at 0.01 of its weight)."""
     depth: Depth = "distance"
     """What both depth terms blend the inverse of: "distance" to the camera's centre, as the paper prints
     it; or "z" along the optical axis, as depth priors have it: true geometry has an error against true
