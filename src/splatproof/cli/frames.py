@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from splatproof.cli import output
+from splatproof.cli.running import case_of
 
 if TYPE_CHECKING:
     from splatproof.suites.frames_in_turns import Drawn
@@ -77,14 +78,7 @@ def _tell(drawn: "Drawn") -> None:
     case, result = drawn.before.case, drawn.result
     before, least, most = drawn.before.result.render_ms, min(drawn.rounds), max(drawn.rounds)
     line = {
-        "suite": result.suite,
-        "scene": result.scene,
-        "method": result.method,
-        "variant": result.variant,
-        "pose_noise": result.pose_noise,
-        "depth_prior": result.depth_prior,
-        "protocol": result.protocol,
-        "seed": result.seed,
+        **case_of(result),
         "render_ms": result.render_ms,
         "before": before,
         "rounds": drawn.rounds,

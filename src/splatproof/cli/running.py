@@ -10,6 +10,7 @@ from splatproof.cli import output
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
+    from splatproof.reference.types.result import Result
     from splatproof.suites.runner import Outcome, Progress
     from splatproof.suites.suite_files import Case, Suite
 
@@ -169,9 +170,8 @@ def scores(case: "Case", metrics: dict[str, float]) -> str:
     return "  ".join(f"{name} {metrics[name]:.4g}" for name in named)
 
 
-def record(outcome: "Outcome") -> dict[str, object]:
-    """The line that --json prints of a case."""
-    result = outcome.result
+def case_of(result: "Result") -> dict[str, object]:
+    """Which case a line of --json is about."""
     return {
         "suite": result.suite,
         "scene": result.scene,
@@ -181,6 +181,14 @@ def record(outcome: "Outcome") -> dict[str, object]:
         "depth_prior": result.depth_prior,
         "protocol": result.protocol,
         "seed": result.seed,
+    }
+
+
+def record(outcome: "Outcome") -> dict[str, object]:
+    """The line that --json prints of a case."""
+    result = outcome.result
+    return {
+        **case_of(result),
         "status": outcome.status,
         "error": result.error,
         "folder": str(outcome.folder),
