@@ -10,8 +10,9 @@ from splatproof.reference.types.camera import Camera, transform_points
 
 BLUR = 0.3
 """Low-pass variance added to both image axes, in squared pixels."""
-FIELD_MARGIN = 1.3
-"""Directions are clamped to this many half-field tangents inside the Jacobian."""
+FIELD_MARGIN = 0.15
+"""Inside the Jacobian directions are clamped to the image widened by this share of its edges, on either side: 1.3 times
+the half-field tangent where the principal point is in the middle."""
 ALPHA_MIN = 1 / 255
 """Contributions below this are dropped, so a Gaussian's support is an exact ellipse."""
 
@@ -37,11 +38,13 @@ class Projected:
 def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:
     """Derivative of the pixel position by the camera-space position, direction clamped.
 
-    x/z and y/z are clamped to 1.3 times the half-field tangent, here only: far outside the image
-    the linearisation would blow up. The clamped coordinate passes no gradient.
+    x/z and y/z are clamped to the image widened by 0.15 of its edge on either side, here only: far outside the image
+    the linearisation would blow up. The clamped coordinate passes no gradient. With the principal point in the middle this is
+    the release's 1.3 times the half-field tangent; where it is not, as in cropped photos, a clamp that is the same on both sides
+    would bend Gaussians that are seen (ours).
 
     Args:
-        camera: The pinhole camera; its image size sets the clamp.
+        camera: The pinhole camera; its image size and principal point set the clamp.
         cam: Camera-space means in scene units, z > 0.
 
     Returns: Pixels per scene unit; rows d x_pixel and d y_pixel, columns x, y, z of camera space.
@@ -50,14 +53,18 @@ def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"
     """
     fx, fy = camera.K[0, 0].to(cam), camera.K[1, 1].to(cam)
     z = cam[:, 2]
-    limit_x = FIELD_MARGIN * 0.5 * camera.width / float(fx)
-    limit_y = FIELD_MARGIN * 0.5 * camera.height / float(fy)
-    u = (cam[:, 0] / z).clamp(-limit_x, limit_x)
-    v = (cam[:, 1] / z).clamp(-limit_y, limit_y)
+    u = (cam[:, 0] / z).clamp(*_field(camera.width, float(fx), float(camera.K[0, 2])))
+    v = (cam[:, 1] / z).clamp(*_field(camera.height, float(fy), float(camera.K[1, 2])))
     zero = torch.zeros_like(z)
     return torch.stack(
         [torch.stack([fx / z, zero, -fx * u / z], dim=1),
          torch.stack([zero, fy / z, -fy * v / z], dim=1)], dim=1)  # fmt: skip
+
+
+def _field(size: int, focal: float, centre: float) -> tuple[float, float]:
+    """Tangents of the two edges of the widened image along one axis."""
+    margin = FIELD_MARGIN * size
+    return (-margin - centre) / focal, (size + margin - centre) / focal
 
 
 def project(

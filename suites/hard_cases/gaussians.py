@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -63,6 +64,21 @@ def behind_the_near_plane() -> GaussianScene:
     return scene.but(means=torch.stack([0.001 * z, -0.001 * z, z], dim=1))
 
 
+def cropped(scene: GaussianScene) -> GaussianScene:
+    """The same photo's part that begins one and a quarter widths right of the principal point.
+
+    Args:
+        scene: Scene that is left as it is.
+    """
+    camera, K = scene.camera, scene.camera.K.clone()
+    beside = 1.25 * camera.width
+    K[0, 2] = -beside
+    means = (scene.means.double() @ camera.rotation.T) + camera.translation
+    means[:, 0] += (beside + 0.5 * camera.width) / K[0, 0] * means[:, 2]
+    means = (means - camera.translation) @ camera.rotation
+    return scene.but(camera=replace(camera, K=K), means=means.float())
+
+
 def ties(count: int, gap: float) -> GaussianScene:
     """Faint coplanar Gaussians; every other one lies `gap` behind.
 
@@ -93,6 +109,7 @@ CASES = {
     "near plane": behind_the_near_plane,
     "behind": lambda: put(random_scene(40, 6), "means", (slice(None), 2), -5.0),
     "camera centre": lambda: put(facing(5), "means", 2, 0.0),
+    "cropped far from the axis": lambda: cropped(random_scene(40, 7)),
     "far to the side": lambda: put(random_scene(40, 7), "means", (slice(0, 20), 0), 1e6),
     "image 1x1": lambda: random_scene(40, 8, width=1, height=1),
     "image 17x33": lambda: random_scene(40, 8, width=17, height=33),

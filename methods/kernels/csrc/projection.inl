@@ -117,8 +117,8 @@ INLINE void ewa(const Camera& cam, const Model& model, const Lane16& in, int l, 
   e.v = e.y * e.iz;
   e.px = cam.k[0] * e.u + cam.k[1] * e.v + cam.k[2];
   e.py = cam.k[3] * e.u + cam.k[4] * e.v + cam.k[5];
-  e.uc = clamp(e.u, -cam.limit_x, cam.limit_x);
-  e.vc = clamp(e.v, -cam.limit_y, cam.limit_y);
+  e.uc = clamp(e.u, cam.low_x, cam.high_x);
+  e.vc = clamp(e.v, cam.low_y, cam.high_y);
   e.inside_x = e.uc == e.u;
   e.inside_y = e.vc == e.v;
 

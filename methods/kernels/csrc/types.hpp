@@ -59,7 +59,7 @@ constexpr int S_SQUARES = S_ABS_X, S_COUNT = S_ABS_Y;
 struct Camera {
   double rotation[9], translation[3], centre[3];
   double k[6];               // first two rows of K
-  double limit_x, limit_y;   // clamp of x/z and y/z in the Jacobian
+  double low_x, high_x, low_y, high_y;   // clamp of x/z and y/z in the Jacobian
   double near;
   int width, height;
 };

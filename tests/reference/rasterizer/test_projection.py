@@ -1,3 +1,4 @@
+from dataclasses import replace
 from fractions import Fraction
 
 import pytest
@@ -63,15 +64,37 @@ def test_jacobian_is_the_derivative_of_the_projection(n, seed):
         assert_close(projection.jacobian(view, cam)[i], want, atol=1e-12, rtol=1e-12)
 
 
-def test_direction_is_clamped_inside_the_jacobian_only():
+@pytest.mark.parametrize(("x", "edge"), [(1e6, 1.15), (-1e6, -0.15)])
+def test_direction_is_clamped_inside_the_jacobian_only(x, edge):
     view = camera()
-    cam = torch.tensor([[1e6, 0.0, 2.0]], dtype=D, requires_grad=True)
-    limit = 1.3 * 0.5 * view.width / 50.0
+    cam = torch.tensor([[x, 0.0, 2.0]], dtype=D, requires_grad=True)
+    limit = (edge * view.width - 17.0) / 50.0
     jacobian = projection.jacobian(view, cam)
     assert_close(jacobian[0, 0, 2], torch.tensor(-50.0 * limit / 2.0, dtype=D))
     jacobian[0, 0, 2].backward()
     assert cam.grad is not None
     assert float(cam.grad[0, 0]) == 0
+
+
+def test_with_the_principal_point_in_the_middle_the_clamp_is_the_releases():
+    view = camera()
+    K = view.K.clone()
+    K[0, 2], K[1, 2] = view.width / 2, view.height / 2
+    cam = torch.tensor([[1e6, 1e6, 2.0], [-1e6, -1e6, 2.0]], dtype=D)
+    got = projection.jacobian(replace(view, K=K), cam)[:, :, 2] * -2
+    want = 1.3 * 0.5 * torch.tensor([view.width, view.height], dtype=D)
+    assert_close(got, torch.stack([want, -want]))
+
+
+@given(seed=st.integers(0, 2**16), left=st.integers(0, 35), top=st.integers(0, 25))
+def test_a_cropped_photo_shows_what_the_whole_shows(seed, left, top):
+    view = camera(seed)
+    K = view.K.clone()
+    K[0, 2] -= left
+    K[1, 2] -= top
+    part = replace(view, K=K, width=view.width - left, height=view.height - top)
+    cam = transform_points(part, in_view(part, 6, seed))
+    assert_close(projection.jacobian(part, cam), projection.jacobian(view, cam), atol=0, rtol=0)
 
 
 @given(n=st.integers(0, 6), seed=st.integers(0, 2**16))

@@ -60,7 +60,8 @@ Floats step_of(int threads) {
   for (int i = 0; i < 3; ++i) camera.rotation[4 * i] = 1;
   const double k[] = {70, 0, WIDTH / 2.0, 0, 70, HEIGHT / 2.0};
   std::memcpy(camera.k, k, sizeof k);
-  camera.limit_x = camera.limit_y = 1.5;
+  camera.low_x = camera.low_y = -1.5;
+  camera.high_x = camera.high_y = 1.5;
   camera.near = 0.01;
   camera.width = WIDTH;
   camera.height = HEIGHT;
