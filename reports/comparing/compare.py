@@ -95,6 +95,11 @@ class Comparison:
         return (*worse, *(f"{f.case} fails" for f in self.failures if f.on == "NEW"))
 
     @property
+    def gone(self) -> tuple[str, ...]:
+        """Cases and metrics that BASE has and NEW lacks."""
+        return tuple(one.what for one in self.not_comparable if one.lacking == "NEW")
+
+    @property
     def counts(self) -> Counter[Verdict]:
         """Number of comparisons by verdict."""
         return Counter(one.verdict for one in self.compared)
@@ -167,7 +172,8 @@ def _compared(group: Group, measure: Measure) -> Compared | NotComparable | None
     for side, seeds in lacking.items():
         if seeds:
             why = f"{side} has none in seed {', '.join(map(str, seeds))}"
-            return NotComparable(what=f"{group.name} {measure.metric}", why=why)
+            lone = "" if all(lacking.values()) else side
+            return NotComparable(what=f"{group.name} {measure.metric}", why=why, lacking=lone)
     scores, same = tables(group, measure), _same_models(group)
     identical = same and measure.metric not in MACHINE_METRICS and same_scores(group, measure)
     if isinstance(scores, Unusable) and not identical:

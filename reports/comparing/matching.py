@@ -50,6 +50,8 @@ class NotComparable:
     what: str
     """Name of cases, or of a metric of them."""
     why: str
+    lacking: str = ""
+    """BASE or NEW: the side that lacks what the other has; empty where both have it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +85,7 @@ def match(base: Sequence[CaseRecord], new: Sequence[CaseRecord]) -> Matched:
         name = f"{suite}/{scene}/{row}/{protocol}"
         if not ours or not theirs:
             missing = "BASE" if not ours else "NEW"
-            faults.append(NotComparable(what=name, why=f"missing on {missing}"))
+            faults.append(NotComparable(what=name, why=f"missing on {missing}", lacking=missing))
             continue
         failures += _failures(name, ours, theirs)
         faults += _one_sided(name, ours, theirs)
@@ -136,10 +138,11 @@ def _one_sided(
     name: str, base: dict[int, CaseRecord], new: dict[int, CaseRecord]
 ) -> list[NotComparable]:
     """Seeds that only one side has, or that failed on both."""
+    sides = {seed: "NEW" if seed in base else "BASE" for seed in sorted(base.keys() ^ new.keys())}
     found = [
-        NotComparable(what=f"{name}/seed{seed}", why=f"missing on {'NEW' if seed in base else 'BASE'}")
-        for seed in sorted(base.keys() ^ new.keys())
-    ]  # fmt: skip
+        NotComparable(what=f"{name}/seed{seed}", why=f"missing on {side}", lacking=side)
+        for seed, side in sides.items()
+    ]
     return found + [
         NotComparable(what=f"{name}/seed{seed}", why=f"failed on both: {new[seed].measured.error}")
         for seed in sorted(base.keys() & new.keys())

@@ -70,7 +70,12 @@ def records(found: Comparison, aggregates: Sequence[Aggregate]) -> Iterator[dict
     for failure in found.failures:
         yield {"kind": "failure", "case": failure.case, "on": failure.on, "error": failure.error}
     for fault in found.not_comparable:
-        yield {"kind": "not comparable", "what": fault.what, "why": fault.why}
+        yield {
+            "kind": "not comparable",
+            "what": fault.what,
+            "why": fault.why,
+            "lacking": fault.lacking,
+        }
     for c in found.counters:
         yield {
             "kind": "counter", "case": c.group.name, "counter": c.counter, "verdict": c.verdict,

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import shutil
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,38 @@ def test_nothing_worse_ends_with_0(runs: Path, capsys):
     code, out, _ = bench(capsys, "compare", runs / "old", runs / "old")
     assert code == 0
     assert out.startswith("no regression: ")
+
+
+@pytest.mark.parametrize(
+    ("part", "gone"),
+    [("quick/beach", "quick/beach/3dgs/ours_250"), ("**/beach/**/seed1", "3dgs/ours_250/seed1")],
+)
+def test_what_is_gone_is_listed_and_with_complete_ends_with_1(
+    runs: Path, tmp_path: Path, capsys, part: str, gone: str
+):
+    shutil.copytree(runs / "old", tmp_path / "less")
+    for folder in (tmp_path / "less").glob(f"**/{part}"):
+        shutil.rmtree(folder)
+    code, out, _ = bench(capsys, "compare", runs / "old", tmp_path / "less")
+    assert code == 0
+    assert gone in out
+    code, _, err = bench(capsys, "compare", runs / "old", tmp_path / "less", "--complete")
+    assert code == 1
+    assert "--complete: NEW lacks 1 of BASE's: " in err
+    assert gone in err
+    code, _, _ = bench(capsys, "compare", tmp_path / "less", runs / "old", "--complete")
+    assert code == 0  # what is new is no fault
+
+
+def test_a_metric_that_is_gone_with_complete_ends_with_1(runs: Path, tmp_path: Path, capsys):
+    shutil.copytree(runs / "old", tmp_path / "less")
+    for file in (tmp_path / "less").glob("**/town/**/record.json"):
+        text = json.loads(file.read_text())
+        for image in (text, *text["images"]):
+            image["metrics"].pop("psnr")
+        file.write_text(json.dumps(text))
+    code, _, err = bench(capsys, "compare", runs / "old", tmp_path / "less", "--complete")
+    assert (code, "quick/town/3dgs/ours_250 psnr" in err) == (1, True)
 
 
 def test_json_is_an_object_a_line(runs: Path, capsys):

@@ -31,6 +31,7 @@ def compare(
     alpha: float = 0.05,
     bands: Path | None = None,
     baselines: Path = Path("baselines"),
+    complete: bool = False,
     markdown: Path | None = None,
 ) -> int:
     """Judge every metric of NEW against BASE: better, equal, worse or undecided.
@@ -49,7 +50,7 @@ def compare(
     comparisons of the run, and the mean lies beyond the metric's declared noise band. Equal: the 95 %
     interval lies inside the band, or both are the same bits. Else undecided, with the smallest difference
     that these runs would have shown. Times and memory are judged only between runs that took turns on one
-    machine. Exit code 1: something got worse, or a case fails that did not. With --json each line is an
+    machine. Exit code 1: something got worse, a case fails that did not, or, with --complete, is gone. With --json each line is an
     object with "kind": comparison, aggregate, failure, not comparable, counter, differing,
     summary.
 
@@ -65,6 +66,8 @@ def compare(
         bands: TOML file of noise bands ([bands.psnr] with unit, value, measured, command) that replace
             or add to the declared ones; `bench baseline bands` measures them.
         baselines: Folder where the names of saved baselines are looked up.
+        complete: Also end with 1 where NEW lacks a case, a seed or a metric that BASE has; without it they
+            are listed, since NEW may be a part on purpose.
         markdown: Also write a report for a pull request to this file, with its pictures in a folder
             beside it.
     """
@@ -95,7 +98,10 @@ def compare(
         Console(width=width, highlight=False).print(terminal(found, aggregates))
     if not found.compared and not found.failures:
         raise UsageError(f"{base} and {new} have no case in common that can be compared")
-    return int(bool(found.regressions))
+    gone = found.gone if complete else ()
+    if gone:
+        output.log(f"--complete: NEW lacks {len(gone)} of BASE's: {', '.join(gone)}")
+    return int(bool(found.regressions or gone))
 
 
 def _write(path: Path, found: "Comparison", aggregates: "list[Aggregate]") -> None:
