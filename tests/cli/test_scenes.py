@@ -60,6 +60,24 @@ def test_show(capsys, places):
     assert json.loads(capsys.readouterr().out)["present"] is False
 
 
+def test_show_says_what_a_folder_holds(capsys, places):
+    assert run("make", "courtyard", str(places / "mine")) == 0
+    (places / "mine" / "photos" / "more.png").write_bytes(b"")
+    capsys.readouterr()
+    assert run("show", str(places / "mine"), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["format"], found["photos"]) == ("colmap", 8)
+    assert found["photos_by_size"] == {"48x36": 8}
+    assert found["photos_with_true_depths"] == 8
+    assert "sensors" not in found
+    assert list(found["left_out"]) == ["more.png"]
+    assert run("show", str(places / "mine")) == 0
+    assert "photos_by_size: 48x36 8" in capsys.readouterr().out
+    (places / "empty").mkdir()
+    assert run("show", str(places / "empty")) == 2
+    assert "no scene found here; looked for" in capsys.readouterr().err
+
+
 def test_get_makes_a_made_scene(capsys):
     assert run("get", "courtyard", "--quiet") == 0
     path = capsys.readouterr().out.strip()

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from splatproof.base.errors import UsageError
 from splatproof.cli import output
+from splatproof.cli.scene_contents import contents
 
 if TYPE_CHECKING:
     from splatproof.datasets.catalogue.registry import SceneEntry
@@ -62,14 +63,20 @@ def list_scenes(
 
 
 def show(name: Name) -> None:
-    """Show everything that is known of one scene: source, licence, checksums, how to get it.
+    """Show everything that is known of one scene: source, licence, checksums, how to get it; or what a folder holds.
 
-    With --json all of it is one line.
+    Of a folder: its format, photos, sizes and points, and what else its views have (times, sensors, masks,
+    LiDAR). With --json all of it is one line.
 
     Args:
-        name: Name of the scene, as `bench scenes list` prints it.
+        name: Name of the scene, as `bench scenes list` prints it, or a scene's folder, which goes first.
     """
     from splatproof.datasets.catalogue import registry
+
+    if Path(name).is_dir():
+        found = contents(Path(name))
+        output.emit(found, _lines(found))
+        return
 
     entry = registry.get_entry(name)
     path = registry.locate(entry)
@@ -85,12 +92,7 @@ def show(name: Name) -> None:
         "files": entry.files,
         "changed_files": changed,
     }
-    lines = [
-        f"{key}: {_words(value)}"
-        for key, value in record.items()
-        if value not in ("", [], {}, None)
-    ]
-    output.emit(record, "\n".join(lines))
+    output.emit(record, _lines(record))
 
 
 def get(name: Name) -> None:
@@ -162,6 +164,12 @@ def _summary(entry: "SceneEntry", path: Path | None) -> dict[str, object]:
         "present": path is not None,
         "path": str(path) if path else None,
     }
+
+
+def _lines(record: dict[str, object]) -> str:
+    """A record for a person, a line a value that there is."""
+    told = ((key, value) for key, value in record.items() if value not in ("", [], {}, None))
+    return "\n".join(f"{key}: {_words(value)}" for key, value in told)
 
 
 def _words(value: object) -> str:
