@@ -56,8 +56,8 @@ def render_page(page: Page, pictures: Sequence[Picture]) -> str:
         page: Rows, claims and words.
         pictures: What is shown below the tables.
     """
-    generator = np.random.default_rng(0)
-    found = [judge(claim, page.rows, generator) for claim in page.claims]
+    # each claim has its own draws, as on the claims page, so that both print the same interval
+    found = [judge(claim, page.rows, np.random.default_rng(0)) for claim in page.claims]
     places = list(dict.fromkeys((scene, protocol) for scene, protocol, _ in page.planned))
     parts = [
         _head(page),

@@ -70,7 +70,7 @@ def test_show_says_what_a_folder_holds(capsys, places):
     assert found["photos_by_size"] == {"48x36": 8}
     assert found["photos_with_true_depths"] == 8
     assert "sensors" not in found
-    assert list(found["left_out"]) == ["more.png"]
+    assert [one.partition(":")[0] for one in found["left_out"]] == ["more.png"]
     assert run("show", str(places / "mine")) == 0
     assert "photos_by_size: 48x36 8" in capsys.readouterr().out
     (places / "empty").mkdir()

@@ -1,7 +1,9 @@
-"""The README's table of findings says what the claims page says: the same words, numbers and verdicts."""
+"""The README's table of findings and the suites' pages say what the claims page says: words, numbers, verdicts."""
 
 import re
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 
@@ -32,6 +34,27 @@ def test_every_finding_of_the_readme_is_a_row_of_the_claims_page():
     for claim, asked, here, verdict in found:
         assert (claim, asked, here, verdict) in claims, (
             f"{claim}: renew the README's row from docs/claims.md"
+        )
+
+
+@pytest.mark.parametrize("suite", ["anchors", "sparse", "street", "tunnel", "unseen"])
+def test_a_suites_page_prints_the_intervals_of_the_claims_page(suite):
+    docs = ROOT / "docs"
+    claims = {
+        (cells[1].split("<br>")[0], cells[3])
+        for cells in rows((docs / "claims.md").read_text(encoding="utf-8"))
+        if len(cells) > 3
+    }
+    section = (docs / f"{suite}.md").read_text(encoding="utf-8").split("## Claims")[1]
+    told = [cells for cells in rows(section.split("\n#")[0]) if len(cells) > 4 and "[" in cells[4]]
+    assert told
+    for _, claim, _, _, here, *_ in told:
+        words = claim.split(": ", 1)[1]  # and, of a paper, where the effect is printed
+        mean, _, interval = here.removesuffix("]").partition(" [")
+        # the claims page leaves an interval out that is no wider than the mean is told
+        kept = mean if set(interval.split(", ")) == {mean} else here
+        assert any(words.startswith(text) and kept == other for text, other in claims), (
+            f"{claim}: {here}"
         )
 
 

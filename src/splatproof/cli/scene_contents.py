@@ -53,6 +53,6 @@ def contents(folder: Path) -> dict[str, object]:
         f"photos_with_{what}": sum(of(view) is not None for view in views)
         for what, of in HAS.items()
     }
-    found["left_out"] = dict(scene.left_out)
+    found["left_out"] = [f"{name}: {reason}" for name, reason in scene.left_out]
     kept = ("photos", "points")
     return {name: value for name, value in found.items() if value or name in kept}
