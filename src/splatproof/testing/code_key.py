@@ -9,25 +9,29 @@ import torch
 
 import splatproof
 from splatproof.methods.registry import get_method
+from splatproof.metrics.registry import find_metric
 
 CODE = (".py", ".so", ".pyd")
 """Ends of files that are code."""
 DIGITS = 12
 
 
-def code_key(methods: Iterable[str]) -> str:
-    """Letters that change with the code of splatproof, of the methods' packages, and with torch.
+def code_key(methods: Iterable[str], metrics: Iterable[str] = ()) -> str:
+    """Letters that change with the code of splatproof, of the packages of methods and metrics, and with torch.
 
     A finished case is kept where its settings and data are the same, whatever code made it; a check
     for regressions must not, so its results lie in a folder of this name.
 
     Args:
         methods: Names of methods.
-    Raises: UsageError for a method that does not exist.
+        metrics: Names of metrics.
+    Raises: UsageError for a method or a metric that does not exist.
     """
     places = {Path(splatproof.__file__).parent}
-    for name in methods:
-        module = sys.modules[get_method(name).fit.__module__]
+    functions = [get_method(name).fit for name in methods]
+    functions += [find_metric(name).function for name in metrics]
+    for function in functions:
+        module = sys.modules[function.__module__]
         top = sys.modules[module.__name__.partition(".")[0]]
         places.add(_place(top.__file__ or module.__file__ or ""))
     found = hashlib.sha256(torch.__version__.encode())

@@ -91,7 +91,8 @@ class Runs:
             pytest.skip(str(error))
         for reason in absent:
             self.say(f"left out: {reason}")
-        folder = self.out / code_key({case.method for case in suite.cases})
+        metrics = {name for case in suite.cases for name in case.protocol.metrics}
+        folder = self.out / code_key({case.method for case in suite.cases}, metrics)
         with locked(folder / f".{suite.name}.lock"):
             outcomes = run_suite(chosen, folder, launch=in_worker)
         for outcome in outcomes:
