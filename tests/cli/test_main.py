@@ -10,7 +10,9 @@ import pytest
 
 from splatproof import __version__, cli
 from splatproof.base.errors import DataError, MissingError
+from splatproof.base.plugin_files import forget_plugin_file, load_plugin_file
 from splatproof.cli import COMMANDS, main, output
+from splatproof.cli.flags import and_plugins
 from splatproof.methods.registry import METHODS
 
 BENCH = str(Path(sys.executable).with_name("bench"))
@@ -224,3 +226,20 @@ def test_quiet_means_no_lines_of_progress_either(capsys, monkeypatch):
     with output.speaking(output.Style(quiet=True)), output.progress() as bar:
         bar.update(bar.add_task("x", total=2, values=""), completed=1)
     assert capsys.readouterr().err == ""
+
+
+def test_a_printed_command_names_the_plugins_that_it_needs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my rigs").mkdir()
+    paths = [tmp_path / "a_rig_of_mine.py", tmp_path / "my rigs" / "another_rig_of_mine.py"]
+    for path in paths:
+        path.write_text("")
+    assert and_plugins() == ""
+    loaded = [load_plugin_file(path) for path in paths]
+    try:
+        assert (
+            and_plugins() == " --plugin a_rig_of_mine.py --plugin 'my rigs/another_rig_of_mine.py'"
+        )
+    finally:
+        for file in loaded:
+            forget_plugin_file(file)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -11,6 +12,7 @@ import tyro
 from splatproof.base.errors import UsageError
 from splatproof.cli import output
 from splatproof.cli.binding import bound
+from splatproof.cli.flags import and_plugins
 from splatproof.cli.running import (
     USUAL,
     USUAL_BLOCKS,
@@ -134,7 +136,9 @@ def fit(
     if sync_cases(out, uri):
         output.warn(f"the record is on disk; the next `bench report --out {out}` logs it")
     if not outcome.result.error:
-        output.log(f"look at it: bench view {out}; page with pictures: bench report --out {out}")
+        where, also = quote(str(out)), and_plugins()
+        look, page = f"bench view {where}{also}", f"bench report --out {where}{also}"
+        output.log(f"look at it: {look}; page with pictures: {page}")
     return exit_code([outcome])
 
 

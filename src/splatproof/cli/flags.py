@@ -1,6 +1,7 @@
 """Options that commands share: how they speak, whom they trust, the user's own plug-in files."""
 
 import inspect
+import shlex
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ import tyro
 
 from splatproof.base.inside import allowing_outside
 from splatproof.base.numbers import check_numbers, in_range
+from splatproof.base.plugin_files import plugin_files
 from splatproof.cli import output
 
 JsonFlag = Annotated[
@@ -123,3 +125,11 @@ def with_plugins_loaded(arguments: list[str]) -> list[str]:
         for file in files:
             use_plugin(file)
     return rest
+
+
+def and_plugins() -> str:
+    """What a printed command needs to know the loaded plug-in files: " --plugin my_method.py", or nothing."""
+    paths = (file.path for file in plugin_files())
+    here = Path.cwd()
+    near = (path.relative_to(here) if path.is_relative_to(here) else path for path in paths)
+    return "".join(f" --plugin {shlex.quote(str(path))}" for path in near)

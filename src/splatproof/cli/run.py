@@ -3,12 +3,14 @@
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from splatproof.base.errors import UsageError
 from splatproof.cli import output
+from splatproof.cli.flags import and_plugins
 from splatproof.cli.running import (
     USUAL,
     USUAL_BLOCKS,
@@ -100,7 +102,8 @@ def run(
         output.warn("the records are on disk; the next `bench run` or `bench report` logs them")
     if not output.wants_json():
         print_tables(build_tables(outcome.result for outcome in outcomes))
-        output.log(f"records: {out / whole.name}; page with pictures: bench report --out {out}")
+        page = f"bench report --out {quote(str(out))}{and_plugins()}"
+        output.log(f"records: {out / whole.name}; page with pictures: {page}")
     return exit_code(outcomes)
 
 
