@@ -10,9 +10,8 @@ from splatproof.reference.types.camera import Camera, transform_points
 
 BLUR = 0.3
 """Low-pass variance added to both image axes, in squared pixels."""
-FIELD_MARGIN = 0.15
-"""Inside the Jacobian directions are clamped to the image widened by this share of its edges, on either side: 1.3 times
-the half-field tangent where the principal point is in the middle."""
+FIELD_MARGIN = 1.3
+"""Inside the Jacobian directions are clamped to this many half-field tangents about the middle of the image."""
 ALPHA_MIN = 1 / 255
 """Contributions below this are dropped, so a Gaussian's support is an exact ellipse."""
 
@@ -38,10 +37,9 @@ class Projected:
 def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"]:
     """Derivative of the pixel position by the camera-space position, direction clamped.
 
-    x/z and y/z are clamped to the image widened by 0.15 of its edge on either side, here only: far outside the image
-    the linearisation would blow up. The clamped coordinate passes no gradient. With the principal point in the middle this is
-    the release's 1.3 times the half-field tangent; where it is not, as in cropped photos, a clamp that is the same on both sides
-    would bend Gaussians that are seen (ours).
+    x/z and y/z are clamped to 1.3 times the half-field tangent about the middle of the image, here only: far outside the
+    image the linearisation would blow up. The clamped coordinate passes no gradient. The release clamps about the axis;
+    where the principal point is beside the middle, as in cropped photos, that would bend Gaussians that are seen (ours).
 
     Args:
         camera: The pinhole camera; its image size and principal point set the clamp.
@@ -63,8 +61,8 @@ def jacobian(camera: Camera, cam: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2 3"
 
 def _field(size: int, focal: float, centre: float) -> tuple[float, float]:
     """Tangents of the two edges of the widened image along one axis."""
-    margin = FIELD_MARGIN * size
-    return (-margin - centre) / focal, (size + margin - centre) / focal
+    reach, middle = FIELD_MARGIN * 0.5 * size / focal, (0.5 * size - centre) / focal
+    return middle - reach, middle + reach
 
 
 def project(

@@ -23,11 +23,12 @@ Camera make_camera(const In<double, 2>& k, const In<double, 2>& pose, int width,
   for (int j = 0; j < 3; ++j)
     c.centre[j] = -(P[j] * P[3] + P[4 + j] * P[7] + P[8 + j] * P[11]);
   for (int i = 0; i < 6; ++i) c.k[i] = K[i];
-  const double beside = 0.15 * width, above = 0.15 * height;
-  c.low_x = (-beside - K[2]) / K[0];
-  c.high_x = (width + beside - K[2]) / K[0];
-  c.low_y = (-above - K[5]) / K[4];
-  c.high_y = (height + above - K[5]) / K[4];
+  const double reach_x = 1.3 * 0.5 * width / K[0], reach_y = 1.3 * 0.5 * height / K[4];
+  const double middle_x = (0.5 * width - K[2]) / K[0], middle_y = (0.5 * height - K[5]) / K[4];
+  c.low_x = middle_x - reach_x;
+  c.high_x = middle_x + reach_x;
+  c.low_y = middle_y - reach_y;
+  c.high_y = middle_y + reach_y;
   c.near = near;
   c.width = width;
   c.height = height;

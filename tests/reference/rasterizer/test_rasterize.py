@@ -49,8 +49,16 @@ def pixel_by_loop(camera: Camera, s: dict[str, Any], colours: Tensor, column: in
         if z <= camera.near:
             continue
         fx, fy, cx, cy = (float(camera.K[a, b]) for a, b in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        u = max(-1.3 * camera.width / 2 / fx, min(1.3 * camera.width / 2 / fx, x / z))
-        v = max(-1.3 * camera.height / 2 / fy, min(1.3 * camera.height / 2 / fy, y / z))
+        middle_x, reach_x = (
+            (camera.width / 2 - float(camera.K[0, 2])) / fx,
+            1.3 * camera.width / 2 / fx,
+        )
+        middle_y, reach_y = (
+            (camera.height / 2 - float(camera.K[1, 2])) / fy,
+            1.3 * camera.height / 2 / fy,
+        )
+        u = max(middle_x - reach_x, min(middle_x + reach_x, x / z))
+        v = max(middle_y - reach_y, min(middle_y + reach_y, y / z))
         jacobian = torch.tensor([[fx / z, 0, -fx * u / z], [0, fy / z, -fy * v / z]], dtype=D)
         flat = jacobian @ camera.rotation @ sigma[i] @ camera.rotation.T @ jacobian.T
         a, b, c = float(flat[0, 0]) + 0.3, float(flat[0, 1]), float(flat[1, 1]) + 0.3
