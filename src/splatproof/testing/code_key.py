@@ -16,7 +16,7 @@ CODE = (".py", ".so", ".pyd")
 DIGITS = 12
 
 
-def code_key(methods: Iterable[str], metrics: Iterable[str] = ()) -> str:
+def code_key(methods: Iterable[str], metrics: Iterable[str]) -> str:
     """Letters that change with the code of splatproof, of the packages of methods and metrics, and with torch.
 
     A finished case is kept where its settings and data are the same, whatever code made it; a check
