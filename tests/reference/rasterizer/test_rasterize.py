@@ -49,14 +49,8 @@ def pixel_by_loop(camera: Camera, s: dict[str, Any], colours: Tensor, column: in
         if z <= camera.near:
             continue
         fx, fy, cx, cy = (float(camera.K[a, b]) for a, b in ((0, 0), (1, 1), (0, 2), (1, 2)))
-        middle_x, reach_x = (
-            (camera.width / 2 - float(camera.K[0, 2])) / fx,
-            1.3 * camera.width / 2 / fx,
-        )
-        middle_y, reach_y = (
-            (camera.height / 2 - float(camera.K[1, 2])) / fy,
-            1.3 * camera.height / 2 / fy,
-        )
+        middle_x, middle_y = (camera.width / 2 - cx) / fx, (camera.height / 2 - cy) / fy
+        reach_x, reach_y = 1.3 * camera.width / 2 / fx, 1.3 * camera.height / 2 / fy
         u = max(middle_x - reach_x, min(middle_x + reach_x, x / z))
         v = max(middle_y - reach_y, min(middle_y + reach_y, y / z))
         jacobian = torch.tensor([[fx / z, 0, -fx * u / z], [0, fy / z, -fy * v / z]], dtype=D)
