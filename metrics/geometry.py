@@ -54,8 +54,7 @@ def geometry_scores(
     Source: Knapitsch et al. 2017, "Tanks and Temples", Sec. 4 (precision, recall, F-score);
         accuracy and completeness as means follow Jensen et al. 2014 (DTU).
     """
-    if not 0 < threshold < math.inf:
-        raise UsageError(f"threshold is {threshold:g}, expected a positive distance")
+    _positive(threshold)
     found, true = _checked(reconstruction, "reconstruction"), _checked(reference, "reference")
     counts = np.ones(len(true), dtype=bool) if counted is None else counted.numpy()
     if not counts.any():
@@ -85,6 +84,33 @@ def geometry_scores(
     )
 
 
+def completeness(
+    reconstruction: Float[Tensor, "n 3"], reference: Float[Tensor, "m 3"], threshold: float
+) -> float:
+    """Share of the reference that is found, as geometry_scores has it, and nothing besides.
+
+    The other scores cost most: points that float far from everything search the whole tree.
+
+    Args:
+        reconstruction: Reconstructed points, in the frame and unit of the reference.
+        reference: True points that count, evenly sampled.
+        threshold: Distance up to which (included) a point counts as found, > 0.
+    Returns: Share in [0, 1]; 0 where nothing is reconstructed.
+    Raises: DataError on points that are not finite and on a reference without points, UsageError
+        on a threshold that is not positive.
+    Source: as geometry_scores.
+    """
+    _positive(threshold)
+    found, true = _checked(reconstruction, "reconstruction"), _checked(reference, "reference")
+    if not len(true):
+        raise DataError("reference: no point counts; give a cloud with counted points")
+    if not len(found):
+        return 0.0
+    # what lies beyond the bound has an infinite distance, and the bound itself would too
+    within = math.nextafter(threshold, math.inf)
+    return _mean(KDTree(found).query(true, distance_upper_bound=within)[0] <= threshold)
+
+
 def vertical_faces(
     normals: Float[Tensor, "m 3"], up: Float[Tensor, "3"], *, most_degrees: float = 20.0
 ) -> Bool[Tensor, " m"]:
@@ -97,6 +123,11 @@ def vertical_faces(
     Source: ours.
     """
     return (normals @ up.to(normals)).abs() <= math.sin(math.radians(most_degrees))
+
+
+def _positive(threshold: float) -> None:
+    if not 0 < threshold < math.inf:
+        raise UsageError(f"threshold is {threshold:g}, expected a positive distance")
 
 
 def _checked(points: Float[Tensor, "n 3"], what: str) -> Float[np.ndarray, "n 3"]:

@@ -10,7 +10,7 @@ from torch import Tensor
 from splatproof.base.errors import DataError
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.metrics.depth import depth_errors
-from splatproof.metrics.geometry import geometry_scores
+from splatproof.metrics.geometry import completeness, geometry_scores
 from splatproof.metrics.parts import mean_over_images
 from splatproof.metrics.seam_partition import surface_points
 from splatproof.reference.types.camera import project_points
@@ -99,7 +99,7 @@ def _surface(scene: Scene, found: Tensor, true: Tensor, blind: Tensor) -> dict[s
     every = geometry_scores(cloud, reference, THRESHOLD)
     hidden = torch.nan
     if bool(unseen.any()):
-        hidden = geometry_scores(cloud, reference, THRESHOLD, counted=unseen).completeness
+        hidden = completeness(cloud, reference[unseen], THRESHOLD)
     return {
         "geometry_accuracy": every.accuracy,
         "geometry_completeness": every.completeness,

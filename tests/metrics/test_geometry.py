@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from splatproof.base.errors import DataError, UsageError
-from splatproof.metrics.geometry import GeometryScores, geometry_scores, vertical_faces
+from splatproof.metrics.geometry import (
+    GeometryScores,
+    completeness,
+    geometry_scores,
+    vertical_faces,
+)
 
 
 def cloud(count: int, seed: int):
@@ -51,6 +56,7 @@ def test_agrees_with_all_pairs(n, m, threshold, seed, masked):
     )  # fmt: skip
     assert values == pytest.approx(want, nan_ok=True, abs=1e-12)
     assert got.chamfer == pytest.approx((want[0] + want[1]) / 2, nan_ok=True, abs=1e-12)
+    assert completeness(found, true[torch.from_numpy(counts)], threshold) == got.completeness
 
 
 def test_worked_by_hand():
@@ -110,12 +116,15 @@ def test_the_threshold_is_included():
     found, true = torch.zeros(1, 3), torch.tensor([[0.25, 0.0, 0.0]])
     assert geometry_scores(found, true, 0.25).f_score == 1
     assert geometry_scores(found, true, 0.2499).f_score == 0
+    assert completeness(found, true, 0.25) == 1
+    assert completeness(found, true, 0.2499) == 0
 
 
 def test_nothing_reconstructed():
     got = geometry_scores(torch.zeros(0, 3), cloud(5, 0), 0.1)
     assert (got.completeness, got.f_score, got.chamfer) == (0, 0, math.inf)
     assert math.isnan(got.accuracy)
+    assert completeness(torch.zeros(0, 3), cloud(5, 0), 0.1) == 0
 
 
 def test_only_facades_that_nothing_is_near():
@@ -131,17 +140,20 @@ def test_bad_input_is_refused():
     points = cloud(5, 0)
     bad = points.clone()
     bad[3, 1] = math.nan
-    with pytest.raises(DataError, match=r"reconstruction: point 3 is .*nan.* \(1 such points\)"):
-        geometry_scores(bad, points, 0.1)
-    with pytest.raises(DataError, match="reference: point 3"):
-        geometry_scores(points, bad, 0.1)
     with pytest.raises(DataError, match="no point counts"):
         geometry_scores(points, points, 0.1, torch.zeros(5, dtype=torch.bool))
-    with pytest.raises(DataError, match="no point counts"):
-        geometry_scores(points, points[:0], 0.1)
-    for threshold in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(UsageError, match="threshold"):
-            geometry_scores(points, points, threshold)
+    for scores in (geometry_scores, completeness):
+        with pytest.raises(
+            DataError, match=r"reconstruction: point 3 is .*nan.* \(1 such points\)"
+        ):
+            scores(bad, points, 0.1)
+        with pytest.raises(DataError, match="reference: point 3"):
+            scores(points, bad, 0.1)
+        with pytest.raises(DataError, match="no point counts"):
+            scores(points, points[:0], 0.1)
+        for threshold in (0.0, -1.0, math.nan, math.inf):
+            with pytest.raises(UsageError, match="threshold"):
+                scores(points, points, threshold)
 
 
 def test_vertical_faces_by_angle():
