@@ -12,6 +12,11 @@ wait_asleep()
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = "1"
 
+# Before our rooms are imported, so that their functions are made so.
+from helpers.sampled_types import count_from_zero, sample_types
+
+sample_types()
+
 import pytest
 import torch
 from hypothesis import HealthCheck, settings
@@ -54,6 +59,11 @@ def pytest_xdist_auto_num_workers() -> int:
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
     return cores + 1
+
+
+def pytest_runtest_setup() -> None:
+    """Which calls have their types checked depends on the test alone."""
+    count_from_zero()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,0 +1,56 @@
+"""Annotated shapes and types are checked while tests run; in a loop of hundreds of steps, not at every step.
+
+Under pytest's option `--jaxtyping-packages` every function of our rooms checks what it is given and what it gives.
+Making these checks took a third of what a worker's imports take, and running them a fifth of a test that trains.
+So a function's checks are made when it is first called, and in each test its first `FIRST` calls are
+checked, and one of `FIRST` after them: the same ones whatever ran before.
+"""
+
+import functools
+from collections import Counter
+from collections.abc import Callable
+from types import CodeType
+
+import jaxtyping
+
+FIRST = 32
+"""So many calls of each function in each test are checked, then one of as many."""
+
+_calls: Counter[CodeType] = Counter()
+_at_every_call = jaxtyping.jaxtyped
+
+
+def sample_types() -> None:
+    """Have what is imported from now on checked so; what is imported already stays as it is."""
+    jaxtyping.jaxtyped = _jaxtyped
+
+
+def count_from_zero() -> None:
+    """A test begins."""
+    _calls.clear()
+
+
+def _jaxtyped(*, typechecker: Callable) -> Callable:
+    """What the import hook decorates functions and classes with."""
+
+    def decorate(made: Callable) -> Callable:
+        if isinstance(
+            made, type
+        ):  # a dataclass, whose __init__ is checked: few, and no loop of any
+            return _at_every_call(made, typechecker=typechecker)
+        code = made.__code__
+        checked: list[Callable] = []
+
+        @functools.wraps(made)
+        def sampled(*args: object, **kwargs: object) -> object:
+            __tracebackhide__ = True
+            _calls[code] += 1
+            if _calls[code] > FIRST and _calls[code] % FIRST:
+                return made(*args, **kwargs)
+            if not checked:
+                checked.append(_at_every_call(made, typechecker=typechecker))
+            return checked[0](*args, **kwargs)
+
+        return sampled
+
+    return decorate
