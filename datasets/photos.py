@@ -130,8 +130,7 @@ def read_photo(
     Raises: DataError if the file is missing, cut short, of another pixel format, or transparent.
     """
     with _opened(path) as image:
-        if least is not None:
-            image.draft("RGB", least)
+        drawn = None if least is None else image.draft("RGB", least)
         _check(path, image, transparent=background is not None)
         if background is not None and image.has_transparency_data:
             rgba = torch.from_numpy(np.array(image.convert("RGBA"))).float() / 255
@@ -142,8 +141,11 @@ def read_photo(
             if stored is None or stored.shape != (image.height, image.width, 3):
                 raise DataError(f"{path}: not a readable image (16-bit PNG); replace the file")
             return torch.from_numpy(stored[..., ::-1].astype(np.float32)).div_(65535)
-        pixels = np.array(image.convert("RGB"))
-    return torch.from_numpy(pixels).float().div_(255)
+        pixels = image.convert("RGB")
+        if drawn is not None and drawn[1][2:] != image.size:
+            # of sides that are no multiples, the last pixels reach beyond the photo: it would be squeezed
+            pixels = pixels.resize(image.size, Image.Resampling.BICUBIC, box=drawn[1])
+    return torch.from_numpy(np.array(pixels)).float().div_(255)
 
 
 def _is_16_bit(path: Path) -> bool:

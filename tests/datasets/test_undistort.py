@@ -234,6 +234,24 @@ def test_a_photo_that_is_read_small_shows_what_the_smaller_camera_sees(
     assert float((small - whole).abs().mean()) < 0.01
 
 
+@pytest.mark.parametrize("part", [1, 2, 4, 8])
+def test_a_jpeg_that_is_decoded_small_is_the_whole_photo_and_no_more(tmp_path, part):
+    """137 x 85: its last blocks of 8 x 8 reach up to 7 pixels beyond the photo, and so did what was read."""
+    width, height = 137, 85
+    across, down = (np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height
+    ramps = np.stack([*np.meshgrid(across, down), np.full((height, width), 0.5)], axis=-1)
+    path = tmp_path / "ramps.jpg"
+    Image.fromarray(np.round(255 * ramps).astype(np.uint8)).save(path, quality=98, subsampling=0)
+    found = read_photo(path, least=(width // part, height // part))
+    assert found.shape[:2] == (-(-height // part), -(-width // part))
+    for axis in (0, 1):
+        count = found.shape[axis]
+        share = (torch.arange(count) + 0.5) / count
+        wanted = share[:, None] if axis == 0 else share
+        # a whole block at an eighth would be off by 0.05; 8 bits and JPEG are off by 0.010 here
+        assert (found[..., 1 - axis] - wanted).abs().max() < 0.012
+
+
 @every_distortion
 @pytest.mark.parametrize("undistort", ["crop", "keep"])
 def test_the_order_changes_no_geometry_and_is_nothing_without_a_down_scale(
