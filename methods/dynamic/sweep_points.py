@@ -78,7 +78,7 @@ def timed_points(scene: Scene, moments: Collection[float] | None = None) -> Time
         load = groups[time][0].load_sweep
         assert load is not None
         sweep = load()
-        return sweep, depths(sweep)
+        return sweep, depths(sweep, scene.up)
 
     found = []
     for index, time in enumerate(times):
@@ -164,6 +164,8 @@ class Depths:
 
     origin: Float[Tensor, "3"]
     """Float64: where the sensor was."""
+    frame: Float64[np.ndarray, "3 3"]
+    """Rows: two directions along the ground, and up."""
     nearest: Float64[np.ndarray, "rows columns"]
     """Shortest ray of the 3 x 3 cells around each; inf where none went."""
     known: Bool[np.ndarray, "rows columns"]
@@ -171,13 +173,15 @@ class Depths:
     beam hits goes with the sensor, and the next sweep does not look through it but misses it."""
 
 
-def depths(sweep: Sweep) -> Depths:
-    """Sort a sweep's rays into cells of `CELL` radians.
+def depths(sweep: Sweep, up: Float[Tensor, "3"]) -> Depths:
+    """Sort a sweep's rays into cells of `CELL` radians, by height and by turn about the sensor's axis.
 
     Args:
         sweep: Its rays begin at its origin.
+        up: Unit vector away from the ground, float64: beams lie one above the other.
     """
-    row, column, ranges = _polar(sweep.positions.double(), sweep.origin)
+    frame = _upright(up)
+    row, column, ranges = _polar(sweep.positions.double(), sweep.origin, frame)
     image = np.full((round(np.pi / CELL) + 1, round(2 * np.pi / CELL)), np.inf)
     np.minimum.at(image, (row, column), ranges)
     around = {"size": 3, "mode": ("nearest", "wrap")}
@@ -188,6 +192,7 @@ def depths(sweep: Sweep) -> Depths:
     above = np.logical_or(wide[3:-1], wide[4:])
     return Depths(
         origin=sweep.origin,
+        frame=frame,
         nearest=minimum_filter(image, **around),
         known=(cells > LEAST_CELLS - 0.5) & below & above,
     )
@@ -209,17 +214,28 @@ def looked_through(positions: Float[Tensor, "n 3"], sweeps: Sequence[Depths]) ->
     """
     votes = np.zeros(len(positions), np.int64)
     for sweep in sweeps:
-        row, column, far = _polar(positions, sweep.origin)
+        row, column, far = _polar(positions, sweep.origin, sweep.frame)
         passed = (1 + BEYOND) * far < sweep.nearest[row, column]
         votes += passed & sweep.known[row, column]
     return torch.from_numpy(votes)
 
 
+def _upright(up: Float[Tensor, "3"]) -> Float64[np.ndarray, "3 3"]:
+    """Two directions along the ground, and up; the scene's own axes where z is up."""
+    away = up.double().numpy()
+    across = np.eye(3)[np.abs(away).argmin()]
+    across = across - (across @ away) * away
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(away, across), away])
+
+
 def _polar(
-    positions: Float[Tensor, "n 3"], origin: Float[Tensor, "3"]
+    positions: Float[Tensor, "n 3"],
+    origin: Float[Tensor, "3"],
+    frame: Float64[np.ndarray, "3 3"],
 ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
     """Row and column of each position's cell, and its distance from where the sensor was."""
-    away = (positions - origin).numpy()
+    away = (positions - origin).numpy() @ frame.T
     far = np.linalg.norm(away, axis=1)
     height = np.arcsin(np.clip(away[:, 2] / np.maximum(far, 1e-9), -1, 1))
     turn = np.arctan2(away[:, 1], away[:, 0])

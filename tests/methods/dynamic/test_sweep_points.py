@@ -10,6 +10,7 @@ from helpers.tiny_scene import camera, tiny_scene
 from splatproof.methods.dynamic import sweep_points
 from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import (
+    Depths,
     depths,
     looked_through,
     swept_moments,
@@ -19,6 +20,7 @@ from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, Sweep, View
 
 ORIGIN = torch.zeros(3, dtype=torch.float64)
+UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
 
 def wall(distance: float, half: float = 1.0) -> torch.Tensor:
@@ -32,11 +34,14 @@ def sweep(positions: torch.Tensor, origin: torch.Tensor = ORIGIN) -> Sweep:
     return Sweep(positions=positions.float(), origin=origin, time=0.0)
 
 
+def looked(positions: torch.Tensor, origin: torch.Tensor = ORIGIN) -> Depths:
+    """How far the rays of a sweep went in a world whose z is up."""
+    return depths(sweep(positions, origin), UP)
+
+
 def test_a_place_is_looked_through_where_rays_go_on():
     points = torch.tensor([[5.0, 0, 0], [9.9, 0.3, 0.2], [10.4, 0, 0], [30.0, 0, 0], [-5.0, 0, 0]])
-    votes = looked_through(
-        points.double(), [depths(sweep(wall(10.0, 0.3))), depths(sweep(wall(20.0, 0.3)))]
-    )
+    votes = looked_through(points.double(), [looked(wall(10.0, 0.3)), looked(wall(20.0, 0.3))])
     # before both walls; within 3 % of one and before the other; behind one; behind both; unseen
     assert votes.tolist() == [2, 1, 1, 0, 0]
 
@@ -46,32 +51,51 @@ def test_rays_that_go_by_beside_say_nothing():
     hole = hole[hole[:, 1:].norm(dim=1) > 0.8]  # nothing came back from the middle
     beside = hole[(hole[:, 1].abs() < 0.02) & (hole[:, 2] > 0)]
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
-    blind = [depths(sweep(rays)) for rays in (hole, beside, ORIGIN[None][:0])]
+    blind = [looked(rays) for rays in (hole, beside, ORIGIN[None][:0])]
     assert looked_through(point, blind).tolist() == [0]
 
 
 def test_directions_below_the_lowest_beam_say_nothing():
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
     rays = wall(10.0, 0.3)
-    assert looked_through(point, [depths(sweep(rays))]).tolist() == [1]
+    assert looked_through(point, [looked(rays)]).tolist() == [1]
     for side in (1, -1):  # the ring of ground that a sweep hits first goes with the sensor
         one_side = rays[side * rays[:, 2] > 0.05]
-        assert looked_through(point, [depths(sweep(one_side))]).tolist() == [0]
+        assert looked_through(point, [looked(one_side)]).tolist() == [0]
+
+
+@pytest.mark.parametrize("turn", ["yzx", "-zx-y", "x-zy", "-yxz"])
+def test_another_way_up_changes_nothing(turn):
+    """What rays say goes by heights above the ground, whichever axis of the scene is up."""
+    named = dict(zip("xyz", torch.eye(3).double(), strict=True))
+    rows, sign = [], 1.0
+    for letter in turn:
+        if letter in named:
+            rows.append(sign * named[letter])
+        sign = -1.0 if letter == "-" else 1.0
+    turned = torch.stack(rows)
+    assert torch.linalg.det(turned) == 1
+    points = torch.tensor([[5.0, 0, 0], [9.9, 0.3, 0.2], [10.4, 0, 0], [5.0, 1.0, 0.5]]).double()
+    rays = wall(10.0, 0.3)
+    for part in (rays, rays[rays[:, 2] > 0.05], rays[rays[:, 2] < -0.05], rays[rays[:, 1] > 0.05]):
+        upright = looked_through(points, [looked(part)])
+        found = depths(sweep(part @ turned.float().T), turned @ UP)
+        assert torch.equal(looked_through(points @ turned.T, [found]), upright)
 
 
 def test_two_rays_are_too_few():
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
     rays = torch.tensor([[10.0, 0.0, 0.2], [10.0, 0.0, -0.2]])
-    assert looked_through(point, [depths(sweep(rays))]).tolist() == [0]
+    assert looked_through(point, [looked(rays)]).tolist() == [0]
 
 
 def test_directions_are_those_from_where_the_sensor_was():
     away = torch.tensor([0.0, 100.0, 0.0], dtype=torch.float64)
     point = torch.tensor([[5.0, 0.0, 0.0]]).double()
-    there = depths(sweep(wall(10.0, 0.3) + away.float(), away))
+    there = looked(wall(10.0, 0.3) + away.float(), away)
     assert looked_through(point, [there]).tolist() == [0]
     assert looked_through(point + away, [there]).tolist() == [1]
-    behind = depths(sweep(-wall(10.0, 0.3)))  # across the seam of the angle
+    behind = looked(-wall(10.0, 0.3))  # across the seam of the angle
     assert looked_through(-point, [behind]).tolist() == [1]
 
 
@@ -129,9 +153,9 @@ def test_sweeps_nearest_in_time_are_asked_and_each_is_read_once(monkeypatch):
     near, read = [], []
     told = sweep_points.depths
 
-    def noted(one: Sweep) -> sweep_points.Depths:
+    def noted(one: Sweep, up: torch.Tensor) -> sweep_points.Depths:
         read.append(float(one.positions[0, 0]))
-        return replace(told(one), origin=one.positions[0].double())
+        return replace(told(one, up), origin=one.positions[0].double())
 
     def asked(positions: torch.Tensor, sweeps: list[sweep_points.Depths]) -> torch.Tensor:
         near.append([round(float(one.origin[0]), 3) for one in sweeps])
@@ -158,7 +182,7 @@ def test_some_moments_alone_have_the_returns_that_they_have_among_all():
 
 
 def test_cameras_triggered_one_after_the_other_share_their_sweep_once():
-    """Of each sweep three photos, 0.03 s apart; what moves goes 0.2 from one sweep to the next."""
+    """Of each sweep three photos, 0.03 s apart; what moves goes 0.3 from one sweep to the next."""
     thing = torch.tensor([[0.05 * i, 0.04 * (i % 3), 0.03 * (i % 2)] for i in range(6)])
     behind = torch.stack(
         torch.meshgrid(torch.arange(-3, 3, 0.05), torch.arange(-3, 3, 0.05), torch.tensor([8.0]),
@@ -169,7 +193,7 @@ def test_cameras_triggered_one_after_the_other_share_their_sweep_once():
     views = []
     for index, view in enumerate(scene.views):
         frame, late = divmod(index - 1, 3)
-        there = thing + torch.tensor([0.2 * frame - 0.4, 0.0, 0.0])
+        there = thing + torch.tensor([0.3 * frame - 0.45, 0.0, 0.0])
         load = partial(sweep, torch.cat([there, behind]), where.centre)
         views.append(
             replace(
@@ -185,7 +209,7 @@ def test_cameras_triggered_one_after_the_other_share_their_sweep_once():
     assert len(own) > 12
     assert own.moved.all()
     torch.testing.assert_close(
-        own.velocities, torch.tensor([[2.0, 0.0, 0.0]]).expand(len(own), 3), atol=0.02, rtol=0
+        own.velocities, torch.tensor([[3.0, 0.0, 0.0]]).expand(len(own), 3), atol=0.02, rtol=0
     )
 
 
