@@ -11,8 +11,10 @@ from splatproof.reference.types.camera import Camera, project_points
 BORDER = 0.15
 """A camera counts for what lies within its image, grown by this share of its size on every side."""
 NEAREST = 0.2
-"""A camera counts for what is farther away than this, in scene units; than its near plane where no camera sees
-anything so far away."""
+"""A camera counts for what is farther away than this, in scene units, as in the release, and than its near plane."""
+TOUCHING = 0.1
+"""A share of how far things usually are from their nearest camera; where it is less than NEAREST, cameras count for
+what is farther away than that: of a flight in kilometres all that it shows may lie about 0.2 units away."""
 
 
 def sampling_widths(cameras: Sequence[Camera], means: Float[Tensor, "n 3"]) -> Float[Tensor, " n"]:
@@ -27,12 +29,16 @@ def sampling_widths(cameras: Sequence[Camera], means: Float[Tensor, "n 3"]) -> F
 
     Returns: Scene units a pixel.
 
-    Source: Yu et al. 2024, "Mip-Splatting", Eq. 6 and its release, which has no width for a scene that is all nearer
-        than 0.2 units.
+    Source: Yu et al. 2024, "Mip-Splatting", Eq. 6 and its release, which draws nothing nearer than 0.2 units; large
+        units of length: ours.
     """
-    nearest = _nearest(cameras, means, NEAREST)
-    if not nearest.isfinite().any():
-        nearest = _nearest(cameras, means, 0.0)
+    nearest = _nearest(cameras, means, 0.0)
+    known = nearest[nearest.isfinite()]
+    if len(known):
+        usual = float(known.kthvalue(len(known) // 2 + 1).values)
+        beyond = min(NEAREST, TOUCHING * usual)
+        if bool((known <= beyond).any()):
+            nearest = _nearest(cameras, means, beyond)
     seen = nearest.isfinite()
     most = nearest[seen].max() if seen.any() else nearest.new_zeros(())
     focal = max(float(camera.K[0, 0]) for camera in cameras)

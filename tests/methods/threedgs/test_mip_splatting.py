@@ -82,12 +82,14 @@ def test_the_nearest_camera_counts_but_none_that_all_but_touches():
         assert widths.tolist() == pytest.approx([4 / 38.4, 1.1 / 38.4])
 
 
-def test_a_scene_in_a_large_unit_has_the_same_filter_in_pixels():
-    where, means = camera(2), torch.tensor([[0.0, 0, 0], [0, 0, 1]])
+@pytest.mark.parametrize("unit", [4, 20, 22, 24, 32])
+def test_a_scene_in_a_large_unit_has_the_same_filter_in_pixels(unit):
+    """Of 22 and of 24 units one lies nearer than 0.2 units and the others farther away, or one alone does."""
+    where, means = camera(2), torch.tensor([[0.0, 0, 0], [0, 0, 0.6], [0, 0, 1]])
     pose = where.world_to_camera.clone()
-    pose[:3, 3] /= 32
-    small = sampling_widths([replace(where, world_to_camera=pose)], means / 32)
-    torch.testing.assert_close(small, sampling_widths([where], means) / 32)
+    pose[:3, 3] /= unit
+    small = sampling_widths([replace(where, world_to_camera=pose)], means / unit)
+    torch.testing.assert_close(small, sampling_widths([where], means) / unit)
 
 
 def test_the_filter_widens_and_keeps_what_a_gaussian_holds():
