@@ -21,7 +21,8 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
 
     Args:
         scene: The scene that is trained on.
-        tests: A scene in the same original frame; its shift may be another.
+        tests: A scene in the same original frame and on the same clock; its shift and its start may
+            be others.
         protocol: Its `train_views` and `scored` say which views train and which are scored.
     Raises: DataError where a view's name is in both, or the units differ.
     """
@@ -30,7 +31,8 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
         raise DataError(f"{tests.root}: test view {min(both)!r} has the name of a training view")
     if tests.units != scene.units:
         raise DataError(f"{tests.root}: units are {tests.units!r}, the scene's {scene.units!r}")
-    moved = tuple(_moved(view, scene.shift - tests.shift) for view in tests.views)
+    shift, later = scene.shift - tests.shift, tests.start - scene.start
+    moved = tuple(_moved(view, shift, later) for view in tests.views)
     views = sorted((*scene.views, *moved), key=lambda view: view.name)
     index = {view.name: i for i, view in enumerate(views)}
     names = [view.name for view in views]
@@ -55,21 +57,28 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
     )
 
 
-def _moved(view: View, shift: Float64[Tensor, "3"]) -> View:
-    """The view in a frame whose origin lies `shift` further on: t' = t + R shift, x' = x - shift."""
+def _moved(view: View, shift: Float64[Tensor, "3"], later: float) -> View:
+    """The view in a frame whose origin lies `shift` further on: t' = t + R shift, x' = x - shift.
+
+    Its times are told from `later` seconds before.
+    """
     pose = view.camera.world_to_camera.clone()
     pose[:3, 3] += pose[:3, :3] @ shift
+    load = view.load_sweep
     return replace(
         view,
         camera=replace(view.camera, world_to_camera=pose),
-        load_sweep=partial(_moved_sweep, view.load_sweep, shift) if view.load_sweep else None,
+        load_sweep=partial(_moved_sweep, load, shift, later) if load else None,
+        sweep_time=None if view.sweep_time is None else view.sweep_time + later,
+        time=None if view.time is None else view.time + later,
     )
 
 
-def _moved_sweep(load: Callable[[], Sweep], shift: Float64[Tensor, "3"]) -> Sweep:
+def _moved_sweep(load: Callable[[], Sweep], shift: Float64[Tensor, "3"], later: float) -> Sweep:
     sweep = load()
     return replace(
         sweep,
         positions=(sweep.positions - shift).to(sweep.positions.dtype),
         origin=sweep.origin - shift,
+        time=None if sweep.time is None else sweep.time + later,
     )

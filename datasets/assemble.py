@@ -75,7 +75,8 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
     if layout.up is None:
         up, up_source = up_vector(rotations, centres)
     train, test, split_source = _split(folder, photos, protocol)
-    views = _views(folder, layout, photos, rotations, centres - shift, shift, protocol)
+    start = min((photo.time for photo in photos if photo.time is not None), default=0.0)
+    views = _views(folder, layout, photos, rotations, centres - shift, shift, start, protocol)
     if protocol.least_seen:
         if split_source != "protocol":
             raise UsageError(
@@ -96,6 +97,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
         up=torch.from_numpy(up),
         units=layout.units,
         shift=torch.from_numpy(shift),
+        start=start,
         left_out=layout.left_out,
         sources=sources,
         facts=layout.facts
@@ -157,6 +159,7 @@ def _views(
     rotations: Float64[np.ndarray, "n 3 3"],
     centres: Float64[np.ndarray, "n 3"],
     shift: Float64[np.ndarray, "3"],
+    start: float,
     protocol: Protocol,
 ) -> tuple[View, ...]:
     """One view a photo; photos of equal cameras and size share their undistortion.
@@ -168,7 +171,6 @@ def _views(
     poses = np.tile(np.eye(4), (len(photos), 1, 1))
     poses[:, :3, :3] = rotations
     poses[:, :3, 3] = -np.einsum("nij,nj->ni", rotations, centres)
-    start = min((photo.time for photo in photos if photo.time is not None), default=0.0)
     sweeps = sweeps_of(layout.sweeps, [photo.time for photo in photos])
     near = near_plane(centres)
     views = []

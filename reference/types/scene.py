@@ -140,6 +140,8 @@ class Scene:
     """Name of the length unit: "metres" or "sfm" (arbitrary scale)."""
     shift: Float[Tensor, "3"]
     """Float64 vector that was subtracted from the original frame; add it back on export."""
+    start: float = 0.0
+    """Seconds on the original clock at the scene's first view; 0 where no view has a time."""
     left_out: tuple[tuple[str, str], ...] = ()
     """(image name, reason) of every photo that is in the folder but not in the scene."""
     facts: dict[str, str] = field(default_factory=dict)

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from helpers.colmap_scenes import Flight, view_name, write_scene
 from helpers.tiny_scene import camera, tiny_scene
 from splatproof.base.errors import DataError
 from splatproof.datasets.added_views import with_tests
 from splatproof.datasets.catalogue.opening import open_scene
+from splatproof.datasets.view_times import Moment, write_moments
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene, Sweep
@@ -63,6 +66,30 @@ def test_a_sweep_of_a_test_view_moves_with_its_camera():
         assert (seen - want).abs().max() < 1e-4  # pixels: float32 of 5 units, 9 pixels a unit
         still, _ = project_points(view.camera, sweep.positions.double())
         assert (still - want).abs().max() > 1  # control: left where it was
+
+
+@pytest.mark.parametrize("first", [1000.5, 999.0])
+def test_times_of_test_views_are_told_from_the_scenes_first_view(tmp_path, first):
+    """One clock for both folders: a test view later by half a second is rendered half a second later."""
+    opened = []
+    for folder, start in (("scene", 1000.0), ("tests", first)):
+        root = write_scene(tmp_path / folder, Flight(views=6))
+        write_moments(root, {view_name(i): Moment(time=start + 0.25 * i) for i in range(6)})
+        (root / "lidar").mkdir()
+        for i in range(6):
+            points = np.arange(6.0).reshape(2, 3)
+            time = start + 0.25 * i + 0.015625
+            np.savez(root / f"lidar/{i}.npz", points=points, origin=np.zeros(3), time=time)
+        opened.append(open_scene(root, RULES))
+    scene, tests = renamed(opened[0], "m"), renamed(opened[1], "t")
+    both = with_tests(scene, tests, RULES)
+    assert [view.time for view in both.train_views] == [0.25 * i for i in range(6)]
+    later = first - 1000
+    assert [view.time for view in both.test_views] == [later + 0.25 * i for i in range(6)]
+    for view, own in zip(both.test_views, tests.views, strict=True):
+        assert view.load_sweep is not None
+        assert own.sweep_time is not None
+        assert view.sweep_time == view.load_sweep().time == own.sweep_time + later
 
 
 def test_fewer_views_train_and_the_tests_stay():
