@@ -70,7 +70,7 @@ def seen_pixels(
         points: Sparse points of the scene; read where true depth is not known.
         number: Index of the view in the scene, by which tracks name it.
         kept: Holds bounds of training views' depths, and their masks, for the next call; None: they are not kept.
-        most_rays: Pixels that are looked at, about; the others are as the nearest of these.
+        most_rays: Pixels that are looked at, about: the upper left one of each square cell, for all of it.
     Returns: True where seen; None where neither true depth nor enough points say how deep it is.
     Source: ours.
     """
