@@ -15,24 +15,23 @@ from splatproof.base.inside import checked_name
 from splatproof.base.memory import check_room
 from splatproof.base.names import did_you_mean
 from splatproof.base.numbers import finite, image_size
-from splatproof.reference.types.camera import NEAR, Camera
+from splatproof.reference.types.camera import Camera
 from splatproof.reference.types.scene import View, camera_view
 
 KEYS = ("name", "width", "height", "K", "world_to_camera")
 """What every entry has."""
 PEAK = 32
 """Bytes a pixel of a rendered view, at the least: colour, depth and opacity, and a copy to write."""
-MORE = ("near", "time", "sensor", "appearance")
+MORE = ("time", "sensor", "appearance")
 """What an entry may have besides."""
 
 
 def read_cameras(path: str | Path) -> dict[str, View]:
     """Views that nobody took, by name, from a JSON list of objects with the keys of KEYS.
 
-    They may also have those of MORE: `near`, up to which depth nothing is drawn (0.01 scene units;
-    of a flight in kilometres that is all), and what models that know of them obey: `time` in
-    seconds since the scene's first view, `sensor` the name of a physical camera, `appearance` the
-    name of the training view in whose light and exposure the model is shown.
+    They may also have those of MORE, which models that know of them obey: `time` in seconds since
+    the scene's first view, `sensor` the name of a physical camera, `appearance` the name of the
+    training view in whose light and exposure the model is shown.
 
     Args:
         path: K is 3 x 3 in pixels, world_to_camera 4 x 4 rigid and row-major with OpenCV axes.
@@ -98,10 +97,7 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
     # 1e-4 lets matrices through that were printed with five digits
     if off > 1e-4 or torch.linalg.det(turn) < 0 or pose[3].tolist() != [0, 0, 0, 1]:
         raise DataError(f"{where}: world_to_camera is not rigid (off by {off:.2g})")
-    near = finite(entry.get("near", NEAR))
-    if near is None or near <= 0:
-        raise DataError(f"{where}: near {entry['near']!r:.60}, expected a depth above 0")
-    return Camera(K=K, world_to_camera=pose, width=width, height=height, near=near)
+    return Camera(K=K, world_to_camera=pose, width=width, height=height)
 
 
 def _matrix(entry: dict[str, Any], key: str, size: int, where: str) -> Float[Tensor, "n n"]:

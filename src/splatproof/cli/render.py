@@ -49,10 +49,9 @@ def render(
             background. None: the protocol that the model was trained under.
         views: Which views of the scene: those that are scored, those that train, or all. None: test.
         cameras: Render from the cameras in this .json file instead: a list of objects with name,
-            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes), if need be near
-            (depth up to which nothing is drawn; 0.01 scene units), and for models that know of them
-            time (seconds since the scene's first view), sensor (name of a physical camera) and
-            appearance (name of the training view whose light is shown).
+            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes), and for models
+            that know of them time (seconds since the scene's first view), sensor (name of a physical
+            camera) and appearance (name of the training view whose light is shown).
         backend: Name of the rasterizer: cpu, reference or cuda.
     """
     from splatproof.base.errors import DataError, UsageError

@@ -42,12 +42,6 @@ def test_when_and_in_whose_light_a_camera_looks(tmp_path):
     assert (second.time, second.sensor, second.appearance) == (-0.5, "", None)
 
 
-def test_how_near_something_is_drawn(tmp_path):
-    path = tmp_path / "cameras.json"
-    path.write_text(json.dumps([entry(0, near=1e-5), entry(1)]))
-    assert [view.camera.near for view in read_cameras(path).values()] == [1e-5, 0.01]
-
-
 FLAT = [[0.0] * 4] * 4
 
 
@@ -60,8 +54,6 @@ FLAT = [[0.0] * 4] * 4
         ([entry(0), entry(0)], "camera 1: name '0.jpg'"),
         ([entry(0, width=0)], "width 0, expected"),
         ([entry(0, height=2.5)], "height 2.5, expected"),
-        ([entry(0, near=0)], "near 0, expected a depth above 0"),
-        ([entry(0, near="1")], "near '1', expected a depth"),
         ([entry(0, K=[1, 2])], "K is not a 3 x 3"),
         ([entry(0, K=[[1, 0, 0], [0, 1, 0], [1, 0, 1]])], "K is"),
         ([entry(0, world_to_camera=[[float("nan")] * 4] * 4)], "NaN is no number of JSON"),
