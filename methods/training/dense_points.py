@@ -96,7 +96,10 @@ def with_dense_points(
         return scene
     edge = cell * footprint(views, positions, seen)
     # the corner of what training views see moves with the scene; the frame's origin does not
-    corner = positions[torch.from_numpy(np.unique(seen.indices)).long()].amin(dim=0)
+    shown = positions[torch.from_numpy(np.unique(seen.indices)).long()]
+    # no point far beyond all others takes it so far away that no match is within reach
+    lowest = shown.median(dim=0).values - FARTHEST // 2 * edge
+    corner = shown.amin(dim=0).maximum(lowest)
     images, voxels = ImageCache(image_bytes), Voxels(edge, corner)
     with bar(f"matching {len(pairs)} pairs of photos") as report:
         found = partial(_found, views, positions, seen, images, settings, matcher)

@@ -387,6 +387,22 @@ def test_where_no_match_becomes_a_point_one_line_says_so(yard: Scene):
     assert line.endswith("dense_cell 0 goes without")
 
 
+def test_a_point_far_beyond_all_others_takes_no_match_away(yard: Scene):
+    """Structure from motion leaves such points; the voxels' corner went there, and all matches were beyond reach."""
+    few = replace(yard, train=yard.train[:2])
+    seen = observations(few.points, len(few.views))[list(few.train)]
+    positions = few.points.positions.clone()
+    positions[int(seen.indices[0])] -= 1e5 * (positions.amax(dim=0) - positions.amin(dim=0))
+    heard: list[str] = []
+    far = replace(few, points=replace(few.points, positions=positions))
+    added = [
+        len(with_dense_points(one, CELL, 2**28, DenseSettings(), heard.append).points)
+        for one in (few, far)
+    ]
+    assert heard == []
+    assert added[1] == pytest.approx(added[0], rel=0.01)
+
+
 def test_points_that_are_added_need_no_words(yard: Scene):
     heard: list[str] = []
     few = replace(yard, train=yard.train[:2])
