@@ -30,12 +30,14 @@ about one point differ by what rounding leaves."""
 POINTS_AT_ONCE = 2**16
 """Points that are projected at once; memory only."""
 LEAST_SQUARED = 1e-7
-"""Floor of the mean squared distance, in squared scene units (duplicates have 0); where most points lie closer, as in a
-scene in kilometres, the median of those that are apart."""
+"""Floor of the mean squared distance, in squared scene units (duplicates have 0)."""
+LEAST_SHARE = 1e-3
+"""The floor as a share of the median of those that are apart, at most: in kilometres nearly all points lie closer than the
+other one, and would start as wide as each other."""
 
 
 def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tensor, " n"]:
-    """Root of the mean squared distance to the 3 nearest other points, at least that of LEAST_SQUARED.
+    """Root of the mean squared distance to the 3 nearest other points, at least that of LEAST_SQUARED or LEAST_SHARE.
 
     With fewer than 4 points all others are taken.
 
@@ -53,7 +55,7 @@ def neighbour_distance(points: Float[Tensor, "n 3"], lone: float) -> Float[Tenso
     distances, _ = KDTree(positions).query(positions, k=others + 1)  # the first is itself
     squared = (distances[:, 1:] ** 2).mean(axis=1)
     apart = squared[squared > 0]
-    floor = min(LEAST_SQUARED, np.median(apart)) if len(apart) else LEAST_SQUARED
+    floor = min(LEAST_SQUARED, LEAST_SHARE * np.median(apart)) if len(apart) else LEAST_SQUARED
     return torch.from_numpy(np.sqrt(np.maximum(squared, floor)))
 
 
