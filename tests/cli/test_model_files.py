@@ -1,6 +1,7 @@
 """Files of Gaussians stand wherever a model folder does: written, rendered and scored from a camera source."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -168,6 +169,49 @@ def test_a_file_is_scored_against_images_of_a_file_of_cameras(written, tmp_path,
                   (str(written / "m.ply"), str(tmp_path / "truth"))):  # fmt: skip
         assert main(["score", *wrong]) == 2
         assert "give --cameras with a model alone" in capsys.readouterr().err
+
+
+def rendered(folder: Path, model: ExplicitModel, pose: torch.Tensor) -> np.ndarray:
+    """What `bench render` makes of a model from one camera of a file."""
+    save_model(model, folder / "model", Origin())
+    where = camera(0)
+    entry = {"name": "0.png", "width": where.width, "height": where.height,
+             "K": where.K.tolist(), "world_to_camera": pose.tolist()}  # fmt: skip
+    (folder / "cameras.json").write_text(json.dumps([entry]))
+    options = ["--cameras", str(folder / "cameras.json"), "--backend", "reference"]
+    assert main(["render", str(folder / "model"), str(folder / "out"), *options]) == 0
+    return picture(folder / "out" / "0.png")
+
+
+@pytest.mark.parametrize("original", [True, False])
+def test_a_shifted_model_is_seen_from_cameras_of_its_frame_and_of_the_original_one(
+    original, tmp_path, capsys
+):
+    """Those of the original frame, as the scene's own model has them, saw nothing of it without a word."""
+    shift = torch.tensor([512345.0, 4612345.0, 120.0], dtype=torch.float64)
+    pose = camera(0).world_to_camera.clone()
+    want = rendered(tmp_path, ExplicitModel(model=random_gaussians(40)), pose)
+    capsys.readouterr()
+    if original:
+        pose[:3, 3] -= pose[:3, :3] @ shift
+    got = rendered(tmp_path, ExplicitModel(model=random_gaussians(40), shift=shift), pose)
+    assert np.abs(got - want).max() <= 1
+    said = capsys.readouterr().err
+    line = "cameras.json: cameras of the scene's original frame, moved by [-512345.0, -4612345.0, -120.0]"
+    assert (line in said) is original
+
+
+def test_a_small_model_is_seen_from_cameras_of_a_file(tmp_path):
+    """As its scene's views see it: a flight in kilometres lies before the usual near plane."""
+    unit, whole = 1e-3, random_gaussians(40)
+    want = rendered(tmp_path, ExplicitModel(model=whole), camera(0).world_to_camera)
+    small = replace(
+        whole, means=unit * whole.means, log_scales=whole.log_scales + float(np.log(unit))
+    )
+    pose = camera(0).world_to_camera.clone()
+    pose[:3, 3] *= unit
+    assert np.abs(rendered(tmp_path, ExplicitModel(model=small), pose) - want).max() <= 1
+    assert want.max() > 50
 
 
 def test_files_that_cannot_be_used_are_named(written, tmp_path, capsys):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from splatproof.api.paths import model_path
 from splatproof.base.errors import UsageError
 from splatproof.cli.models import protocol_of, scene_of
+from splatproof.cli.own_cameras import for_model
 
 if TYPE_CHECKING:
     from splatproof.methods.contracts.reconstruction import Reconstruction
@@ -66,21 +67,21 @@ def view_of(given: Path, model: "Reconstruction", seen: Seen) -> "View | None":
             f"{given}: is made of plain Gaussians, which look the same from every view at any time; "
             "leave --view out"
         )
-    views = _views(given, seen)
+    views = _views(given, model, seen)
     if seen.view not in views:
         raise unknown("--view", seen.view, views)
     view = views[seen.view].without_truth()
     return view if seen.time is None else replace(view, time=seen.time)
 
 
-def _views(given: Path, seen: Seen) -> "dict[str, View]":
+def _views(given: Path, model: "Reconstruction", seen: Seen) -> "dict[str, View]":
     """The views among which the user names one."""
     from splatproof.datasets.catalogue.opening import open_scene
     from splatproof.methods.loading import load_origin
     from splatproof.methods.storage.camera_files import read_cameras
 
     if seen.cameras is not None:
-        return read_cameras(seen.cameras)
+        return for_model(read_cameras(seen.cameras), model, seen.cameras)
     origin = load_origin(model_path(given))
     scene = scene_of(given, origin, seen.scene)
     return {v.name: v for v in open_scene(scene, protocol_of(given, origin, seen.protocol)).views}

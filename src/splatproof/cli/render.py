@@ -9,6 +9,7 @@ import tyro
 from splatproof.api.paths import model_path
 from splatproof.cli import output
 from splatproof.cli.models import placed, protocol_of, scene_of
+from splatproof.cli.own_cameras import for_model
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -49,7 +50,8 @@ def render(
             background. None: the protocol that the model was trained under.
         views: Which views of the scene: those that are scored, those that train, or all. None: test.
         cameras: Render from the cameras in this .json file instead: a list of objects with name,
-            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes), and for models
+            width, height, K (3 x 3, pixels) and world_to_camera (4 x 4, OpenCV axes, in the model's frame or, where
+            that is shifted, the scene's original one), and for models
             that know of them time (seconds since the scene's first view), sensor (name of a physical
             camera) and appearance (name of the training view whose light is shown).
         backend: Name of the rasterizer: cpu, reference or cuda.
@@ -112,5 +114,10 @@ def _of_file(cameras: Path, rules: "Protocol") -> "tuple[Sequence[View], Draw]":
     from splatproof.methods.storage.camera_files import read_cameras
 
     background = torch.tensor(rules.background)
-    chosen = tuple(read_cameras(cameras).values())
-    return chosen, lambda model: lambda view: model.render(view, background).colour
+    views = read_cameras(cameras)
+
+    def draw(model: "Reconstruction") -> "Callable[[View], Tensor]":
+        fitting = for_model(views, model, cameras)
+        return lambda view: model.render(fitting[view.name], background).colour
+
+    return tuple(views.values()), draw

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from splatproof.api.paths import model_path
 from splatproof.base.errors import UsageError
 from splatproof.cli.models import placed, protocol_of, scene_of
+from splatproof.cli.own_cameras import for_model
 
 if TYPE_CHECKING:
     from splatproof.reference.types.protocol import Protocol
@@ -80,6 +81,7 @@ def render_cameras(given: Path, cameras: Path, protocol: str | None, folder: Pat
     rules = load_protocol((protocol or "default").split(",")[0].strip())
     views = read_cameras(cameras)
     model = load_reconstruction(model_path(given))
+    views = for_model(views, model, cameras)
     for view in views.values():
         image = model.render(view, torch.tensor(rules.background)).colour
         write_png(folder / picture_name(view.name), kept(image, rules.rounding)[1])
