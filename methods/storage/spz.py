@@ -57,7 +57,7 @@ def write_spz(
         harmonics: Bits of each that are kept, 1 to 8, in degree 1 and above; the others are 0, and compress.
 
     Raises: MissingError without the package; DataError for no Gaussians, which no reader takes, and for positions
-        beyond 2^23.
+        beyond 2^22.
 
     Source: the format's public description and its encoder's bits of harmonics (Niantic Labs, spz); extent-aware bits: ours.
     """
@@ -65,10 +65,10 @@ def write_spz(
     gsply = _package()
     if not len(gaussians):
         raise DataError(f"{path}: 0 Gaussians. Expected at least one")
-    reach = float(gaussians.means.abs().max())
-    whole = max(0, int(np.floor(np.log2(max(reach, 1e-6)))) + 1) + 1  # and the sign
-    if whole > WHOLE_BITS:
-        raise DataError(f"{path}: positions up to {reach:.3g}; .spz holds less than 2^23")
+    bits = fractional_bits(gaussians)
+    if bits < 1:
+        reach = float(gaussians.means.abs().max())
+        raise DataError(f"{path}: positions up to {reach:.3g}; .spz holds less than 2^22")
     order = morton_order(gaussians.means)
     gaussians = Gaussians(**{name: values[order] for name, values in vars(gaussians).items()})
     data = gsply.GSData(
@@ -77,9 +77,23 @@ def write_spz(
         sh0=gaussians.sh[:, 0].numpy(), shN=in_buckets(gaussians.sh[:, 1:], harmonics).numpy(),
     )  # fmt: skip
     with whole_file(path) as partial:
-        gsply.write_spz(partial, data, version=version, fractional_bits=WHOLE_BITS - whole)
+        gsply.write_spz(partial, data, version=version, fractional_bits=bits)
         if version == 3:
             _forget_time(partial)
+
+
+def fractional_bits(gaussians: Gaussians) -> int:
+    """Bits of a coordinate that are left for its fraction: positions are stored in steps of two to their negative power.
+
+    Args:
+        gaussians: The model that is written, at least one.
+    Returns: 24 at most; below 1 where the format has no room for the positions.
+
+    Source: ours.
+    """
+    reach = float(gaussians.means.abs().max())
+    whole = max(0, int(np.floor(np.log2(max(reach, 1e-6)))) + 1) + 1  # and the sign
+    return WHOLE_BITS - whole
 
 
 def clipped(gaussians: Gaussians) -> dict[str, int]:

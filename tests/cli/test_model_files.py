@@ -105,6 +105,22 @@ def test_what_an_spz_clips_is_counted_in_a_line(tmp_path, capsys):
     assert "clipped: log scales of 2, colours of 1, harmonics of 1;" in lines[0]
 
 
+@pytest.mark.parametrize(
+    ("far", "said"),
+    [(10.0, ""), (1e6, "in steps of 0.125, "), (5e6, "positions up to 5e+06; .spz holds less")],
+)
+def test_a_far_gaussian_that_makes_an_spz_coarse_is_told(tmp_path, capsys, far, said):
+    """One of 1e6 left the others an eighth of a unit without a word, and of 5e6 the package failed."""
+    model = random_gaussians(40)
+    model.means[0, 0] = far
+    save_model(ExplicitModel(model=model), tmp_path / "model", Origin())
+    path = str(tmp_path / "m.spz")
+    assert main(["export", str(tmp_path / "model"), "--spz", path]) == (2 if far > 2**22 else 0)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "positions" in line]
+    assert len(lines) == bool(said)
+    assert all(f"{path}: positions" in line and said in line for line in lines)
+
+
 @pytest.mark.parametrize(("words", "few"), [((), False), (("--quality=coarse",), True)])
 def test_a_coarse_spz_keeps_fewer_bits_of_harmonics(tmp_path, words, few):
     save_model(ExplicitModel(model=random_gaussians(50, degree=3)), tmp_path / "model", Origin())

@@ -160,6 +160,7 @@ def export(
     if spz is not None:
         write_spz(spz, gaussians, harmonics=USUAL_BITS if quality == "coarse" else ALL_BITS)
         _tell("spz", spz, gaussians, view)
+        _tell_steps(spz, gaussians, quality or "standard")
         if lost := clipped(gaussians):
             counts = ", ".join(f"{name} of {count}" for name, count in lost.items())
             output.log(
@@ -217,6 +218,22 @@ def _tell_packed(path: Path, report: "PackedReport", view: "View | None") -> Non
     output.emit(
         record | seen, f"{path}: {report.primitives} Gaussians{words}, {each:.1f} bytes each"
     )
+
+
+def _tell_steps(path: Path, gaussians: "Gaussians", quality: str) -> None:
+    """Say where far Gaussians make the positions of an .spz coarser than a packed file of that quality has them."""
+    from splatproof.methods.storage.packed.cell_size import widened
+    from splatproof.methods.storage.packed.coded_writer import QUALITIES
+    from splatproof.methods.storage.spz import fractional_bits
+
+    step = 2.0 ** -fractional_bits(gaussians)
+    found = widened(gaussians, QUALITIES[quality].position, step)
+    if found is not None:
+        output.log(
+            f"{path}: positions are stored in steps of {step:.3g}, {found.times:.3g} times as coarse as a packed file "
+            f"has them, because the farthest Gaussian lies {found.farthest:.6g} from the origin along an axis; remove what "
+            "lies far out, or shift a model that lies out there as a whole, and export again"
+        )
 
 
 def _tell_cells(path: Path, gaussians: "Gaussians", kept: "CodeSettings", steps: "Steps") -> None:
