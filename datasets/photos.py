@@ -165,12 +165,17 @@ def _bits(path: Path, image: Image.Image) -> int:
     return 8
 
 
-def check_photo(path: Path) -> None:
-    """Raise what `read_photo` would raise; JPEGs are decoded at an eighth of the size."""
+def check_photo(path: Path, *, transparent: bool = False) -> None:
+    """Raise what `read_photo` would raise; JPEGs are decoded at an eighth of the size.
+
+    Args:
+        path: Image file.
+        transparent: Whether it may be.
+    """
     with _opened(path) as image:
         check_room(path, image.width * image.height * PEAK)
         image.draft("RGB", (max(image.width // 8, 1), max(image.height // 8, 1)))
-        _check(path, image)
+        _check(path, image, transparent=transparent)
 
 
 def _check(path: Path, image: Image.Image, *, transparent: bool = False) -> None:

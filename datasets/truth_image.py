@@ -18,7 +18,7 @@ from torch import Tensor
 
 from splatproof.base.errors import DataError
 from splatproof.datasets.image_cache import TensorCache
-from splatproof.datasets.photos import read_photo
+from splatproof.datasets.photos import check_photo, read_photo
 from splatproof.datasets.reading_clock import READING
 from splatproof.datasets.resize import FILTER_RADIUS, resample, scale_intrinsics
 from splatproof.datasets.undistort import (
@@ -77,6 +77,10 @@ class Truth:
     def __call__(self) -> Float[Tensor, "h w 3"]:
         """As `image`: a view reads its photo by this."""
         return self.image()
+
+    def check(self) -> None:
+        """Raise what `image` would raise of the photo's file, without most of the work."""
+        check_photo(self.path, transparent=self.background is not None)
 
     def at(self, size: tuple[int, int]) -> Float[Tensor, "h w 3"]:
         """The image at a smaller size, read in a fraction of the time: the photo never has its full pixels.

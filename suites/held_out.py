@@ -17,6 +17,7 @@ from splatproof.base.errors import DataError
 from splatproof.base.folders import new_folder
 from splatproof.datasets.photos import write_png
 from splatproof.datasets.seen import seen_in_training
+from splatproof.datasets.truth_image import Truth
 from splatproof.methods.contracts.reconstruction import Reconstruction
 from splatproof.metrics.ldr_flip import flip_map
 from splatproof.metrics.pairs import check_pair
@@ -61,16 +62,18 @@ def scored_views(scene: Scene, protocol: Protocol) -> list[View]:
     return views
 
 
-def check_masks(scene: Scene, protocol: Protocol) -> None:
-    """Refuse held-out views whose masks leave nothing to score; reads their masks.
+def check_truth(scene: Scene, protocol: Protocol) -> None:
+    """Refuse held-out views whose photos cannot be read, or whose masks leave nothing to score; reads both.
 
     Args:
         scene: Scene, opened under the protocol.
         protocol: The rules that the views are scored by.
     Raises: DataError naming the view.
     """
-    for view in scored_views(scene, protocol) if protocol.masked else ():
-        if view.load_mask is None:
+    for view in scored_views(scene, protocol):
+        if isinstance(view.load, Truth):
+            view.load.check()
+        if view.load_mask is None or not protocol.masked:
             continue
         mask = view.load_mask()
         if not mask[:, region_columns(mask.shape[1], protocol.region)].any():

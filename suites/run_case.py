@@ -35,7 +35,7 @@ from splatproof.suites.case_folder import TRACEBACK, prepare
 from splatproof.suites.case_keys import case_key
 from splatproof.suites.environment import boot, environment, now
 from splatproof.suites.held_out import (
-    check_masks,
+    check_truth,
     render_milliseconds,
     score_views,
     scored_views,
@@ -197,7 +197,7 @@ def _run(job: Job, tell: Tell, begun_by: str) -> None:
     with measure.timed(spent.stages, "load"):
         scene = open_scene(job.case.scene, job.case.protocol)
         if scene.test or not job.unscored:
-            check_masks(scene, job.case.protocol)  # what cannot be scored is not trained
+            check_truth(scene, job.case.protocol)  # what cannot be scored is not trained
         # scores are of the true scene
         given = training_scene(
             scene,

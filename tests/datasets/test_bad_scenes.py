@@ -14,7 +14,7 @@ from PIL import Image
 from helpers.colmap_scenes import Flight, view_name, write_scene
 from splatproof.base.errors import SplatproofError
 from splatproof.datasets.catalogue.opening import open_scene
-from splatproof.datasets.photos import read_photo
+from splatproof.datasets.photos import check_photo, read_photo
 from splatproof.reference.types.protocol import Protocol
 
 FLIGHT = Flight(views=3, points=30)
@@ -386,6 +386,15 @@ def test_photos_that_are_not_8_bit_rgb_are_refused(tmp_path, mode, fault):
     Image.new(mode, (4, 3)).save(path)
     with pytest.raises(SplatproofError, match=fault):
         read_photo(path)
+
+
+def test_a_photo_is_checked_as_it_is_read(tmp_path):
+    """Transparent ones are refused where none may be, and only there."""
+    path = tmp_path / "photo.png"
+    Image.new("RGBA", (4, 3)).save(path)
+    check_photo(path, transparent=True)
+    with pytest.raises(SplatproofError, match="transparent"):
+        check_photo(path)
 
 
 def test_grey_palette_and_opaque_photos_are_read_exactly(tmp_path):

@@ -15,17 +15,21 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from helpers import fake_methods
+from helpers.colmap_scenes import Flight, view_name, write_scene
 from helpers.fake_methods import FakeSettings, fake_scene, run_fake_case
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import UsageError
 from splatproof.base.files import write_text
 from splatproof.base.locks import locked
+from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
+from splatproof.reference.types.protocol import Protocol
 from splatproof.suites import case_folder
 from splatproof.suites import run_case as cases
 from splatproof.suites.held_out import kept
@@ -226,6 +230,17 @@ def test_what_cannot_be_scored_is_not_trained(tmp_path, monkeypatch, fault):
     learned = PROTOCOL if fault == "leaves no pixel to score" else learned
     (outcome,) = run(suite(replace(case(), protocol=learned)), tmp_path)
     assert fault in outcome.result.error
+    assert not (outcome.folder / "curve.jsonl").exists()
+
+
+def test_a_held_out_photo_that_cannot_be_read_is_named_before_training(tmp_path, monkeypatch):
+    """Nothing reads it in training: it was found after all of it, and nothing was scored."""
+    folder = write_scene(tmp_path / "flight", Flight(views=3, points=30))
+    Image.new("CMYK", (96, 72)).save(folder / "photos" / view_name(0), format="JPEG")
+    rules = Protocol(name="rules", source="test", hold=2)
+    monkeypatch.setattr(cases, "open_scene", lambda spec, protocol: open_scene(folder, rules))
+    (outcome,) = run(suite(case()), tmp_path / "runs")
+    assert "photo_000.png: pixel format is CMYK, expected" in outcome.result.error
     assert not (outcome.folder / "curve.jsonl").exists()
 
 
