@@ -231,7 +231,7 @@ def _tell_steps(path: Path, gaussians: "Gaussians", quality: str) -> None:
     if found is not None:
         output.log(
             f"{path}: positions are stored in steps of {step:.3g}, {found.times:.3g} times as coarse as a packed file "
-            f"has them, because the farthest Gaussian lies {found.farthest:.6g} from the origin along an axis; remove what "
+            f"asks for, because the farthest Gaussian lies {found.farthest:.6g} from the origin along an axis; remove what "
             "lies far out, or shift a model that lies out there as a whole, and export again"
         )
 
