@@ -11,6 +11,7 @@ from typing import Any
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.files import read_json, write_text
 from splatproof.base.typed_toml import build
+from splatproof.reference.types.result_json import NON_FINITE
 from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.sides import Side
 from splatproof.reports.measured import Measured
@@ -38,6 +39,7 @@ def write(path: Path, cases: Sequence[CaseRecord]) -> None:
     for case in sorted(cases, key=lambda one: one.name):
         plain = {f.name: getattr(case, f.name) for f in fields(case) if f.name != "pictures"}
         plain["measured"] = _packed(case.measured)
+        plain["settings"] = _named(plain["settings"])
         for name in SHARED:
             if plain[name] not in shared[name]:
                 shared[name].append(plain[name])
@@ -110,6 +112,7 @@ def _packed(run: Measured) -> dict[str, Any]:
     plain = asdict(run)
     if math.isinf(run.late_gain):  # JSON has no such number
         del plain["late_gain"]
+    plain["settings"] = _named(plain["settings"])
     metrics = sorted({name for scores in run.images.values() for name in scores})
     plain["images"] = {
         "metrics": metrics,
@@ -130,13 +133,38 @@ def _unpacked(plain: Mapping[str, Any]) -> dict[str, Any]:
         }
         for image, scores in packed["scores"].items()
     }
-    return {"late_gain": math.inf, **plain, "images": images}
+    settings = _numbered(plain["settings"])
+    return {"late_gain": math.inf, **plain, "settings": settings, "images": images}
+
+
+def _named(value: Any) -> Any:
+    """A setting with names in place of the numbers that JSON does not have, as records have them."""
+    if isinstance(value, Mapping):
+        return {name: _named(part) for name, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_named(part) for part in value]
+    odd = isinstance(value, float) and not math.isfinite(value)
+    return (
+        next(name for name, number in NON_FINITE.items() if str(number) == str(value))
+        if odd
+        else value
+    )
+
+
+def _numbered(value: Any) -> Any:
+    """What `_named` was given."""
+    if isinstance(value, dict):
+        return {name: _numbered(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_numbered(part) for part in value]
+    return NON_FINITE.get(value, value) if isinstance(value, str) else value
 
 
 def _case(path: Path, number: int, body: Mapping[str, Any]) -> CaseRecord:
     plain = dict(body["cases"][number])
     where = f"{path}: cases[{number}]"
     plain |= {name: body[name][plain[name]] for name in SHARED}
+    plain["settings"] = _numbered(plain["settings"])
     run = _unpacked(plain.pop("measured"))
     return CaseRecord(measured=build(Measured, run, f"{where}.measured", DataError), **plain)
 

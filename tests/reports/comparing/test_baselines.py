@@ -33,6 +33,16 @@ def test_what_is_read_is_what_was_written(side, tmp_path: Path):
     assert math.isinf(side.cases[0].measured.late_gain) or side.cases[3].measured.late_gain > 0
 
 
+def test_settings_without_an_end_are_kept(tmp_path: Path):
+    """JSON has no such number."""
+    settings = {"limit": math.inf, "deep": {"ends": (-math.inf, 1.0)}}
+    side = side_of("results", [case_folders.result(settings=settings)])
+    baselines.write(tmp_path / "b.json", side.cases)
+    again = baselines.read(tmp_path / "b.json", "again")
+    assert again.cases == side.cases
+    assert not compare(again, side).differing
+
+
 def test_a_baseline_compares_as_its_results_do(side, tmp_path: Path):
     baselines.write(tmp_path / "b.json", side.cases)
     found = compare(baselines.read(tmp_path / "b.json", "b"), side)
