@@ -77,8 +77,8 @@ class Comparison:
     compared: tuple[Compared, ...]
     failures: tuple[Failure, ...]
     not_comparable: tuple[NotComparable, ...]
-    not_judged: tuple[str, ...]
-    """Names of metrics that are there and are not judged: no better side, or no band and not asked for."""
+    not_judged: dict[str, str]
+    """Why metrics that are there are not judged, by name: no better side, or no band and not asked for."""
     counters: tuple[Counted, ...]
     """Work that was done, compared exactly: no test, and not among `tests`."""
     differing: tuple[Differing, ...]
@@ -98,6 +98,11 @@ class Comparison:
     def gone(self) -> tuple[str, ...]:
         """Cases and metrics that BASE has and NEW lacks."""
         return tuple(one.what for one in self.not_comparable if one.lacking == "NEW")
+
+    @property
+    def judged(self) -> tuple[Compared, ...]:
+        """Comparisons that say anything: without those of times and memory that do not allow a verdict."""
+        return tuple(one for one in self.compared if one.verdict != "not judged")
 
     @property
     def counts(self) -> Counter[Verdict]:
@@ -154,7 +159,7 @@ def compare(
         compared=tuple(_decided(found, correction, alpha)),
         failures=matched.failures,
         not_comparable=tuple(faults),
-        not_judged=tuple(left_out),
+        not_judged=left_out,
         counters=tuple(counted(matched.groups)),
         differing=tuple(differing(matched.groups)),
         remarks=(*base.remarks, *new.remarks),

@@ -14,6 +14,9 @@ from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.matching import Group
 from splatproof.reports.statistics import Scores
 
+UNASKED = "no noise band and not asked for with --metrics"
+"""Why most of what cases have values for is not judged."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
@@ -34,7 +37,7 @@ class Measure:
 
 def measures(
     groups: Sequence[Group], bands: Mapping[str, Band], only: Collection[str] = ()
-) -> tuple[list[Measure], list[str]]:
+) -> tuple[list[Measure], dict[str, str]]:
     """The metrics that are judged: those of the protocols and those with a declared band.
 
     Args:
@@ -42,8 +45,8 @@ def measures(
         bands: Declared bands by metric.
         only: Names of metrics to judge in their place; empty: as above.
     Returns: Metrics that some case has and that have a better side, in the order of the protocols, then
-        of the declared bands (of `only` where given); and the names of those left out for want of a
-        better side or of a band.
+        of the declared bands (of `only` where given); and by name, sorted, why others are left out: for want
+        of a better side or of a band.
     Raises: UsageError for a name in `only` that no case has.
     """
     cases = [case for group in groups for case in (*group.base, *group.new)]
@@ -51,11 +54,28 @@ def measures(
     for name in only:
         if name not in there:
             raise unknown("--metrics", name, there)
-    named = [str(m) for case in cases for m in _listed(case.rules.get("metrics"))]
+    named = {str(m): None for case in cases for m in _listed(case.rules.get("metrics"))}
     wanted = [n for n in dict.fromkeys(only or (*named, *bands)) if n in there]
     found = [m for name in wanted if (m := _measure(name, bands.get(name)))]
     judged = {measure.metric for measure in found}
-    return found, sorted(set(only) - judged) if only else sorted(there - judged)
+    left_out = sorted(set(only) - judged) if only else sorted(there - judged)
+    return found, {name: _why_not(name, named, only) for name in left_out}
+
+
+def _why_not(name: str, named: Collection[str], only: Collection[str]) -> str:
+    """Why a metric is not judged.
+
+    Args:
+        name: Name of a metric that some case has.
+        named: Metrics of the protocols: all that is missing of these is their better side.
+        only: Metrics that were asked for by name: the same.
+    """
+    if name in named:
+        return (
+            "not known here, so that its better side is not: name the file that has it with --plugin, or "
+            "install its package"
+        )
+    return "asked for with --metrics, but has no better side" if name in only else UNASKED
 
 
 def values_of(case: CaseRecord) -> set[str]:

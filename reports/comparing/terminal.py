@@ -89,7 +89,7 @@ def records(found: Comparison, aggregates: Sequence[Aggregate]) -> Iterator[dict
     yield {
         "kind": "summary", "base": found.base, "new": found.new, "regressed": bool(found.regressions),
         "regressions": found.regressions, "counts": dict(found.counts), "tests": found.tests,
-        "alpha": found.alpha, "correction": found.correction, "not_judged": found.not_judged,
+        "alpha": found.alpha, "correction": found.correction, "not_judged": list(found.not_judged),
         "remarks": found.remarks, "line": wording.verdict_line(found),
     }  # fmt: skip
 

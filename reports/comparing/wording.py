@@ -40,7 +40,7 @@ def verdict_line(found: Comparison) -> str:
         said = f"newly failing: {', '.join(failing[:3])}{_more(failing, 3)}; {said}"
     if found.regressions:
         return f"REGRESSED: {said}"
-    return f"no regression: {said}" if found.compared else f"NOT COMPARED: {said}"
+    return f"no regression: {said}" if found.judged else f"NOT COMPARED: {said}"
 
 
 def method_line(found: Comparison) -> str:
@@ -173,16 +173,18 @@ def remarks(found: Comparison) -> list[str]:
     lines += [
         f"not comparable: {', '.join(things[:4])}{_more(things, 4)}: {why}" for why, things in apart
     ]
-    idle = [(f"{o.group.name} {o.measure.metric}", o.reason) for o in found.compared
-            if o.verdict == "not judged"]  # fmt: skip
+    for verdict in (one for one in ORDER if one != "equal"):
+        without = [
+            (f"{o.group.name} {o.measure.metric}", o.reason) for o in found.compared
+            if o.verdict == verdict and o.estimate is None
+        ]  # fmt: skip
+        lines += [
+            f"{verdict}: {', '.join(things[:4])}{_more(things, 4)}: {why}"
+            for why, things in told_apart(without)
+        ]
     lines += [
-        f"not judged: {', '.join(things[:4])}{_more(things, 4)}: {why}"
-        for why, things in told_apart(idle)
+        f"{why}: {', '.join(names)}" for why, names in told_apart(list(found.not_judged.items()))
     ]
-    if found.not_judged:
-        lines.append(
-            f"no noise band and not asked for with --metrics: {', '.join(found.not_judged)}"
-        )
     if same := sum(one.verdict == "same" for one in found.counters):
         lines.append(f"counters that are the same in every seed: {same} of {len(found.counters)}")
     return [*lines, *found.remarks]

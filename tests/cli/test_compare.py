@@ -4,6 +4,7 @@ import dataclasses
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -172,6 +173,50 @@ def test_wrong_use_is_told_in_a_line(
     assert code == 2
     assert message in err
     assert err.count("\n") == 1
+
+
+def edited(runs: Path, folder: Path, change: Callable[[dict], object]) -> Path:
+    """A copy of the old runs with every record of `town` changed."""
+    shutil.copytree(runs / "old", folder)
+    for file in folder.glob("**/town/**/record.json"):
+        record = json.loads(file.read_text())
+        change(record)
+        file.write_text(json.dumps(record))
+    return folder
+
+
+def test_a_verdict_without_an_interval_says_why(runs: Path, tmp_path: Path, capsys):
+    undefined = {"psnr": "NaN", "ssim_3dgs": 0.5}
+    new = edited(runs, tmp_path / "new", lambda r: r["images"][1].update(metrics=undefined))
+    code, out, _ = bench(capsys, "compare", runs / "old", new)
+    assert code == 1
+    assert "worse: quick/town/3dgs/ours_250 psnr: psnr of dji_0009.jpg is undefined on NEW" in out
+    for seed in ("seed1", "seed2"):
+        for folder in new.glob(f"**/{seed}"):
+            shutil.rmtree(folder)
+    _, out, _ = bench(capsys, "compare", runs / "new", new, "--metrics", "ssim_3dgs")
+    assert "ssim_3dgs: one seed on NEW gives no interval; run at least 3" in out.replace("\n", "")
+
+
+def test_where_nothing_is_judged_nothing_is_called_no_regression(runs: Path, capsys):
+    code, out, err = bench(capsys, "compare", runs / "old", runs / "new", "--metrics", "render_ms")
+    assert (code, out.startswith("NOT COMPARED: 2 not judged")) == (2, True)
+    assert "no metric of a case in common that can be compared" in err
+
+
+def test_a_metric_without_a_known_better_side_is_named(runs: Path, tmp_path: Path, capsys):
+    def adds(record: dict) -> None:
+        record["protocol_rules"]["metrics"] = ["psnr", "worst_tile"]
+        for scores in (record, *record["images"]):
+            scores["metrics"]["worst_tile"] = 0.5
+
+    new = edited(runs, tmp_path / "new", adds)
+    _, out, _ = bench(capsys, "compare", new, new)
+    assert "name the file that has it with --plugin, or install its package: worst_tile" in out
+    assert "asked for with --metrics: cpu_seconds" in out
+    code, out, _ = bench(capsys, "compare", new, new, "--metrics", "primitives")
+    assert code == 2
+    assert "asked for with --metrics, but has no better side: primitives" in out
 
 
 def test_sides_without_a_common_case_end_with_2(runs: Path, tmp_path: Path, capsys):

@@ -1,5 +1,6 @@
 """The pytest plugin in a project of somebody else: what is worse must fail, and nothing else."""
 
+import dataclasses
 import subprocess
 import sys
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from splatproof.methods.registry import METHODS
+from splatproof.reference.types.result import BOOT
 from splatproof.reports.comparing import baselines
 
 CHECK = """
@@ -84,6 +86,23 @@ def test_a_method_made_worse_fails_with_what_got_worse_and_where(
     ])  # fmt: skip
     shown = next(line.split()[-1] for line in result.outlines if "psnr of" in line)
     assert Path(shown.replace("{truth,renders,errors}", "renders")).is_file()
+
+
+def test_what_was_asked_for_and_is_not_judged_is_said(project: pytest.Pytester):
+    path = saved(project).path / "base.json"
+    elsewhere = [
+        dataclasses.replace(case, environment=case.environment | {BOOT: "another machine"})
+        for case in baselines.read(path, "base.json").cases
+    ]
+    baselines.write(path, elsewhere)
+    project.makepyfile(test_mine=CHECK.replace('"ssim_3dgs"', '"render_ms"'))
+    result = project.runpytest_inprocess("test_mine.py")
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["*not judged against base.json:", "*render_ms: *"])
+    project.makepyfile(test_mine=CHECK.replace('"psnr", "ssim_3dgs"', '"render_ms",'))
+    result = project.runpytest_inprocess("test_mine.py")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*render_ms: *", "*nothing of this run could be compared*"])
 
 
 def test_a_comment_in_the_code_runs_the_cases_again_and_passes(

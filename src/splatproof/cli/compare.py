@@ -96,8 +96,9 @@ def compare(
     else:
         width = None if sys.stdout.isatty() else PIPED_WIDTH
         Console(width=width, highlight=False).print(terminal(found, aggregates))
-    if not found.compared and not found.failures:
-        raise UsageError(f"{base} and {new} have no case in common that can be compared")
+    if not found.judged and not found.failures:
+        what = "metric of a case" if found.compared or found.not_judged else "case"
+        raise UsageError(f"{base} and {new} have no {what} in common that can be compared")
     gone = found.gone if complete else ()
     if gone:
         output.log(f"--complete: NEW lacks {len(gone)} of BASE's: {', '.join(gone)}")

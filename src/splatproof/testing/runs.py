@@ -150,7 +150,7 @@ class Ran:
             found = _compared(replace(base, cases=own), self.side, metrics)
         except SplatproofError as error:
             pytest.fail(str(error), False)
-        text = told(found, self.folder.parent)
+        text = told(found, self.folder.parent, metrics)
         if faults(found, strict=self.runs.strict):
             raise AssertionError(text)
         if text:

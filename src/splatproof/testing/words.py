@@ -1,6 +1,6 @@
 """What a check against a baseline says: the table of what got worse, and where to look."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,34 +23,41 @@ def faults(found: Comparison, *, strict: bool) -> bool:
     """
     odd = [one for one in found.not_comparable if strict or not one.why.startswith(MISSING)]
     open_ = [one for one in found.compared if strict and one.verdict == "undecided"]
-    return bool(found.regressions or odd or open_ or not found.compared)
+    return bool(found.regressions or odd or open_ or not found.judged)
 
 
-def told(found: Comparison, folder: Path) -> str:
+def told(found: Comparison, folder: Path, asked: Collection[str] = ()) -> str:
     """What is worse, undecided or not compared; empty where there is nothing of these.
 
     Args:
         found: The verdicts.
         folder: Folder of runs that the suite's folder of this run lies in.
+        asked: Metrics that were asked for by name: of these it is said too that they are not judged.
     """
+    idle = [one for one in found.compared if one.verdict == "not judged"]
+    idle = [one for one in idle if one.measure.metric in asked or not found.judged]
     worse = [one for one in found.compared if one.verdict == "worse"]
     unsure = [one for one in found.compared if one.verdict == "undecided"]
     parts = [_failing(found)]
     if worse:
         head = f"worse than {found.base} ({found.correction} over {found.tests} tests, alpha {found.alpha})"
         parts.append(f"{head}:\n{_table(worse)}")
+        parts.append(_reasons([one for one in worse if one.estimate is None]))
         parts += [_views(one, folder) for one in worse]
     if unsure:
-        reasons = "\n".join(
-            f"  {one.group.name} {one.measure.metric}: {one.reason}" for one in unsure
-        )
-        parts.append(f"undecided against {found.base}:\n{_table(unsure)}\n{reasons}")
+        parts.append(f"undecided against {found.base}:\n{_table(unsure)}\n{_reasons(unsure)}")
+    if idle:
+        parts.append(f"not judged against {found.base}:\n{_reasons(idle)}")
     if found.not_comparable:
         lines = [f"  {one.what}: {one.why}" for one in found.not_comparable]
         parts.append("\n".join([f"not compared with {found.base}:", *lines]))
-    if not found.compared:
+    if not found.judged:
         parts.append(f"nothing of this run could be compared with {found.base}")
     return "\n".join(part for part in parts if part)
+
+
+def _reasons(rows: Sequence[Compared]) -> str:
+    return "\n".join(f"  {one.group.name} {one.measure.metric}: {one.reason}" for one in rows)
 
 
 def _failing(found: Comparison) -> str:
@@ -88,7 +95,9 @@ def _cells(one: Compared) -> tuple[str, ...]:
 
 
 def _views(one: Compared, folder: Path) -> str:
-    """The views that lost most, and their pictures; empty where the metric has no views."""
+    """The views that lost most, and their pictures; empty where the metric has no views, or no difference."""
+    if one.estimate is None:
+        return ""
     name, group = one.measure.metric, one.group
     sides = [[case.measured.images for case in side] for side in (group.base, group.new)]
     views = [v for v in sides[1][0] if all(name in s.get(v, {}) for side in sides for s in side)]
