@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from splatproof.base.errors import DataError, UsageError
@@ -105,4 +105,5 @@ def _open(spec: Spec, label: str, folder: Path) -> Side:
 
 
 def _of_commit(side: Side, spec: Spec) -> Side:
-    return sides.newest(side.label, sides.of_commit(side.cases, spec.commit, side.label))
+    found = sides.newest(side.label, sides.of_commit(side.cases, spec.commit, side.label))
+    return replace(found, remarks=(*side.remarks, *found.remarks))

@@ -14,6 +14,7 @@ from splatproof.reports.store import FOLDERS, Picture, StoredResult, find_cases,
 
 COMMIT_SHOWN = 10
 """Digits of a commit that people are shown."""
+RECORD = "record.json"
 DIRTY = "-dirty"
 """End of the commit of a checkout whose files differed from it."""
 
@@ -67,19 +68,27 @@ def newest(label: str, records: Iterable[CaseRecord]) -> Side:
 
 
 def from_folder(folder: Path, label: str) -> Side:
-    """The records of all cases below a folder of runs.
+    """The records of all cases below a folder of runs; of a case that lies there several times the newest.
 
     Args:
         folder: What `bench run` calls OUT, or a folder below or above.
         label: What people call the side.
     Raises: DataError naming a record that is damaged.
     """
+    places: dict[str, list[Path]] = {}
     records = []
-    for case in find_cases(folder):
-        path = case / "record.json"
+    for case in sorted(find_cases(folder), key=lambda one: (one / RECORD).stat().st_mtime):
+        path = case / RECORD
         result = result_from_json(read_text(path), str(path))
         records.append(case_record(result, PicturesOnDisk(case)))
-    return newest(label, records)
+        places.setdefault(records[-1].name, []).append(case)
+    side = newest(label, records)
+    several = [name for name, own in places.items() if len(own) > 1]
+    if not several:
+        return side
+    more = f" and {len(several) - 1} more" if len(several) > 1 else ""
+    told = f"{label}: {several[0]}{more} in several folders; the newest counts, {places[several[0]][-1]}"
+    return replace(side, remarks=(*side.remarks, told))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """What users write for a side, and what they are told when it is nothing."""
 
 import dataclasses
+import os
 import shutil
 from pathlib import Path
 
@@ -141,6 +142,20 @@ def test_a_damaged_record_is_told(tmp_path: Path):
     (folder / "record.json").write_text("{")
     with pytest.raises(DataError, match=r"record.json: not a result record"):
         open_side(str(tmp_path))
+
+
+@pytest.mark.parametrize("last", ["a", "b"])
+def test_of_a_case_in_several_folders_the_newest_counts_and_that_is_said(tmp_path: Path, last: str):
+    """As in .splatproof, where each state of the code has a folder."""
+    for name, psnr in (("a", 20.0), ("b", 25.0)):
+        folder = case_folders.write_case(tmp_path / name, result(0, psnr=psnr))
+        written = 2e9 if name == last else 1e9
+        os.utime(folder / "record.json", (written, written))
+    side = open_side(str(tmp_path))
+    assert side.cases == open_side(str(tmp_path / last)).cases
+    (said,) = side.remarks
+    assert "quick/town/3dgs/ours_250/seed0 in several folders; the newest counts" in said
+    assert str(tmp_path / last) in said
 
 
 def test_several_settings_of_one_case_are_remarked(migrated: Path, tmp_path: Path):
