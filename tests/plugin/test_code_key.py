@@ -35,6 +35,20 @@ def test_the_code_of_a_metric_is_part_of_the_key(tmp_path: Path):
         forget_plugin_file(loaded)
 
 
+def test_the_code_of_a_partial_function_is_part_of_the_key(tmp_path: Path):
+    """Its module is functools."""
+    file = tmp_path / "own_partial_metric.py"
+    text = METRIC.replace("function=largest", "function=partial(largest)")
+    file.write_text(f"from functools import partial\n{text}")
+    loaded = load_plugin_file(file)
+    try:
+        before = code_key(["3dgs"], ["largest_error"])
+        file.write_text(file.read_text().replace(".max()", ".amax()"))
+        assert code_key(["3dgs"], ["largest_error"]) != before
+    finally:
+        forget_plugin_file(loaded)
+
+
 def test_a_metric_that_there_is_not_is_named():
     with pytest.raises(UsageError, match="no-such"):
         code_key(["3dgs"], ["no-such"])

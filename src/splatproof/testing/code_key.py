@@ -2,7 +2,8 @@
 
 import hashlib
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -28,9 +29,9 @@ def code_key(methods: Iterable[str], metrics: Iterable[str]) -> str:
     Raises: UsageError for a method or a metric that does not exist.
     """
     places = {Path(splatproof.__file__).parent}
-    functions = [get_method(name).fit for name in methods]
+    functions: list[Callable[..., object]] = [get_method(name).fit for name in methods]
     functions += [find_metric(name).function for name in metrics]
-    for function in functions:
+    for function in map(_inner, functions):
         module = sys.modules[function.__module__]
         top = sys.modules[module.__name__.partition(".")[0]]
         places.add(_place(top.__file__ or module.__file__ or ""))
@@ -38,6 +39,11 @@ def code_key(methods: Iterable[str], metrics: Iterable[str]) -> str:
     for place in sorted(places):
         found.update(_digest(place))
     return found.hexdigest()[:DIGITS]
+
+
+def _inner(function: Callable[..., object]) -> Callable[..., object]:
+    """The function in a partial one, whose module is functools."""
+    return _inner(function.func) if isinstance(function, partial) else function
 
 
 def _place(file: str) -> Path:
