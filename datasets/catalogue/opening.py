@@ -4,8 +4,10 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from traceback import extract_tb
+from typing import TypeVar
 
-from splatproof.base.errors import DataError, UsageError
+from splatproof.base.errors import DataError, SplatproofError, UsageError
 from splatproof.base.plugin_files import PluginFile, plugin_files
 from splatproof.base.plugins import with_plugins
 from splatproof.datasets.adapters import (
@@ -23,6 +25,7 @@ from splatproof.datasets.colmap import open_colmap
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene
 
+T = TypeVar("T")
 GROUP = "splatproof.adapters"
 """Entry point group of other packages' adapters."""
 
@@ -190,7 +193,7 @@ def adapter_of(folder: Path) -> Adapter:
     """
     adapters = all_adapters().values()
     for adapter in adapters:
-        if adapter.recognises(folder):
+        if _asked(adapter, adapter.recognises, folder):
             return adapter
     looked = "; ".join(f"{adapter.name}: {adapter.looks_for}" for adapter in adapters)
     raise DataError(
@@ -200,4 +203,34 @@ def adapter_of(folder: Path) -> Adapter:
 
 
 def _open_folder(folder: Path, protocol: Protocol) -> Scene:
-    return adapter_of(folder).open(folder, protocol)
+    adapter = adapter_of(folder)
+    scene = _asked(adapter, adapter.open, folder, protocol)
+    if not isinstance(scene, Scene):
+        raise UsageError(
+            f"adapter {adapter.name}: open gave a {type(scene).__name__}, expected a Scene, which "
+            "open_layout returns"
+        )
+    return scene
+
+
+def _asked(adapter: Adapter, function: Callable[..., T], folder: Path, *more: object) -> T:
+    """What a function of an adapter gives. Raises: UsageError where one of somebody else's fails."""
+    try:
+        return function(folder, *more)
+    except Exception as error:
+        of_a_file = isinstance(error, OSError) and function is adapter.open
+        if adapter in ADAPTERS or of_a_file or isinstance(error, SplatproofError):
+            raise
+        said = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UsageError(
+            f"adapter {adapter.name}: fails on {folder} ({said}{_place(error, function)}); mend it"
+        ) from error
+
+
+def _place(error: Exception, function: Callable[..., object]) -> str:
+    """ "; rig.py:12", the last line of the function's own file that an error came through; "" if none did."""
+    own = getattr(function, "__code__", None)
+    frames = [
+        one for one in extract_tb(error.__traceback__) if own and one.filename == own.co_filename
+    ]
+    return f"; {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""

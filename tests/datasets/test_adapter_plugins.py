@@ -1,5 +1,6 @@
 """Scene adapters of installed packages: found through entry points, after ours, named in errors."""
 
+import dataclasses
 import json
 from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
@@ -88,6 +89,34 @@ def test_what_cannot_be_used_is_named(tmp_path, installed, points, said):
         open_scene(tmp_path, PROTOCOL)
     assert next(iter(points)) in str(caught.value)
     assert GROUP in str(caught.value)
+
+
+def wrong_open(folder, protocol):
+    return {}["focal"]
+
+
+def no_file(folder):
+    return (folder / "nothing.json").read_text()
+
+
+WRONG = dataclasses.replace(FILM, open=wrong_open)
+BLIND = dataclasses.replace(FILM, recognises=no_file)
+SILENT = dataclasses.replace(FILM, open=lambda folder, protocol: None)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("WRONG", r"fails on .*\(KeyError: 'focal'; test_adapter_plugins.py:\d+\); mend it"),
+        ("BLIND", "fails on .*FileNotFoundError"),
+        ("SILENT", "open gave a NoneType, expected a Scene"),
+    ],
+)
+def test_one_that_fails_is_named_in_one_line(tmp_path, installed, value, said):
+    (tmp_path / "film.txt").touch()
+    installed(film=value)
+    with pytest.raises(UsageError, match=f"^adapter film: {said}"):
+        open_scene(tmp_path, PROTOCOL)
 
 
 def test_doctor_lists_adapters(tmp_path, installed, capsys):
