@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8, UInt16
 from torch import Tensor
 
-from splatproof.base.errors import DataError
+from splatproof.base.errors import DataError, UsageError
 from splatproof.base.folders import new_folder
 from splatproof.datasets.photos import write_png
 from splatproof.datasets.seen import seen_in_training
@@ -150,10 +150,25 @@ def drawn(
         model: What is looked at.
         protocol: The rules.
     Returns: The image, neither rounded nor clamped.
+    Raises: UsageError where a model of somebody else gives no image of the view's size.
     """
     asked = appearance.shown(view, training, model, protocol)
-    image = model.render(asked, torch.tensor(protocol.background)).colour
+    image = _colour(model.render(asked, torch.tensor(protocol.background)), view, model)
     return appearance.exposed(view, image, protocol)
+
+
+def _colour(output: object, view: View, model: Reconstruction) -> Float[Tensor, "h w 3"]:
+    """The image in what a model gave. Raises: UsageError where it is none, as another's model may give."""
+    colour = getattr(output, "colour", None)
+    found = f"a {type(output if colour is None else colour).__name__}"
+    if isinstance(colour, Tensor):
+        if colour.is_floating_point() and tuple(colour.shape) == (*view.size, 3):
+            return colour
+        found = f"{colour.dtype} of {' x '.join(map(str, colour.shape))}"
+    raise UsageError(
+        f"{view.name}: the model of kind {model.kind!r} rendered {found}, expected a RenderOutput with "
+        f"a colour of floats in [0, 1], {' x '.join(map(str, view.size))} x 3"
+    )
 
 
 def _moving(view: View, protocol: Protocol) -> dict[str, Bool[Tensor, "h w"]] | None:

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import PurePosixPath
 from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 
 from helpers.fake_methods import fake_scene, model_of
-from splatproof.base.errors import DataError
+from splatproof.base.errors import DataError, UsageError
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.result import picture_name
 from splatproof.suites.held_out import (
@@ -61,6 +62,32 @@ def test_pictures_have_the_views_names_and_the_truths_size(tmp_path):
     want = np.floor(scene.test_views[0].load().numpy() * 65535 + 0.5)
     assert np.array_equal(truth[..., ::-1], want)
     assert not (tmp_path / "masks").exists()
+
+
+@pytest.mark.parametrize(
+    ("drawn", "said"),
+    [
+        (
+            lambda colour: SimpleNamespace(colour=(255 * colour).byte()),
+            "torch.uint8 of 18 x 24 x 3",
+        ),
+        (
+            lambda colour: SimpleNamespace(colour=colour.permute(2, 0, 1)),
+            "torch.float32 of 3 x 18 x 24",
+        ),
+        (lambda colour: SimpleNamespace(colour=colour.numpy()), "a ndarray"),
+        (lambda colour: colour, "a Tensor"),
+    ],
+)
+def test_what_is_no_image_of_the_views_size_is_refused_by_name(tmp_path, drawn, said):
+    def render(view, background):
+        return drawn(MODEL.render(view, background).colour)
+
+    model: Any = SimpleNamespace(render=render, kind="another's", primitives=1, store=render)
+    with pytest.raises(
+        UsageError, match=rf"0.png: .* kind \"another's\" rendered {said}, expected"
+    ):
+        score_views(fake_scene("town", PROTOCOL), model, PROTOCOL, tmp_path)
 
 
 def test_masks_are_kept_where_a_view_has_one(tmp_path):
