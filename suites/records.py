@@ -16,9 +16,11 @@ def write_record(folder: str | Path, result: Result) -> None:
     Args:
         folder: Folder of the case.
         result: What came out of it.
+    Raises: DataError naming the field that could not be read again: a method may have said it otherwise.
     """
-    folder = Path(folder)
-    write_text(folder / RECORD_NAME, result_to_json(result) + "\n")
+    folder, text = Path(folder), result_to_json(result)
+    result_from_json(text, f"record of method {result.method}")
+    write_text(folder / RECORD_NAME, text + "\n")
 
 
 def read_record(folder: str | Path) -> Result:

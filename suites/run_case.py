@@ -7,7 +7,7 @@ import traceback
 from contextlib import chdir, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 
@@ -291,9 +291,21 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
     """Fit the method, or continue it, and save the model."""
     method = get_method(job.case.method)
 
-    def report(step: int, total: int, values: dict[str, float]) -> None:
-        curve.add(step, total, values)
-        tell("train", step, total, values)
+    def number(what: str, value: Any) -> float:
+        with suppress(TypeError, ValueError):
+            if not isinstance(value, str):
+                return float(value)
+        raise UsageError(f"method {method.name}: {what} is {value!r:.60}, expected a number")
+
+    def report(step: int, total: int, values: dict[str, Any]) -> None:
+        numbers = {name: number(f"the reported {name!r}", value) for name, value in values.items()}
+        curve.add(int(step), int(total), numbers)
+        tell("train", int(step), int(total), numbers)
+
+    def staged(stage: str, seconds: float) -> None:
+        spent.stages[stage] = number(f"the time of stage {stage!r}", seconds)
+        if not 0 <= spent.stages[stage] < math.inf:
+            raise UsageError(f"method {method.name}: stage {stage!r} took {seconds} s")
 
     tell("init", 0, 0, {})
     watch = show_nobody if job.snapshots is None else Snapshots(job.snapshots)
@@ -316,7 +328,7 @@ def _train(job: Job, scene: Scene, curve: Curve, spent: Spent, tell: Tell) -> No
                 threads=job.threads,
                 background=job.case.protocol.background,
                 report=report,
-                on_stage=spent.stages.__setitem__,
+                on_stage=staged,
                 on_fact=spent.facts.__setitem__,
                 on_count=spent.counters.__setitem__,
                 on_elsewhere=elsewhere,

@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -251,6 +252,29 @@ def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypat
     monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
     (outcome,) = run(suite(case()), tmp_path)
     assert outcome.result.error == "RuntimeError: first line second line"
+
+
+@pytest.mark.parametrize(
+    ("tell", "said"),
+    [
+        (
+            lambda run: run.on_fact("rate", 0.1),
+            "record of method fake: .*environment.rate: .*'0.1'",
+        ),
+        (lambda run: run.report(1, 2, {"loss": "low"}), "the reported 'loss' is 'low', expected a"),
+        (lambda run: run.on_stage("train", float("nan")), "method fake: stage 'train' took nan s"),
+    ],
+)
+def test_what_a_method_tells_of_another_type_fails_its_case_only(tmp_path, monkeypatch, tell, said):
+    def fit(scene, settings, run):
+        if run.seed == 0:
+            tell(run)
+        return fake_methods.fit(scene, settings, run)
+
+    monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
+    failed, finished = run(suite(case(), case(seed=1)), tmp_path)
+    assert finished.status == "finished"
+    assert re.search(said, failed.result.error)
 
 
 class Painted(ExplicitModel):
