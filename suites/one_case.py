@@ -12,7 +12,7 @@ from splatproof.methods.registry import get_method
 from splatproof.methods.training.image_room import image_allowance
 from splatproof.reference.types.protocol import Protocol
 from splatproof.suites.run_case import Job
-from splatproof.suites.suite_files import Case, Suite
+from splatproof.suites.suite_files import Case, Suite, check_settings
 
 SUITE = "fit"
 """What records and leaderboards call the suite of one case that each fit is."""
@@ -42,12 +42,14 @@ def job_of_one(
         pose_noise: Level of the noise on training poses.
         depth_prior: What `methods.priors.kinds.resolved` made of the user's words.
         **options: Further fields of Job.
-    Raises: UsageError for a negative seed, an unknown level of pose noise or an unknown method.
+    Raises: UsageError for a negative seed, an unknown level of pose noise, an unknown method or settings that no
+        record can hold.
     """
     if seed < 0:
         raise UsageError(f"seed {seed}: expected a whole number from 0")
     if pose_noise not in LEVELS:
         raise unknown("pose_noise", pose_noise, LEVELS)
+    check_settings(method, settings)
     case = Case(
         scene=scene, method=method, settings=settings, seed=seed, protocol=protocol,
         pose_noise=pose_noise, depth_prior=depth_prior,

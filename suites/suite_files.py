@@ -21,6 +21,7 @@ from splatproof.methods.registry import methods
 from splatproof.metrics.protocol_files import load_protocol, resized
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import NO_PRIOR, TRUE_POSES, prior_name, row_name
+from splatproof.reference.types.result_json import plain
 
 FOLDER = Path(__file__).parent / "definitions"
 """Where the suites that ship with the package lie."""
@@ -140,6 +141,23 @@ class Suite:
     optional_scenes: tuple[str, ...] = ()
 
 
+def check_settings(method: str, settings: object) -> None:
+    """Refuse settings that a record cannot hold.
+
+    Args:
+        method: Name of the method.
+        settings: Instance of its settings dataclass.
+    Raises: UsageError naming method and setting.
+    """
+    try:
+        plain(settings, "settings")
+    except TypeError as error:
+        raise UsageError(
+            f"method {method}: {error}; settings are numbers, text, None, and dataclasses, tuples and "
+            "tables of these"
+        ) from None
+
+
 def load_suite(name_or_path: str | Path) -> Suite:
     """Read a suite file and check every setting in it.
 
@@ -245,6 +263,8 @@ def _cases(table: CaseTable, path: Path, where: str) -> list[Case]:
         )
         for row, (method, _) in parts.items()
     }
+    for row, (method, _) in parts.items():
+        check_settings(method, settings[row])
     protocols = [
         resized(_protocol(name, path, f"{where}.protocols"), table.width)
         for name in table.protocols

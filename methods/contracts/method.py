@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,20 @@ class Method:
     """Whether it trains a scene in blocks, so that Run.engine and Run.workers apply."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that is no folder, or that rows of tables read otherwise. Raises: UsageError."""
+        """Refuse a name that is no folder or that rows of tables read otherwise, and settings of another kind.
+
+        Raises: UsageError.
+        """
         if not NAMES.fullmatch(self.name):
             raise UsageError(
                 f"method name {self.name!r}: expected letters, digits, '+', '-', '_' and '.', a letter "
                 "or digit first"
             )
+        kind: Any = self.settings
+        told = f"method {self.name}: its settings are {kind!r:.80}, expected a frozen dataclass"
+        parameters = getattr(kind, "__dataclass_params__", None)
+        if parameters is None or not parameters.frozen:
+            raise UsageError(told)
+        for one in fields(kind):
+            if one.init and one.default is MISSING and one.default_factory is MISSING:
+                raise UsageError(f"{told} with a default for every field; {one.name} has none")

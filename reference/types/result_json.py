@@ -36,7 +36,7 @@ def result_to_json(result: Result) -> str:
     """
     record = {"version": VERSION}
     for field in dataclasses.fields(result):
-        record[field.name] = _plain(getattr(result, field.name), field.name)
+        record[field.name] = plain(getattr(result, field.name), field.name)
     return json.dumps(record, allow_nan=False, ensure_ascii=False)
 
 
@@ -74,18 +74,24 @@ def result_from_json(text: str, source: str) -> Result:
     return dataclasses.replace(result, protocol_rules=result.protocol_rules | newer)
 
 
-def _plain(value: object, where: str) -> Any:
-    """The value as JSON-ready data: dict, list, str, int, float, bool or None."""
+def plain(value: object, where: str) -> Any:
+    """The value as JSON-ready data: dict, list, str, int, float, bool or None.
+
+    Args:
+        value: Plain data, or dataclasses of such.
+        where: What it is called, for errors.
+    Raises: TypeError naming the part that is not plain data.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         names = [field.name for field in dataclasses.fields(value)]
-        return {name: _plain(getattr(value, name), f"{where}.{name}") for name in names}
+        return {name: plain(getattr(value, name), f"{where}.{name}") for name in names}
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise TypeError(f"{where}: key {key!r} is not a string")
-        return {key: _plain(item, f"{where}.{key}") for key, item in value.items()}
+        return {key: plain(item, f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
+        return [plain(item, f"{where}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else _non_finite_name(value)
     if isinstance(value, str) and value in NON_FINITE:

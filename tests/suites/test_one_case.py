@@ -1,7 +1,8 @@
 """A fit that somebody asks for by itself may take of the memory that is free; a suite's may not."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 
@@ -56,6 +57,16 @@ def test_only_what_runs_alone_goes_by_the_memory_that_is_free(monkeypatch, tmp_p
 def test_a_negative_seed_is_refused(tmp_path):
     with pytest.raises(UsageError, match="seed -1"):
         alone("3dgs", get_method("3dgs").settings(), tmp_path, seed=-1)
+
+
+@dataclass(frozen=True)
+class Named:
+    prior: Path = Path("depths")
+
+
+def test_settings_that_no_record_can_hold_are_refused(tmp_path):
+    with pytest.raises(UsageError, match=r"method 3dgs: settings.prior: PosixPath 'depths' is not"):
+        alone("3dgs", Named(), tmp_path)
 
 
 def test_a_kill_while_a_folder_is_emptied_leaves_one_that_can_start_over(monkeypatch, tmp_path):

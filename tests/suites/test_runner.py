@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -303,6 +303,29 @@ def test_a_model_that_would_be_scored_as_another_is_refused(tmp_path, monkeypatc
 def test_a_method_whose_name_is_no_folder_or_a_variants_is_refused(name):
     with pytest.raises(UsageError, match="expected letters, digits"):
         replace(METHODS["fake"], name=name)
+
+
+class Plain:
+    iterations = 1
+
+
+@dataclass
+class Loose:
+    iterations: int = 1
+
+
+@dataclass(frozen=True)
+class Asking:
+    iterations: int
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [(Plain, "a frozen dataclass"), (Loose, "a frozen dataclass"), (Asking, "iterations has none")],
+)
+def test_a_method_with_settings_of_another_kind_is_refused(kind, said):
+    with pytest.raises(UsageError, match=f"method fake: its settings are .*{said}"):
+        replace(METHODS["fake"], settings=kind)
 
 
 def test_a_method_that_changes_the_current_folder_moves_nothing(tmp_path, monkeypatch):
