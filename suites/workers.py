@@ -12,6 +12,8 @@ from splatproof.suites.run_case import Job, Tell, failed_result, run_case
 
 PRELOAD = ("splatproof.suites.run_case",)
 """Imported once for all cases of a run: most of what a short case would cost."""
+AT_REST = 5.0
+"""Seconds in which a process whose case is over ends by itself: a method may have left a thread that never does."""
 Launch = Callable[[Job, Tell], None]
 """launch(job, tell): runs a job to its record; `tell` hears where it is."""
 
@@ -43,10 +45,11 @@ def in_worker(job: Job, tell: Tell, *, target: Launch = run_case) -> None:
         with suppress(EOFError):
             while True:
                 tell(*worker.receive())
+        if (job.folder / RECORD_NAME).exists():
+            worker.wait(AT_REST)
+            return
         ended = worker.how_it_ended()
-    if not (job.folder / RECORD_NAME).exists():
-        reason = f"the case's process left no record: it {ended}"
-        write_record(job.folder, failed_result(job, reason))
+    write_record(job.folder, failed_result(job, f"the case's process left no record: it {ended}"))
 
 
 def _work(says: Connection, target: Launch, job: Job) -> None:

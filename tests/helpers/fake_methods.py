@@ -6,6 +6,7 @@ import os
 import time
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from threading import Event, Thread
 
 import numpy as np
 
@@ -130,6 +131,12 @@ def run_on_a_full_disk(job: Job, tell: Tell) -> None:
 def run_talking_case(job: Job, tell: Tell) -> None:
     """Target for a worker process: a case that prints."""
     print("a method's own words", flush=True)
+    run_fake_case(job, tell)
+
+
+def run_case_that_leaves_a_thread(job: Job, tell: Tell) -> None:
+    """Target for a worker process: a case whose method shows its model in a thread that never ends."""
+    Thread(target=Event().wait).start()
     run_fake_case(job, tell)
 
 

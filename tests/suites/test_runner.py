@@ -31,7 +31,7 @@ from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
 from splatproof.reference.types.protocol import Protocol
-from splatproof.suites import case_folder
+from splatproof.suites import case_folder, workers
 from splatproof.suites import run_case as cases
 from splatproof.suites.held_out import kept
 from splatproof.suites.records import read_record
@@ -465,6 +465,13 @@ def test_a_worker_that_dies_without_a_word_fails_its_case_only(tmp_path):
     outcomes = run_suite(those, tmp_path, backend="reference", launch=launch)
     assert [outcome.status for outcome in outcomes] == ["failed", "finished"]
     assert "left no record: it ended with exit code 7" in outcomes[0].result.error
+
+
+def test_a_case_is_over_though_a_thread_of_its_method_is_not(tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "AT_REST", 0.1)
+    launch = partial(in_worker, target=fake_methods.run_case_that_leaves_a_thread)
+    (outcome,) = run(suite(case()), tmp_path, launch=launch)
+    assert outcome.status == "finished"
 
 
 def test_a_worker_that_cannot_write_its_record_prints_no_traceback(tmp_path, capfd):

@@ -108,6 +108,14 @@ class Worker:
         self._process.join()
         return how_it_ended(self._process.exitcode)
 
+    def wait(self, seconds: float) -> None:
+        """Wait for the end, but no longer than this.
+
+        Args:
+            seconds: How long at most.
+        """
+        self._process.join(seconds)
+
     def close(self) -> None:
         """End the process at once: what a worker writes is written whole or not at all."""
         self._end()
