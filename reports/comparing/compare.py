@@ -96,8 +96,9 @@ class Comparison:
 
     @property
     def gone(self) -> tuple[str, ...]:
-        """Cases and metrics that BASE has and NEW lacks."""
-        return tuple(one.what for one in self.not_comparable if one.lacking == "NEW")
+        """Cases and metrics that BASE has and NEW lacks, or has by other rules or on other views or pixels."""
+        faults = self.not_comparable
+        return tuple(one.what for one in faults if one.lacking == "NEW" or one.otherwise)
 
     @property
     def judged(self) -> tuple[Compared, ...]:

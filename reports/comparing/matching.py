@@ -51,7 +51,9 @@ class NotComparable:
     """Name of cases, or of a metric of them."""
     why: str
     lacking: str = ""
-    """BASE or NEW: the side that lacks what the other has; empty where both have it."""
+    """BASE or NEW: the side that lacks what the other has; empty where both have it, or neither."""
+    otherwise: bool = False
+    """Both sides have it, scored by other rules or on other views or pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,7 @@ def match(base: Sequence[CaseRecord], new: Sequence[CaseRecord]) -> Matched:
             side = " and ".join(w for w, own in zip(("BASE", "NEW"), done, strict=True) if not own)
             faults.append(NotComparable(what=name, why=f"no finished case on {side}"))
         elif why := _fault(group):
-            faults.append(NotComparable(what=name, why=why))
+            faults.append(NotComparable(what=name, why=why, otherwise=True))
         else:
             groups.append(group)
     return Matched(groups=tuple(groups), failures=tuple(failures), not_comparable=tuple(faults))

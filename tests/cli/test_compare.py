@@ -69,10 +69,23 @@ def test_what_is_gone_is_listed_and_with_complete_ends_with_1(
     assert gone in out
     code, _, err = bench(capsys, "compare", runs / "old", tmp_path / "less", "--complete")
     assert code == 1
-    assert "--complete: NEW lacks 1 of BASE's: " in err
+    assert "--complete: NEW lacks 1 of BASE's, or cannot be compared there: " in err
     assert gone in err
     code, _, _ = bench(capsys, "compare", tmp_path / "less", runs / "old", "--complete")
     assert code == 0  # what is new is no fault
+
+
+def test_other_photos_with_complete_end_with_1(runs: Path, tmp_path: Path, capsys):
+    shutil.copytree(runs / "old", tmp_path / "other")
+    for file in (tmp_path / "other").glob("**/beach/**/record.json"):
+        text = json.loads(file.read_text())
+        for image in text["images"]:
+            image["truth_sha256"] = "0" * 64
+        file.write_text(json.dumps(text))
+    code, out, _ = bench(capsys, "compare", runs / "old", tmp_path / "other")
+    assert (code, "quick/beach" in out) == (0, True)
+    code, _, err = bench(capsys, "compare", runs / "old", tmp_path / "other", "--complete")
+    assert (code, "quick/beach/3dgs/ours_250" in err) == (1, True)
 
 
 def test_a_metric_that_is_gone_with_complete_ends_with_1(runs: Path, tmp_path: Path, capsys):

@@ -50,7 +50,7 @@ def compare(
     comparisons of the run, and the mean lies beyond the metric's declared noise band. Equal: the 95 %
     interval lies inside the band, or both are the same bits. Else undecided, with the smallest difference
     that these runs would have shown. Times and memory are judged only between runs that took turns on one
-    machine. Exit code 1: something got worse, a case fails that did not, or, with --complete, is gone. With --json each line is an
+    machine. Exit code 1: something got worse, a case fails that did not, or, with --complete, is gone or not comparable. With --json each line is an
     object with "kind": comparison, aggregate, failure, not comparable, counter, differing,
     summary.
 
@@ -66,8 +66,8 @@ def compare(
         bands: TOML file of noise bands ([bands.psnr] with unit, value, measured, command) that replace
             or add to the declared ones; `bench baseline bands` measures them.
         baselines: Folder where the names of saved baselines are looked up.
-        complete: Also end with 1 where NEW lacks a case, a seed or a metric that BASE has; without it they
-            are listed, since NEW may be a part on purpose.
+        complete: Also end with 1 where NEW lacks a case, a seed or a metric that BASE has, or has it by
+            other rules or of other photos; without it they are listed, since NEW may be a part on purpose.
         markdown: Also write a report for a pull request to this file, with its pictures in a folder
             beside it.
     """
@@ -101,7 +101,9 @@ def compare(
         raise UsageError(f"{base} and {new} have no {what} in common that can be compared")
     gone = found.gone if complete else ()
     if gone:
-        output.log(f"--complete: NEW lacks {len(gone)} of BASE's: {', '.join(gone)}")
+        output.log(
+            f"--complete: NEW lacks {len(gone)} of BASE's, or cannot be compared there: {', '.join(gone)}"
+        )
     return int(bool(found.regressions or gone))
 
 
