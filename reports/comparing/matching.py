@@ -87,7 +87,8 @@ def match(base: Sequence[CaseRecord], new: Sequence[CaseRecord]) -> Matched:
         name = f"{suite}/{scene}/{row}/{protocol}"
         if not ours or not theirs:
             missing = "BASE" if not ours else "NEW"
-            faults.append(NotComparable(what=name, why=f"missing on {missing}", lacking=missing))
+            why = f"missing on {missing}{_failing(ours or theirs)}"
+            faults.append(NotComparable(what=name, why=why, lacking=missing))
             continue
         failures += _failures(name, ours, theirs)
         faults += _one_sided(name, ours, theirs)
@@ -136,13 +137,23 @@ def _failures(name: str, base: dict[int, CaseRecord], new: dict[int, CaseRecord]
     return found
 
 
+def _failing(cases: dict[int, CaseRecord]) -> str:
+    """ "; fails: ..." with the first error of what one side alone has."""
+    errors = [case.measured.error for case in cases.values() if case.measured.error]
+    return f"; fails: {errors[0]}" if errors else ""
+
+
 def _one_sided(
     name: str, base: dict[int, CaseRecord], new: dict[int, CaseRecord]
 ) -> list[NotComparable]:
     """Seeds that only one side has, or that failed on both."""
     sides = {seed: "NEW" if seed in base else "BASE" for seed in sorted(base.keys() ^ new.keys())}
     found = [
-        NotComparable(what=f"{name}/seed{seed}", why=f"missing on {side}", lacking=side)
+        NotComparable(
+            what=f"{name}/seed{seed}",
+            why=f"missing on {side}{_failing({seed: (base if side == 'NEW' else new)[seed]})}",
+            lacking=side,
+        )
         for seed, side in sides.items()
     ]
     return found + [

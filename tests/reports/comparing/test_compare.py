@@ -103,6 +103,23 @@ def test_missing_cases_are_said_by_name():
     assert {one.group.scene for one in found.compared} == {"scene_0"}
 
 
+def test_what_new_alone_has_and_fails_is_told_with_its_error():
+    base, new = drawn_pair(0)
+    failed = [
+        dataclasses.replace(
+            one, measured=dataclasses.replace(one.measured, error="no memory", images={}, values={})
+        )
+        for one in new.cases
+    ]
+    new = dataclasses.replace(new, cases=(new.cases[0], failed[1], *new.cases[2:-1], failed[-1]))
+    base = dataclasses.replace(base, cases=(base.cases[0], *base.cases[2:-1]))
+    said = {one.what: one.why for one in compare(base, new, bands=BANDS).not_comparable}
+    assert said == {
+        f"s/{where}": "missing on BASE; fails: no memory"
+        for where in ("scene_0/3dgs/p/seed1", "scene_1/3dgs/p/seed2")
+    }
+
+
 @pytest.mark.parametrize(
     ("fields", "why"),
     [
