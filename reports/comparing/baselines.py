@@ -133,8 +133,8 @@ def _unpacked(plain: Mapping[str, Any]) -> dict[str, Any]:
         }
         for image, scores in packed["scores"].items()
     }
-    settings = _numbered(plain["settings"])
-    return {"late_gain": math.inf, **plain, "settings": settings, "images": images}
+    plain = {name: _numbered(part) if name == "settings" else part for name, part in plain.items()}
+    return {"late_gain": math.inf, **plain, "images": images}
 
 
 def _named(value: Any) -> Any:
