@@ -20,7 +20,7 @@ from splatproof.base.files import read_bytes
 from splatproof.base.inside import check_link
 from splatproof.datasets.depth_maps import depth_loader, depth_path
 from splatproof.datasets.image_cache import TensorCache
-from splatproof.datasets.layout import Layout, PosedPhoto
+from splatproof.datasets.layout import Layout, PosedPhoto, check_layout
 from splatproof.datasets.lidar import read_sweep, sample_sweeps, sweeps_of
 from splatproof.datasets.photos import photo_size
 from splatproof.datasets.protocol_subset import chosen_part
@@ -57,6 +57,7 @@ def open_layout(folder: Path, layout: Layout, protocol: Protocol) -> Scene:
 
     Raises: DataError naming file and fault; UsageError for a protocol that does not fit.
     """
+    check_layout(layout, [*layout.description, folder][0])
     layout = chosen_part(folder, layout, protocol)
     sources = _sources(folder, layout)
     for path in (*sources, *layout.description):

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float64
 
+from splatproof.base.errors import DataError
 from splatproof.datasets.colmap_library import pycolmap
 from splatproof.reference.types.scene import SparsePoints
 
@@ -87,6 +88,40 @@ class Layout:
     """Transparent photos are laid on the protocol's background instead of refused."""
     facts: dict[str, str] = field(default_factory=dict)
     """Further facts for the record."""
+
+
+def check_layout(layout: Layout, where: Path) -> None:
+    """Refuse numbers that nothing can be made of, whichever adapter read them.
+
+    Args:
+        layout: What the adapter read.
+        where: File that says where the cameras are, or the scene's folder; for errors.
+    Raises: DataError naming the photo or the point.
+    """
+    for photo in layout.photos:
+        camera = photo.camera
+        focal = () if camera.is_spherical() else (camera.focal_length_x, camera.focal_length_y)
+        if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal):
+            raise DataError(
+                f"{where}: the camera of {photo.name!r} has parameters {camera.params.tolist()}, "
+                "expected finite ones and positive focal lengths"
+            )
+        if not np.isfinite(photo.camera_to_world).all():
+            raise DataError(
+                f"{where}: the pose of {photo.name!r} is {photo.camera_to_world.tolist()}, expected "
+                "finite numbers"
+            )
+    if layout.points is None:
+        return
+    if layout.points.colours.dtype != torch.uint8:
+        raise DataError(
+            f"{where}: the points' colours are {layout.points.colours.dtype}, expected torch.uint8 "
+            "from 0 to 255"
+        )
+    finite = layout.points.positions.isfinite().all(dim=1)
+    if not bool(finite.all()):
+        number = int((~finite).nonzero()[0, 0])
+        raise DataError(f"{where}: point {number} (from 0) is not finite")
 
 
 def plain_points(positions: Float64[np.ndarray, "n 3"], colours: np.ndarray) -> SparsePoints:
