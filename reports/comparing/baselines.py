@@ -143,12 +143,9 @@ def _named(value: Any) -> Any:
         return {name: _named(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
         return [_named(part) for part in value]
-    odd = isinstance(value, float) and not math.isfinite(value)
-    return (
-        next(name for name, number in NON_FINITE.items() if str(number) == str(value))
-        if odd
-        else value
-    )
+    if isinstance(value, float) and not math.isfinite(value):
+        return next(name for name, number in NON_FINITE.items() if str(number) == str(value))
+    return value
 
 
 def _numbered(value: Any) -> Any:
