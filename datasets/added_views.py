@@ -32,7 +32,7 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
     if tests.units != scene.units:
         raise DataError(f"{tests.root}: units are {tests.units!r}, the scene's {scene.units!r}")
     shift, later = scene.shift - tests.shift, tests.start - scene.start
-    moved = tuple(_moved(view, shift, later) for view in tests.views)
+    moved = tuple(moved_view(view, shift, later) for view in tests.views)
     views = sorted((*scene.views, *moved), key=lambda view: view.name)
     index = {view.name: i for i, view in enumerate(views)}
     names = [view.name for view in views]
@@ -57,10 +57,13 @@ def with_tests(scene: Scene, tests: Scene, protocol: Protocol) -> Scene:
     )
 
 
-def _moved(view: View, shift: Float64[Tensor, "3"], later: float) -> View:
+def moved_view(view: View, shift: Float64[Tensor, "3"], later: float = 0.0) -> View:
     """The view in a frame whose origin lies `shift` further on: t' = t + R shift, x' = x - shift.
 
-    Its times are told from `later` seconds before.
+    Args:
+        view: A view of the one frame.
+        shift: Where in it the other frame's origin lies.
+        later: Its times are told from so many seconds before.
     """
     pose = view.camera.world_to_camera.clone()
     pose[:3, 3] += pose[:3, :3] @ shift

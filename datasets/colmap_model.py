@@ -17,7 +17,7 @@ from splatproof.datasets.colmap_index import (
     ModelIndex,
     check_references,
 )
-from splatproof.datasets.colmap_library import pycolmap
+from splatproof.datasets.colmap_library import has_focal_length, pycolmap
 
 MODEL_FOLDERS = ("sparse/0", "sparse")
 _READERS = (
@@ -164,8 +164,7 @@ def _check_numbers(model: Model, suffix: str, pointless: bool) -> None:
                 "length 1 and finite numbers; run the mapper again"
             )
         camera = model.reconstruction.camera(image.camera_id)
-        focal = () if camera.is_spherical() else (camera.focal_length_x, camera.focal_length_y)
-        if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal):
+        if not has_focal_length(camera):
             raise DataError(
                 f"{model.folder / f'cameras{suffix}'}: camera {image.camera_id} has parameters "
                 f"{camera.params.tolist()}, expected finite ones and positive focal lengths"

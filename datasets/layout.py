@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float64
 
 from splatproof.base.errors import DataError
-from splatproof.datasets.colmap_library import pycolmap
+from splatproof.datasets.colmap_library import has_focal_length, pycolmap
 from splatproof.reference.types.scene import SparsePoints
 
 FULL_SIZE_FOLDERS = ("photos", "images")
@@ -99,12 +99,10 @@ def check_layout(layout: Layout, where: Path) -> None:
     Raises: DataError naming the photo or the point.
     """
     for photo in layout.photos:
-        camera = photo.camera
-        focal = () if camera.is_spherical() else (camera.focal_length_x, camera.focal_length_y)
-        if not np.isfinite(camera.params).all() or any(f <= 0 for f in focal):
+        if not has_focal_length(photo.camera):
             raise DataError(
-                f"{where}: the camera of {photo.name!r} has parameters {camera.params.tolist()}, "
-                "expected finite ones and positive focal lengths"
+                f"{where}: the camera of {photo.name!r} has parameters "
+                f"{photo.camera.params.tolist()}, expected finite ones and positive focal lengths"
             )
         if not np.isfinite(photo.camera_to_world).all():
             raise DataError(

@@ -1,7 +1,7 @@
 """Annotated shapes and types are checked while tests run; in a loop of hundreds of steps, not at every step.
 
 Under pytest's option `--jaxtyping-packages` every function of our rooms checks what it is given and what it gives.
-Making these checks took a third of what a worker's imports take, and running them a fifth of a test that trains.
+Making these checks took nearly half of what a worker's imports take, and running them a fifth of a test that trains.
 So a function's checks are made when it is first called, and in each test its first `FIRST` calls are
 checked, and one of `FIRST` after them: the same ones whatever ran before.
 """

@@ -10,8 +10,6 @@ from splatproof.base.errors import UsageError
 from splatproof.cli import output
 
 if TYPE_CHECKING:
-    import torch
-
     from splatproof.methods.contracts.reconstruction import Reconstruction
     from splatproof.reference.types.scene import View
 
@@ -32,6 +30,8 @@ def for_model(
     """
     import torch
 
+    from splatproof.datasets.added_views import moved_view
+
     shift = getattr(model, "shift", None)
     if shift is not None and bool(shift.any()):
         centres = torch.stack([view.camera.centre for view in views.values()])
@@ -39,18 +39,11 @@ def for_model(
             output.log(
                 f"{source}: cameras of the scene's original frame, moved by {(-shift).tolist()} into the model's"
             )
-            views = {name: _moved(view, shift) for name, view in views.items()}
+            views = {name: moved_view(view, shift) for name, view in views.items()}
     near = _near(model, next(iter(views.values())))
     return {
         name: replace(view, camera=replace(view.camera, near=near)) for name, view in views.items()
     }
-
-
-def _moved(view: "View", shift: "torch.Tensor") -> "View":
-    """The view from a camera whose frame has its origin at the shift."""
-    pose = view.camera.world_to_camera.clone()
-    pose[:3, 3] += pose[:3, :3] @ shift
-    return replace(view, camera=replace(view.camera, world_to_camera=pose))
 
 
 def _near(model: "Reconstruction", view: "View") -> float:
