@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from splatproof.datasets.procedural.units import Number, Triple
@@ -183,7 +182,10 @@ def blob(radii: Triple, roughness: Number, seed: int, detail: int = 3) -> Shape:
 @cache
 def _sphere(detail: int) -> tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]]:
     """Unit vertices and faces of an icosahedron subdivided `detail` times."""
-    sphere = trimesh.creation.icosphere(subdivisions=detail)
+    # half a second, for one shape of worlds that are seldom made
+    from trimesh.creation import icosphere
+
+    sphere = icosphere(subdivisions=detail)
     return np.asarray(sphere.vertices), np.asarray(sphere.faces)
 
 

@@ -64,7 +64,7 @@ PROTOCOL = 'source = "ours"\nhold = 2\nmetrics = ["psnr", "ssim_3dgs"]\n'
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene folder of a few photos of 96 x 72 pixels."""
     folder = tmp_path_factory.mktemp("tiny") / "scene"
-    colmap_scenes.write_scene(folder, colmap_scenes.Flight(views=12))
+    colmap_scenes.write_scene(folder, colmap_scenes.Flight(views=8))
     return folder
 
 

@@ -56,6 +56,7 @@ def test_row(splatproof_run, row):
 """
 
 
+@pytest.mark.slow  # fifteen cases
 def test_tests_of_parts_of_a_suite_share_a_baseline(project: pytest.Pytester):
     suite = (project.path / "mine.splat.toml").read_text()
     both = suite.replace('["painted"]', '["painted", "painted@loud"]')
@@ -217,6 +218,7 @@ def test_absent_scenes_skip_with_the_reason(
     result.stdout.fnmatch_lines(["*did you mean*brighton_beach*"])
 
 
+@pytest.mark.slow  # five runs
 def test_a_baseline_holds_several_suites(project: pytest.Pytester):
     saved(project)
     other = (project.path / "mine.splat.toml").read_text()

@@ -172,6 +172,7 @@ def test_baked_and_exported(straight, environment, tmp_path):
         assert gaussians.means.isfinite().all()
 
 
+@pytest.mark.slow  # two more starts and a training
 def test_a_fit_of_one_is_the_suites_case_and_renders_its_own_views(straight, environment, tmp_path):
     folder, _ = straight
     arguments = ["../reel", "--protocol", "../biased.toml", "--iterations", str(STEPS)]

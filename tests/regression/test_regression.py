@@ -112,6 +112,7 @@ def test_a_dropped_ssim_term_is_called_worse(baseline, tmp_path, monkeypatch):
     assert found.regressions
 
 
+@pytest.mark.slow  # a planted fault, and a training
 def test_a_wrong_split_scale_is_called_worse(baseline, tmp_path, monkeypatch):
     """Children at 1 / 3.2 of their parent, as where 0.8 N of the release is read as 1.6 N.
 

@@ -1,5 +1,6 @@
 """Processes that work for this one: they end with it, and what became of them in words."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -177,6 +178,8 @@ def _serve(
     the scenes that it trusts."""
     quiet, trusting = told
     serve_parent()
+    gc.freeze()  # modules that are imported by now are no garbage
+    gc.enable()
     if environment is not None:
         os.environ.clear()
         os.environ.update(environment)

@@ -249,6 +249,7 @@ def test_masks_of_distorted_photos_touch_no_masked_pixel(tmp_path):
     assert view.load()[good].max() < 1e-3
 
 
+@pytest.mark.slow
 def test_five_thousand_frames_open_lazily(tmp_path):
     nerfstudio(tmp_path, distorted=False)
     path = tmp_path / "transforms.json"

@@ -148,6 +148,7 @@ def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
     assert not torch.equal(ends[0].sh, model.sh)
 
 
+@pytest.mark.slow  # another worker with all imports
 def test_a_blocks_own_error_names_it(tmp_path, cluster):
     spoilt = jobs(tmp_path, replace(SETTINGS, iterations=10))
     checkpoint = spoilt[1].folder / "checkpoint" / "training.safetensors"

@@ -1,21 +1,19 @@
 """Method dlg-gs: off it is scaffold-gs, on it learns light; continued and stored to the bit."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from helpers.other_process import shown_elsewhere
 from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
-from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.anchors.control import AnchorDensity
 from splatproof.methods.contracts.reconstruction import Adapts, Origin, save_model
 from splatproof.methods.contracts.run import Run
@@ -39,19 +37,6 @@ OFF = replace(
     SHORT, vdjc="off", dlaam="off", dropout=0.0, volume=0.01, volume_rule="mean", rates=Rates()
 )  # fmt: skip
 RUN = Run(threads=1, seed=3)
-
-RENDER = """
-import sys
-from dataclasses import replace
-from pathlib import Path
-sys.path.append("tests")
-from helpers.tiny_scene import tiny_scene
-from splatproof.base.tensor_files import write_tensors
-from splatproof.methods.loading import load_reconstruction
-model = load_reconstruction(Path(sys.argv[1]))
-view = replace(tiny_scene().views[0], appearance="4.png")
-write_tensors(Path(sys.argv[2]), {"image": model.render(view).colour})
-"""
 
 
 class Killed(Exception):
@@ -160,13 +145,9 @@ def test_killed_and_continued_is_the_same_to_the_bit(trained, tmp_path, step):
 
 def test_saved_and_rendered_in_another_process(trained, tmp_path):
     save_model(trained, tmp_path / "model", Origin())
-    subprocess.run(
-        [sys.executable, "-c", RENDER, str(tmp_path / "model"), str(tmp_path / "image")],
-        check=True, cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-    image = read_tensors(tmp_path / "image")[0]["image"]
+    found = shown_elsewhere(tmp_path / "model", tiny_scene, 0, appearance="4.png")
     view = replace(tiny_scene().views[0], appearance="4.png")
-    assert torch.equal(image, trained.render(view).colour)
+    assert np.array_equal(found["colour"], trained.render(view).colour)
 
 
 def test_only_anchors_and_networks_are_stored(trained, tmp_path):

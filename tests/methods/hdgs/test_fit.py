@@ -1,13 +1,12 @@
 """Method hdgs: it learns motion, is continued to the bit, and its model lives on in another process."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from helpers.other_process import shown_elsewhere
 from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_drive import tiny_drive
 from splatproof.base.errors import DataError, UsageError
@@ -32,18 +31,6 @@ SHORT = Settings(
     density=HdgsDensity(least_interval=5, gradient=1e-4, temporal_gradient=1e-5),
 )  # fmt: skip
 RUN = Run(threads=1, seed=3)
-
-RENDER = """
-import sys
-from pathlib import Path
-sys.path.append("tests")
-from helpers.tiny_drive import tiny_drive
-from splatproof.base.tensor_files import write_tensors
-from splatproof.methods.loading import load_reconstruction
-model = load_reconstruction(Path(sys.argv[1]))
-image = model.render(tiny_drive().views[3]).colour
-write_tensors(Path(sys.argv[2]), {"image": image})
-"""
 
 
 class Killed(Exception):
@@ -98,12 +85,8 @@ VARIANTS = [
 def test_saved_and_rendered_in_another_process(tmp_path, more):
     model = fit(tiny_drive(), replace(SHORT, iterations=4, **more), RUN)
     save_model(model, tmp_path / "model", Origin())
-    subprocess.run(
-        [sys.executable, "-c", RENDER, str(tmp_path / "model"), str(tmp_path / "image")],
-        check=True, cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-    image = read_tensors(tmp_path / "image")[0]["image"]
-    assert torch.equal(image, model.render(tiny_drive().views[3]).colour)
+    found = shown_elsewhere(tmp_path / "model", tiny_drive, 3)
+    assert np.array_equal(found["colour"], model.render(tiny_drive().views[3]).colour)
 
 
 def test_baked_at_a_moment_it_looks_the_same_there_but_for_the_sky(tmp_path):

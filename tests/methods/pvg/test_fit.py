@@ -1,18 +1,16 @@
 """Method pvg: it learns what moves, is continued to the bit, and lives on in another process."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 import pytest
 import torch
 
+from helpers.other_process import shown_elsewhere
 from helpers.tiny_drive import moving_pixels, moving_returns, tiny_drive
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
-from splatproof.base.tensor_files import read_tensors
 from splatproof.methods.contracts.reconstruction import Origin, save_model
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dynamic.settings import LidarSettings, SkySettings
@@ -37,17 +35,6 @@ SHORT = Settings(
     rates=MovingRates(velocities=0.02),
 )  # fmt: skip
 RUN = Run(threads=1, seed=3)
-
-RENDER = """
-import sys
-from pathlib import Path
-sys.path.append("tests")
-from helpers.tiny_drive import tiny_drive
-from splatproof.base.tensor_files import write_tensors
-from splatproof.methods.loading import load_reconstruction
-model = load_reconstruction(Path(sys.argv[1]))
-write_tensors(Path(sys.argv[2]), {"image": model.render(tiny_drive().views[3]).colour})
-"""
 
 
 class Killed(Exception):
@@ -130,12 +117,8 @@ def test_other_settings_do_not_continue(scene, tmp_path):
 def test_saved_and_rendered_in_another_process(scene, tmp_path, more):
     model = fit(scene, replace(SHORT, iterations=12, **more), RUN)
     save_model(model, tmp_path / "model", Origin())
-    subprocess.run(
-        [sys.executable, "-c", RENDER, str(tmp_path / "model"), str(tmp_path / "image")],
-        check=True, cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-    image = read_tensors(tmp_path / "image")[0]["image"]
-    assert torch.equal(image, model.render(tiny_drive().views[3]).colour)
+    found = shown_elsewhere(tmp_path / "model", tiny_drive, 3)
+    assert np.array_equal(found["colour"], model.render(tiny_drive().views[3]).colour)
 
 
 def test_what_is_stored_is_what_counts(trained, tmp_path):

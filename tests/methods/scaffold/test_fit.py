@@ -1,13 +1,12 @@
 """Method scaffold-gs: it learns, is continued to the bit, and its model lives on in another process."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from helpers.other_process import shown_elsewhere
 from helpers.stored_sizes import bytes_of_tensors, numbers_of_layers
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import DataError, UsageError
@@ -31,18 +30,6 @@ DENSITY = AnchorDensity(
 )
 SHORT = Settings(iterations=60, k=4, features=8, density=DENSITY)
 RUN = Run(threads=1, seed=3)
-
-RENDER = """
-import sys
-from pathlib import Path
-sys.path.append("tests")
-from helpers.tiny_scene import tiny_scene
-from splatproof.base.tensor_files import write_tensors
-from splatproof.methods.loading import load_reconstruction
-model = load_reconstruction(Path(sys.argv[1]))
-image = model.render(tiny_scene().views[0]).colour
-write_tensors(Path(sys.argv[2]), {"image": image})
-"""
 
 
 class Killed(Exception):
@@ -135,12 +122,8 @@ def test_other_settings_do_not_continue(tmp_path):
 def test_saved_and_rendered_in_another_process(tmp_path, more):
     model = fit(tiny_scene(), replace(SHORT, iterations=15, **more), RUN)
     save_model(model, tmp_path / "model", Origin())
-    subprocess.run(
-        [sys.executable, "-c", RENDER, str(tmp_path / "model"), str(tmp_path / "image")],
-        check=True, cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-    image = read_tensors(tmp_path / "image")[0]["image"]
-    assert torch.equal(image, model.render(tiny_scene().views[0]).colour)
+    found = shown_elsewhere(tmp_path / "model", tiny_scene, 0)
+    assert np.array_equal(found["colour"], model.render(tiny_scene().views[0]).colour)
 
 
 def test_only_anchors_and_networks_are_stored(trained, tmp_path):

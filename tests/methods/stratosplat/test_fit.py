@@ -1,15 +1,15 @@
 """Method stratosplat: off it is 3dgs, on it is continued and stored to the bit; its settings; bad input."""
 
-import subprocess
-import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from helpers.aerial_scene import aerial_scene, without_points
+from helpers.other_process import shown_elsewhere
 from splatproof.base.errors import DataError, UsageError
 from splatproof.base.tensor_files import read_tensors, write_tensors
 from splatproof.datasets.pose_noise import disturbed
@@ -35,17 +35,6 @@ SHORT = StratoSplat(
     completion=Completion(guidance_steps=3),
 )  # fmt: skip
 RUN = Run(threads=1, seed=3)
-
-RENDER = """
-import sys
-from pathlib import Path
-sys.path.append("tests")
-from helpers.aerial_scene import aerial_scene
-from splatproof.base.tensor_files import write_tensors
-from splatproof.methods.loading import load_reconstruction
-model = load_reconstruction(Path(sys.argv[1]))
-write_tensors(Path(sys.argv[2]), {"image": model.render(aerial_scene().views[0]).colour})
-"""
 
 
 class Killed(Exception):
@@ -158,13 +147,8 @@ def test_other_settings_do_not_continue(scene, tmp_path):
 def test_saved_and_rendered_in_another_process(scene, tmp_path, field):
     model = fit(scene, replace(SHORT, iterations=5, planes=replace(SMALL, field=field)), RUN)
     save_model(model, tmp_path / "model", Origin(method="stratosplat"))
-    out = tmp_path / "image.safetensors"
-    subprocess.run(
-        [sys.executable, "-c", RENDER, str(tmp_path / "model"), str(out)], check=True,
-        cwd=Path(__file__).parents[3],
-    )  # fmt: skip
-    image = read_tensors(out)[0]["image"]
-    assert torch.equal(image, model.render(aerial_scene().views[0]).colour)
+    found = shown_elsewhere(tmp_path / "model", aerial_scene, 0)
+    assert np.array_equal(found["colour"], model.render(aerial_scene().views[0]).colour)
 
 
 def test_baked_at_a_view_it_looks_the_same_from_there(trained):
