@@ -11,7 +11,7 @@ from splatproof.datasets.procedural.flights import looking
 from splatproof.datasets.procedural.things import METAL
 from splatproof.datasets.procedural.world import Builder
 
-SAMPLE = 25
+SAMPLE = 12
 """Points of each kind that are looked at from every camera."""
 
 
