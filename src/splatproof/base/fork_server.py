@@ -1,5 +1,5 @@
 """Imported by a fork server before all else that it imports ahead: it ends with who started it, its libraries'
-threads sleep while they wait, and no garbage is looked for while it imports: that is a quarter of the time."""
+threads sleep while they wait, and no garbage is looked for while it imports: that is a tenth of the time."""
 
 import gc
 
