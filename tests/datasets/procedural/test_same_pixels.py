@@ -26,7 +26,7 @@ church = aerial.church(0)
 for part in (church.vertices, church.normals, church.coords):
     print("church", hashlib.sha256(part.tobytes()).hexdigest(), flush=True)
 '''
-PLAIN = {"MKL_CBWR": "COMPATIBLE"}
+PLAIN = {"MKL_CBWR": "COMPATIBLE", "OPENBLAS_CORETYPE": "Haswell"}
 FUSED = {"MKL_CBWR": "AVX2", "OPENBLAS_CORETYPE": "Haswell"}
 """What the libraries take on another processor: without and with fused multiplications, and without AVX-512."""
 
