@@ -78,11 +78,16 @@ def commit_of(file: Path) -> str:
     """
     try:
         _git(file.parent, "ls-files", "--error-unmatch", file.name)
-        head = _git(file.parent, "rev-parse", "HEAD")
-        differs = _git(file.parent, "status", "--porcelain", "--untracked-files=no")
+        asked = ("--porcelain=v2", "--branch", "--no-ahead-behind", "--untracked-files=no")
+        told = _git(file.parent, "status", *asked)
     except (OSError, subprocess.SubprocessError):
         return ""
-    return f"{head}-dirty" if differs else head
+    head, *rest = told.splitlines()
+    commit = head.removeprefix("# branch.oid ")
+    if commit == "(initial)":  # nothing is committed yet
+        return ""
+    differs = any(not line.startswith("# ") for line in rest)
+    return f"{commit}-dirty" if differs else commit
 
 
 def _git(folder: Path, *words: str) -> str:
