@@ -72,6 +72,10 @@ LINES = {
     "second": tuple(
         f"second/{row}/tunnel/seed0/{kind}" for row in ("scaffold-gs", DLG) for kind in ("renders", "errors")
     ),
+    "third": tuple(
+        f"third/{row}/tunnel/seed0/{kind}"
+        for row in ("scaffold-gs@double", "dlg-gs@double~depth-oracle+noise") for kind in ("renders", "errors")
+    ),
 }  # fmt: skip
 """Pictures: the lines of each, below the photos."""
 DEPTHS = (
