@@ -1,5 +1,7 @@
 """The adapter on real photos: what is registered, where points land, what is left out."""
 
+from functools import cache
+
 import numpy as np
 import pycolmap
 import pytest
@@ -15,8 +17,16 @@ pytestmark = pytest.mark.real
 FAILED_IN_SENECA = ["img_0482.jpg", "img_0498.jpg", "img_0579.jpg"]
 
 
+@cache
 def opened(name: str, **rules) -> Scene:
+    """Once for all tests: a large one takes seconds."""
     return open_scene(real_scene(name), Protocol(name="test", source="test", **rules))
+
+
+@cache
+def colmap(name: str) -> pycolmap.Reconstruction:
+    """The scene's model as COLMAP reads it."""
+    return pycolmap.Reconstruction(real_scene(name) / "sparse/0")
 
 
 @pytest.mark.parametrize(
@@ -34,7 +44,7 @@ def test_counts_tracks_and_left_out(name, views, points, left_out):
     assert [photo for photo, _ in scene.left_out] == left_out
     assert all("did not register" in reason for _, reason in scene.left_out)
     assert scene.test == tuple(range(0, views, 8))
-    model = pycolmap.Reconstruction(real_scene(name) / "sparse/0")
+    model = colmap(name)
     names = [view.name for view in scene.views]
     for row, number in enumerate(sorted(model.points3D)):
         if row % 500:
@@ -58,7 +68,7 @@ def test_counts_tracks_and_left_out(name, views, points, left_out):
 def test_points_project_to_their_undistorted_observations(name, undistort):
     """The distance from a point to its observation is the model's reprojection error, no more."""
     scene = opened(name, factor=3.0, undistort=undistort)
-    model = pycolmap.Reconstruction(real_scene(name) / "sparse/0")
+    model = colmap(name)
     for view in scene.views[::40]:
         image = model.find_image_with_name(view.name)
         assert image is not None
@@ -89,7 +99,7 @@ def test_a_registered_name_opens_the_same_scene(monkeypatch):
 def test_photos_match_their_points():
     """Colours that COLMAP took at the observations are those of the truth at the projections."""
     scene = opened("brighton_beach")
-    model = pycolmap.Reconstruction(real_scene("brighton_beach") / "sparse/0")
+    model = colmap("brighton_beach")
     view = scene.views[8]
     image = model.find_image_with_name(view.name)
     assert image is not None

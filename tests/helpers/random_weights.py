@@ -1,6 +1,8 @@
 """Random weights of the very networks that learned metrics use, on disk where they are looked for."""
 
 import hashlib
+from copy import deepcopy
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,12 @@ CACHES = (weights.weights_sha256, lpips._network)
 
 def random_features(network: str) -> nn.Sequential:
     """Layers whose outputs neither grow nor vanish with depth, so that each of them counts."""
+    return deepcopy(_drawn(network))
+
+
+@cache
+def _drawn(network: str) -> nn.Sequential:
+    """Drawn once: millions of weights take a second."""
     torch.manual_seed(3)
     features = MAKE[network]().requires_grad_(False)
     for layer in features:
@@ -25,8 +33,8 @@ def random_features(network: str) -> nn.Sequential:
 
 def forget() -> None:
     """Let go of every network and hash that is remembered."""
-    for cache in CACHES:
-        cache.cache_clear()
+    for remembered in CACHES:
+        remembered.cache_clear()
 
 
 def write_weights(folder: Path, network: str, patch: pytest.MonkeyPatch) -> str:

@@ -1,9 +1,10 @@
-"""Runs of seconds whose models are hashed: run as a script it prints name and hash of each."""
+"""Runs of seconds whose models are hashed: run as a script it prints name and hash of those that it is given."""
 
 import hashlib
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,14 +47,14 @@ PHOTOS = "photos"
 """Name of the hash of what the runs are trained on: drawn by the reference, so by torch and MKL."""
 
 
-def hashes() -> dict[str, str]:
-    """Hashes of all runs by name, and PHOTOS, made in a process of its own.
+def hashes(names: Sequence[str]) -> dict[str, str]:
+    """Hashes of runs by name, and PHOTOS, made in a process of its own.
 
     Kernels and torch work at their lowest level there, and MKL in the way that it promises to be
     the same on every processor; else it rounds by the processor's maker and caches.
     """
     process = subprocess.run(
-        [sys.executable, "-P", __file__],
+        [sys.executable, "-P", __file__, *names],
         env=os.environ | {
             "SPLATPROOF_SIMD": "portable", "ATEN_CPU_CAPABILITY": "default",
             "MKL_CBWR": "COMPATIBLE", "PYTHONPATH": str(Path(__file__).parents[1]),
@@ -96,10 +97,15 @@ def city(name: str) -> str:
     return digest(arrays | {"blocks": model.blocks, "distances": model.distances})
 
 
+def digest_of(name: str) -> str:
+    """Hash of a run by its name: of a city, or of 3dgs on a backend."""
+    if name in CITIES:
+        return city(name)
+    kind, backend = name.removeprefix("3dgs ").rsplit(" ", 1)
+    return threedgs(kind, backend)
+
+
 if __name__ == "__main__":
     print(PHOTOS, photos(), sep="\t")
-    for backend in ("cpu", "reference"):
-        for name in THREEDGS:
-            print(f"3dgs {name} {backend}", threedgs(name, backend), sep="\t")
-    for name in CITIES:
-        print(name, city(name), sep="\t")
+    for name in sys.argv[1:]:
+        print(name, digest_of(name), sep="\t")

@@ -1,9 +1,22 @@
 """Every procedural world in miniature."""
 
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import patch
 
-from splatproof.datasets.procedural import aerial, city, courtyard, street, tunnel, worlds
+import pytest
+
+from splatproof.base.locks import locked
+from splatproof.datasets.procedural import (
+    aerial,
+    city,
+    courtyard,
+    exporting,
+    street,
+    tunnel,
+    worlds,
+)
+from splatproof.datasets.procedural.plan import Plan
 
 SMALL = {"width": 64, "height": 48, "samples": 1}
 TINY = {
@@ -20,3 +33,14 @@ def plan(world: str, seed: int = 1):
     few = {kind: aerial.SCENES[kind] for kind in ("church", "park")}
     with patch.object(aerial, "SCENES", few):
         return worlds._module(world).plan(seed, TINY[world])
+
+
+def made_once(
+    world: str, what: Plan, config: pytest.Config, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The world's folder, which all workers of pytest-xdist share. Leave it as it is."""
+    root = tmp_path_factory.getbasetemp()
+    if hasattr(config, "workerinput"):
+        root = root.parent  # of this run of the tests, one level above that of this worker
+    with locked(root / "worlds" / f"{world}.lock"):
+        return exporting.make_scene(what, root / "worlds" / world)

@@ -18,6 +18,7 @@ from splatproof.metrics.registry import BUILT_IN, load_weights
 
 NETWORKS = {"lpips_vgg_m11": "vgg", "lpips_alex_m11": "alex", "lpips_vgg_01": "vgg"}
 NAMES = pytest.mark.parametrize("name", NETWORKS)
+SLOW = pytest.mark.slow
 KINDS = pytest.mark.parametrize("network", weights.WEIGHTS)
 TORCHVISION = {"vgg": "vgg16", "alex": "alexnet"}
 IMAGE = noise_image(64, 70, 0)
@@ -110,8 +111,15 @@ def test_the_release_leaves_its_inputs_in_0_1(stored):
     assert mapped != pytest.approx(left, rel=0.01)
 
 
-@KINDS
-@pytest.mark.parametrize(("height", "width", "seed"), [(31, 31, 0), (64, 33, 1), (47, 80, 2)])
+@pytest.mark.parametrize(
+    ("network", "height", "width", "seed"),
+    [
+        # the formula is one, and VGG takes ten times as long
+        pytest.param(network, *size, marks=SLOW if network == "vgg" and size[0] > 31 else ())
+        for network in weights.WEIGHTS
+        for size in [(31, 31, 0), (64, 33, 1), (47, 80, 2)]
+    ],
+)
 def test_the_formula_is_that_of_torchmetrics(network, height, width, seed):
     """Its class with our layers in the place of torchvision's, which few builds of torch have."""
     module = importlib.import_module("torchmetrics.functional.image.lpips")

@@ -2,6 +2,7 @@
 
 from copy import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -57,9 +58,14 @@ def test_nothing_floats_over_an_aerial_scene_and_no_view_looks_past_its_end(kind
         assert np.isfinite(depth).all(), shot.name
 
 
-def test_nothing_floats_elsewhere():
-    drive = street.Drive(0, street.PRESETS["small"])
+@pytest.mark.parametrize("frames", [4, pytest.param(None, marks=pytest.mark.slow)])
+def test_nothing_floats_over_the_beginning_of_a_street_or_all_of_it(frames):
+    small = street.PRESETS["small"]
+    drive = street.Drive(0, small if frames is None else replace(small, frames=frames))
     assert floating(drive.stage(0.0).caster) == []
+
+
+def test_nothing_floats_elsewhere():
     assert floating(Caster(tunnel.build(0, tunnel.PRESETS["small"]))) == []
     assert floating(Caster(courtyard.build(0))) == []
 
@@ -115,14 +121,15 @@ def meets(mover, other, time, boxes):
     return bool((gap(points, other.pose(time), boxes[other]) < 0).any())
 
 
-@pytest.fixture(scope="module")
-def drive():
-    """The longest drive; the others are its beginning, but for the views from other lanes."""
-    return street.Drive(0, street.PRESETS["large"])
+@cache
+def drive_of(preset):
+    """The large one is the longest; the others are its beginning, but for the views from other lanes."""
+    return street.Drive(0, street.PRESETS[preset])
 
 
 @pytest.mark.slow  # half a minute of rays; what each control plants is found below
-def test_nothing_in_the_street_goes_through_anything(drive):
+def test_nothing_in_the_street_goes_through_anything():
+    drive = drive_of("large")
     still = Caster(drive.still.build())
     boxes = {mover: box_around(mover) for mover in drive.movers}
     for frame in range(drive.settings.frames):
@@ -145,16 +152,22 @@ def test_a_car_that_drives_through_another_is_found():
     assert still_hits(Caster(wall.build()), first.at(2.0)) == {"building"}
 
 
-def test_no_street_view_is_taken_from_inside_something(drive):
+@pytest.mark.parametrize(
+    ("length", "presets"),
+    [("small", ["small"]), pytest.param("large", [*street.PRESETS], marks=pytest.mark.slow)],
+)
+def test_no_street_view_is_taken_from_inside_something(length, presets):
+    drive = drive_of(length)
     still = Caster(drive.still.build())
     boxes = {mover: box_around(mover) for mover in drive.movers}
     around = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     ways = around[np.abs(around).sum(axis=1) > 0].astype(float)
     moments = {
         (shot.time, tuple(shot.camera.centre.tolist()))
-        for preset in street.PRESETS.values()
-        for shot in street.shots(replace_settings(drive, preset))
+        for preset in presets
+        for shot in street.shots(replace_settings(drive, street.PRESETS[preset]))
     }
+    assert len(moments) > 10
     for time, place in moments:
         eye = np.array(place)
         assert still.first(np.tile(eye, (26, 1)), ways).distance.min() > 0.5

@@ -76,7 +76,7 @@ def test_a_view_holds_few_blocks_however_large_the_city_is():
             x, y = (np.array([i, j]) + 0.5) * city.PITCH - half
             sketch.later("tree", list, x, y)
     most = {"nadir": 30, "oblique": 50, "facade": 50}
-    for shot in city.shots(1, settings)[::5]:
+    for shot in city.shots(1, settings)[::11]:  # of each sort more than a dozen
         seen = tiles.looked_at(sketch, shot.camera, tiles.SPILL + tiles.SHADE)
         assert len(seen) <= most[shot.name.split("_")[0]], shot.name
 
@@ -109,7 +109,8 @@ def area(world):
 
 
 def test_a_tiled_city_is_made_and_goes_on_after_a_stop(tmp_path):
-    settings = replace(BLOCKS, blocks=(1, 1), tiles=12)
+    few = (0.0, 0.0)  # of 51 views 11
+    settings = replace(BLOCKS, blocks=(1, 1), tiles=12, overlap=few)
 
     def stop(done, total):
         if done == 4:

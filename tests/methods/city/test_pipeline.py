@@ -344,12 +344,30 @@ def straight() -> CityModel:
     return fit("odbp+stitch", run())
 
 
-@pytest.mark.parametrize(
-    "kill",
-    [{"on_stage": killed_after(stage)}
-     for stage in ("partition", "blocks", "stitch", "refine", "compress")]
-    + [{"report": killed_at(share)} for share in (0.3, 0.7, 1.0)],
-)  # fmt: skip
+KILLS = {
+    "partition": {"on_stage": killed_after("partition")},
+    "a block's steps": {"report": killed_at(0.3)},
+    "blocks": {"on_stage": killed_after("blocks")},
+    "stitch": {"on_stage": killed_after("stitch")},
+    "refinement's first steps": {"report": killed_at(0.7)},
+    "last step": {"report": killed_at(1.0)},
+    "refine": {"on_stage": killed_after("refine")},
+    "compress": {"on_stage": killed_after("compress")},
+}
+"""In the order in which one run comes to them."""
+
+
+def test_a_run_that_is_killed_wherever_it_comes_to_goes_on_to_the_same_model(tmp_path, straight):
+    """One run that is killed eight times; eight runs, each killed once, take eight times as long."""
+    at = run(tmp_path, checkpoint_seconds=0.0)
+    for kill in KILLS.values():
+        with pytest.raises(Killed):
+            fit("odbp+stitch", replace(at, **kill))
+    assert same(straight, fit("odbp+stitch", at))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", KILLS.values(), ids=KILLS)
 def test_a_run_that_was_killed_anywhere_goes_on_to_the_same_model(tmp_path, kill, straight):
     at = run(tmp_path, checkpoint_seconds=0.0)
     with pytest.raises(Killed):
@@ -375,7 +393,7 @@ def test_a_run_goes_on_whose_cache_was_emptied_meanwhile(tmp_path, stage):
     assert same(fit("citygaussian", run(), **more), fit("citygaussian", at, **more))
 
 
-def test_a_planted_light_is_told_and_taken_back_before_the_refinement():
+def test_a_planted_light_is_told_and_taken_back_before_the_refinement(tmp_path):
     said: list[str] = []
     planted = {
         "planted": PlantSettings(light=0.4),
@@ -386,7 +404,7 @@ def test_a_planted_light_is_told_and_taken_back_before_the_refinement():
     plain, level = (
         fit(
             "stitchgs",
-            run(say=said.append),
+            run(tmp_path / str(on), cache=tmp_path / "cache", say=said.append),
             refine=RefineSettings(iterations=1, level=on),
             **planted,
         )
@@ -407,14 +425,19 @@ PARTS = {"merge": "shares", "coder": "small", "coarse_iterations": 5,
          "refine": RefineSettings(iterations=60, parts=True, walls=0.2)}  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def in_parts() -> tuple[CityModel, list[tuple[int, int]]]:
+    """The model of an undisturbed run, refined in parts, and the steps that were reported."""
+    steps: list[tuple[int, int]] = []
+    at = run(report=lambda step, total, values: steps.append((step, total)))
+    return fit("odbp+stitch", at, **PARTS), steps
+
+
 def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_each_part_took(
-    tmp_path,
+    tmp_path, in_parts
 ):
     told: list[tuple[float, float]] = []
-    steps: list[tuple[int, int]] = []
-    here = fit(
-        "odbp+stitch", run(report=lambda step, total, values: steps.append((step, total))), **PARTS
-    )
+    here, steps = in_parts
     apart = run(tmp_path, engine="processes", on_elsewhere=lambda *at: told.append(at))
     there = fit("odbp+stitch", apart, **PARTS)
     assert same(here, there)
@@ -440,12 +463,12 @@ def test_a_refinement_in_parts_is_the_same_wherever_it_is_done_and_says_what_eac
 
 
 @pytest.mark.parametrize("share", [0.9, pytest.param(0.97, marks=pytest.mark.slow)])
-def test_a_kill_in_a_part_of_the_refinement_is_continued(tmp_path, share):
+def test_a_kill_in_a_part_of_the_refinement_is_continued(tmp_path, share, in_parts):
     at = run(tmp_path, checkpoint_seconds=0.0)
     with pytest.raises(Killed):
         fit("odbp+stitch", replace(at, report=killed_at(share)), **PARTS)
     assert (tmp_path / "checkpoint" / "refine" / "part-0").is_dir()
-    assert same(fit("odbp+stitch", run(), **PARTS), fit("odbp+stitch", at, **PARTS))
+    assert same(in_parts[0], fit("odbp+stitch", at, **PARTS))
     assert not (tmp_path / "checkpoint" / "refine").exists()
 
 

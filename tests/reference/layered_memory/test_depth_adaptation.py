@@ -13,11 +13,13 @@ from splatproof.reference.types.camera import Camera
 D = torch.float64
 
 
-def camera(x: float = 0.0, width: int = 24, height: int = 18) -> Camera:
+def camera(x: float = 0.0, scale: int = 2) -> Camera:
     pose = torch.eye(4, dtype=D)
     pose[0, 3] = -x
-    intrinsics = torch.tensor([[20.0, 0, 12], [0, 20.0, 9], [0, 0, 1]], dtype=D)
-    return Camera(K=intrinsics, world_to_camera=pose, width=width, height=height)
+    intrinsics = torch.tensor(
+        [[10.0 * scale, 0, 6 * scale], [0, 10.0 * scale, 4.5 * scale], [0, 0, 1]], dtype=D
+    )
+    return Camera(K=intrinsics, world_to_camera=pose, width=12 * scale, height=9 * scale)
 
 
 def some_depths(n: int, seed: int) -> adaptation.SparseDepths:
@@ -138,13 +140,19 @@ def test_senseless_diffusion_is_refused(options):
         EdgeDiffusion(**options)
 
 
-def two_surfaces() -> tuple[Tensor, Tensor]:
+def two_surfaces(scale: int = 2) -> tuple[Tensor, Tensor]:
     """An image of a bright near block on dark ground, and its true depth."""
-    image = torch.zeros(18, 24, 3, dtype=D)
-    depth = torch.full((18, 24), 3.0, dtype=D)
-    image[5:13, 8:16] = 1.0
-    depth[5:13, 8:16] = 2.0
+    image = torch.zeros(9 * scale, 12 * scale, 3, dtype=D)
+    depth = torch.full((9 * scale, 12 * scale), 3.0, dtype=D)
+    block = slice(5 * scale // 2, 13 * scale // 2), slice(4 * scale, 8 * scale)
+    image[block] = 1.0
+    depth[block] = 2.0
     return image, depth
+
+
+def small_diffusion() -> EdgeDiffusion:
+    """Sweeps for half the image's edge, where values have half as far to go: a quarter of the usual 60."""
+    return EdgeDiffusion(sweeps=15)
 
 
 def at(depth: Tensor, *pixels: tuple[int, int]) -> adaptation.SparseDepths:
@@ -168,17 +176,17 @@ def test_a_few_points_and_the_edges_give_the_whole_depth():
 
 
 def test_the_memory_guides_where_there_are_no_points():
-    image, truth = two_surfaces()
-    sparse = at(truth, (2, 3), (15, 20), (2, 20))
-    visible = torch.zeros(18, 24, dtype=torch.bool)
-    visible[6:12, 9:15] = True
+    image, truth = two_surfaces(1)
+    sparse = at(truth, (1, 1), (7, 10), (1, 10))
+    visible = torch.zeros(9, 12, dtype=torch.bool)
+    visible[2:5, 4:7] = True
     options = adaptation.AdaptationSettings(guidance_steps=40)
     errors = []
     for mask in (visible, torch.zeros_like(visible)):
         got = adaptation.adapt_view(
-            EdgeDiffusion(), image, sparse, truth, mask, options, torch.Generator().manual_seed(0)
+            small_diffusion(), image, sparse, truth, mask, options, torch.Generator().manual_seed(0)
         )
-        errors.append(float((got - truth)[6:12, 9:15].abs().mean()))
+        errors.append(float((got - truth)[2:5, 4:7].abs().mean()))
     assert errors[0] < 0.15
     assert errors[0] < 0.3 * errors[1]
 
@@ -310,22 +318,24 @@ def test_what_guidance_finds_at_one_step_reaches_the_next():
 @pytest.mark.parametrize("scale", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
 def test_depth_does_not_depend_on_scene_units(scale):
     """Sparse points and guide in other units give the same depth in these units."""
-    image, truth = two_surfaces()
-    sparse = at(truth, (8, 10), (10, 14), (2, 3), (2, 20), (15, 3), (15, 20))
-    visible = torch.zeros(18, 24, dtype=torch.bool)
-    visible[:, :5] = True
+    image, truth = two_surfaces(1)
+    sparse = at(truth, (4, 5), (5, 7), (1, 1), (1, 10), (7, 1), (7, 10))
+    visible = torch.zeros(9, 12, dtype=torch.bool)
+    visible[:, :2] = True
 
     def adapted(by: float) -> Tensor:
         known = adaptation.SparseDepths(
             rows=sparse.rows, columns=sparse.columns, depths=by * sparse.depths
         )
         return adaptation.adapt_view(
-            EdgeDiffusion(), image, known, by * truth, visible,
+            small_diffusion(), image, known, by * truth, visible,
             adaptation.AdaptationSettings(guidance_steps=10), torch.Generator().manual_seed(0),
         )  # fmt: skip
 
     got = adapted(scale) / scale
-    assert float(((got - truth) / truth).abs().mean()) < 0.06  # 0.037 was seen; unguided 0.18
+    assert (
+        float(((got - truth) / truth).abs().mean()) < 0.06
+    )  # 0.033 to 0.043 were seen; unguided 0.18
     # a rounding error can turn the sign of a residual near 0, and with it one of Adam's steps
     assert_close(got, adapted(1.0), rtol=0, atol=2e-3)
 
@@ -355,20 +365,20 @@ def test_a_wrong_point_in_a_hundred_does_not_set_the_unit():
 
 def test_the_memory_of_one_view_guides_the_next():
     """Three points say nothing of the block; a memory that holds it does."""
-    image, truth = two_surfaces()
+    image, truth = two_surfaces(1)
     g = torch.Generator().manual_seed(0)
     points = torch.tensor([[-1.0, -0.6, 3.0], [1.0, 0.6, 3.0], [-1.0, 0.6, 3.0]], dtype=D)
-    empty = layered_depth.empty(camera(), 0.05)
+    empty = layered_depth.empty(camera(scale=1), 0.05)
     full = layered_depth.insert(
-        empty, adaptation.unproject(camera(), truth), torch.zeros(18 * 24, 3, dtype=D)
+        empty, adaptation.unproject(camera(scale=1), truth), torch.zeros(9 * 12, 3, dtype=D)
     )
     errors = []
     for memory in (full, empty):
         _, depths = adaptation.adapt_all(
-            EdgeDiffusion(), [camera()], [image], points, torch.ones(1, 3).bool(), [0], memory,
+            small_diffusion(), [camera(scale=1)], [image], points, torch.ones(1, 3).bool(), [0], memory,
             adaptation.AdaptationSettings(guidance_steps=40), g,
         )  # fmt: skip
-        errors.append(float((depths[0] - truth)[6:12, 9:15].abs().mean()))
+        errors.append(float((depths[0] - truth)[2:5, 4:7].abs().mean()))
     assert errors[0] < 0.15
     assert errors[1] > 0.5
 

@@ -23,7 +23,7 @@ from helpers.reachable import called, opened_files, reachable
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import SplatproofError
 from splatproof.datasets.catalogue.opening import open_scene
-from splatproof.datasets.procedural import exporting, street
+from splatproof.datasets.procedural import street
 from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.scene import Scene, Sweep, View
 
@@ -32,9 +32,8 @@ TRUTH = ("depth", "moving", "dynamic_masks", "label_02")
 """Folders of what is for scoring only."""
 
 
-def _street(folder: Path) -> Scene:
+def _street(made: Path) -> Scene:
     """Depth, masks of sky and movers, LiDAR; held-out moments, and test views from other lanes."""
-    made = exporting.make_scene(tiny_worlds.plan("street"), folder / "street")
     scene = open_scene(made, RULES)
     lanes = open_scene(made, replace(RULES, test_folder=street.SHIFTED))
     added = [view for view in lanes.views if view.name not in {v.name for v in scene.views}]
@@ -60,6 +59,9 @@ def _kitti(folder: Path) -> Scene:
 
 @pytest.fixture(scope="module", params=[_street, _waymo, _kitti])
 def scene(request, tmp_path_factory) -> Scene:
+    if request.param is _street:
+        plan = tiny_worlds.plan("street")
+        return _street(tiny_worlds.made_once("street", plan, request.config, tmp_path_factory))
     return request.param(tmp_path_factory.mktemp("scene"))
 
 
