@@ -1,6 +1,7 @@
 """Plans whose model is another method's: runs by them are like any other run of auto."""
 
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import pytest
 import torch
@@ -62,9 +63,16 @@ def same(one: Reconstruction, other: Reconstruction, scene: Scene) -> bool:
     return all(map(torch.equal, renders(one, scene), renders(other, scene)))
 
 
-def test_the_same_plan_gives_the_same_model_which_is_saved_and_loaded(planned, tmp_path):
+@cache
+def undisturbed(base: str) -> tuple[Reconstruction, dict[str, str]]:
+    """The model of a run of one of `BASES`, and what was told."""
     told: dict[str, str] = {}
-    one = fit(planned.scene, planned.asked, Run(threads=1, on_fact=told.__setitem__))
+    at = Run(threads=1, on_fact=told.__setitem__)
+    return fit(BASES[base].scene, BASES[base].asked, at), told
+
+
+def test_the_same_plan_gives_the_same_model_which_is_saved_and_loaded(planned, tmp_path):
+    one, told = undisturbed(planned.kind)
     assert one.kind == planned.kind
     name, value = planned.fact
     assert told[f"plan: {name}"] == value
@@ -83,7 +91,7 @@ def test_a_killed_run_goes_on_to_the_same_model_by_its_plan(planned, tmp_path, m
         if step == 20:
             raise Killed
 
-    straight = fit(planned.scene, planned.asked, Run(threads=1))
+    straight, _ = undisturbed(planned.kind)
     run = Run(threads=1, folder=tmp_path, checkpoint_seconds=0.0)
     with pytest.raises(Killed):
         fit(planned.scene, planned.asked, replace(run, report=killing))

@@ -1,6 +1,7 @@
 """Completed depths in the plan: when, what follows of the settings, and what they are counted as."""
 
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
@@ -22,7 +23,7 @@ from splatproof.methods.auto.completion import (
     too_slow,
 )
 from splatproof.methods.auto.facts import facts_of
-from splatproof.methods.auto.fit import fit, planned
+from splatproof.methods.auto.fit import Planned, fit, planned
 from splatproof.methods.auto.measured import COMPLETED, EXPLICIT
 from splatproof.methods.auto.method import cost
 from splatproof.methods.auto.settings import AutoSettings
@@ -36,6 +37,12 @@ ASKED = AutoSettings(seconds=20.0, probe_share=0.0)
 
 
 AERIAL = replace(FACTS, views=6, coverage=2.5, down=1.0)
+
+
+@cache
+def plan_of(asked: AutoSettings) -> Planned:
+    """The plan for the scene, made once."""
+    return planned(aerial_scene().for_training(), asked, Run(threads=1))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +173,7 @@ def test_nothing_is_completed_where_too_few_steps_would_follow(budget, completes
     scene = aerial_scene().for_training()
     wanted, _ = planned_completion(ASKED, FACTS, points=len(scene.points), moves=False)
     assert wanted
-    found = planned(scene, replace(ASKED, **budget), Run(threads=1))
+    found = plan_of(replace(ASKED, **budget))
     assert found.plan.base == ("stratosplat" if completes else "3dgs")
     (told,) = [one for one in found.plan.choices if one.component == "completed depths"]
     assert (f"and {LEAST} are needed" in told.because) == (not completes)
@@ -193,7 +200,7 @@ def test_photos_are_matched_once_whether_depths_are_completed_or_not(steps, base
 
 @pytest.mark.parametrize("steps", [LEAST, RESETS_FROM])
 def test_opacities_are_reset_only_where_time_is_left_to_grow_back(steps):
-    found = planned(aerial_scene().for_training(), replace(ASKED, steps=steps), Run(threads=1))
+    found = plan_of(replace(ASKED, steps=steps))
     assert (found.plan.settings.density.reset_interval > 0) == (steps >= RESETS_FROM)
 
 

@@ -123,6 +123,7 @@ def test_nothing_of_a_held_out_photo_is_fitted(monkeypatch):
 def test_a_probe_decides_within_its_share(monkeypatch):
     asked = AutoSettings(seconds=100.0, steps=10, probe_share=0.5)
     monkeypatch.setattr(auto, "facts_of", lambda *_: replace(facts_of(*_), exposure=0.1))
+    monkeypatch.setattr(auto, "PROBE_STEPS", 60)
     found = planned(tiny_scene(views=10), asked, Run(threads=1))
     names = [choice.component for choice in found.plan.choices]
     assert names == [

@@ -123,8 +123,19 @@ class Killed(Exception):
     """Stands for a kill between two steps."""
 
 
-@pytest.mark.parametrize("sampling", [None, SamplingSettings(uniform_share=0.3)])
-@pytest.mark.parametrize("step", [10, 20])
+BALANCED = SamplingSettings(uniform_share=0.3)
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("sampling", "step"),
+    [
+        (None, 10),
+        pytest.param(None, 20, marks=SLOW),
+        pytest.param(BALANCED, 10, marks=SLOW),
+        (BALANCED, 20),
+    ],
+)
 def test_continuation_is_bit_equal(tmp_path, sampling, step):
     (straight, _), (killed, _) = (
         jobs(tmp_path / name, sampling=sampling) for name in ("straight", "killed")

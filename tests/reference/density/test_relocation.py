@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 from torch import Tensor
@@ -49,6 +49,7 @@ def test_one_copy_is_the_same(opacity):
     assert scale == pytest.approx(1)
 
 
+@settings(max_examples=10)  # each makes all numbers of copies
 @given(opacity=OPACITIES)
 def test_more_copies_are_smaller_and_fainter_each(opacity):
     made = [stack(opacity, copies) for copies in range(1, MOST_COPIES + 1)]

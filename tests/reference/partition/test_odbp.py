@@ -26,7 +26,7 @@ def load_sums(labels: Tensor, loads: Tensor, blocks: int) -> list[int]:
     return [int(loads[labels == block].sum()) for block in range(blocks)]
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(count=st.integers(0, 120), blocks=st.integers(1, 6), seed=SEEDS, heavy=st.booleans())
 def test_every_point_has_one_owner_and_no_block_is_empty(count, blocks, seed, heavy):
     positions, loads = cloud(count, seed)
@@ -46,7 +46,7 @@ def test_every_point_has_one_owner_and_no_block_is_empty(count, blocks, seed, he
     assert torch.equal(odbp.owner(found, positions), found.labels)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(blocks=st.integers(2, 8), imbalance=st.sampled_from([0.01, 0.05]), seed=SEEDS)
 def test_loads_are_within_the_bound_where_points_are_light(blocks, imbalance, seed):
     # 6,000 points with at most 9 each against a mean of >= 3,300: the heaviest point is under 1 %.
@@ -91,7 +91,7 @@ def test_blocks_are_connected_through_edges_and_bridges(blocks, seed):
     assert odbp.connected_pieces(found.graph, torn) == pieces > blocks
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(count=st.integers(20, 150), blocks=st.integers(1, 5), seed=SEEDS)
 def test_order_of_points_and_unit_of_loads_change_nothing(count, blocks, seed):
     positions, loads = cloud(count, seed)
@@ -101,7 +101,7 @@ def test_order_of_points_and_unit_of_loads_change_nothing(count, blocks, seed):
     assert torch.equal(cut(positions, 2 * loads, blocks).labels, found.labels)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(count=st.integers(20, 150), power=st.integers(-3, 3), shift=st.integers(-99, 99), seed=SEEDS)
 def test_moving_and_scaling_scene_and_voxel_changes_nothing(count, power, shift, seed):
     positions, loads = cloud(count, seed)
@@ -146,7 +146,7 @@ def test_metis_finds_the_smallest_cut_of_a_dumbbell():
     assert metis.cut_size(edges, labels) == 1
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(blocks=st.integers(2, 6), seed=SEEDS, cells=st.sampled_from([12, 28]))
 def test_the_smallest_cut_of_the_balanced_runs_is_kept(blocks, seed, cells):
     positions, loads = cloud(1500, seed, cells=cells)  # in 28 x 28 cells the cloud is in pieces

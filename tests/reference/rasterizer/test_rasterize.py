@@ -110,8 +110,11 @@ def test_every_output_matches_the_scalar_loop(n, seed):
 @pytest.mark.parametrize("mode", ["classic", "antialiased"])
 def test_gradients_of_every_parameter(mode):
     camera = view(5, 4)
-    s = scene(4, 7, camera)
+    s = scene(3, 7, camera)
+    if mode == "antialiased":  # colours come about in the same way: a degree of 1 is enough
+        s["sh"] = s["sh"][:, :4]
     names = list(s)
+    assert (rasterize(camera, **s, mode=mode).radii > 0).all()
 
     def outputs(*values: Tensor):
         inputs: Any = dict(zip(names, values, strict=True))

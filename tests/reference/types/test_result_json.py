@@ -63,7 +63,7 @@ def a_result() -> Result:
     )  # fmt: skip
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(drawn=fields)
 def test_round_trip_is_exact(drawn: dict[str, Any]):
     images = tuple(ImageScore(**image) for image in drawn["images"])
