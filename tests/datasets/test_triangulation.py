@@ -37,9 +37,12 @@ def own_cache(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """One of the small aerial scenes, made with fewer samples a pixel."""
+    """One of the small aerial scenes: the views that `RULES` takes, with fewer samples a pixel and coarser sky light."""
     with mock.patch.dict(aerial.SCENES, {KIND: aerial.SCENES[KIND]}, clear=True):
-        plan = replace(aerial.plan(0, aerial.PRESETS["small"]), samples=2)
+        plan = aerial.plan(0, replace(aerial.PRESETS["small"], tests=1, cell=12.0))
+    taken = {"test_00.png", *(f"train_{number:02d}.png" for number in range(0, 9, 2))}
+    shots = tuple(shot for shot in plan.shots if shot.name in taken)
+    plan = replace(plan, shots=shots, samples=2)
     return exporting.make_scene(plan, tmp_path_factory.mktemp("aerial") / "scene") / KIND
 
 

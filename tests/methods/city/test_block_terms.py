@@ -317,7 +317,7 @@ def test_a_city_takes_its_terms_from_the_settings(tmp_path):
     method = METHODS["blockgaussian"]
     found = []
     for terms in (NO_TERMS, ALL):
-        short = method.settings(iterations=20, sh_degree=1, blocks=2, block_terms=terms)
+        short = method.settings(iterations=8, sh_degree=1, blocks=2, block_terms=terms)
         at = replace(RUN, folder=tmp_path / str(len(found)), engine="inline")
         model = method.fit(with_priors(), short, at)
         assert isinstance(model, ExplicitModel)

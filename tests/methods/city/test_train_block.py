@@ -98,7 +98,8 @@ def test_views_and_points_of_others_are_not_in_a_job(tmp_path):
 
 @pytest.mark.parametrize(
     ("sampling", "every"),
-    [(None, 0), (None, 3), (SamplingSettings(azimuths=3, distances=2), 0), (SamplingSettings(uniform_share=0.5), 0)],
+    [(None, 0), (None, 3), (SamplingSettings(azimuths=3, distances=2), 0),
+     pytest.param(SamplingSettings(uniform_share=0.5), 0, marks=pytest.mark.slow)],
 )  # fmt: skip
 def test_visits_are_those_that_training_makes(tmp_path, monkeypatch, sampling, every):
     scene = replace(small_scene(60), up=torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64))

@@ -39,7 +39,7 @@ class Killed(Exception):
     pass
 
 
-@pytest.mark.parametrize("step", [10, 30])
+@pytest.mark.parametrize("step", [pytest.param(10, marks=pytest.mark.slow), 30])
 def test_killed_and_continued_is_the_same_to_the_bit(tmp_path, step):
     def kill(now: int, total: int, values: dict[str, float]) -> None:
         if now >= step:

@@ -104,7 +104,7 @@ def test_a_photo_is_completed_as_by_the_reference(with_prior):
     found = [
         depth_adaptation.adapt_view(
             denoiser, image, sparse, nothing, nothing.bool(),
-            depth_adaptation.AdaptationSettings(), torch.Generator().manual_seed(0),
+            depth_adaptation.AdaptationSettings(guidance_steps=8), torch.Generator().manual_seed(0),
         )
         for denoiser in (EdgeDiffusion(prior=prior), PhotoDiffusion(image, prior))
     ]  # fmt: skip

@@ -166,7 +166,7 @@ def test_gradients_stay_finite_where_opacities_are_0_and_1():
         assert value.grad.isfinite().all(), name
 
 
-@pytest.mark.parametrize("step", [9, 31])
+@pytest.mark.parametrize("step", [pytest.param(9, marks=pytest.mark.slow), 31])
 def test_killed_and_continued_is_the_same_to_the_bit(tmp_path, step):
     class Killed(Exception):
         pass

@@ -274,7 +274,11 @@ def moved(scene: Scene, by: torch.Tensor) -> Scene:
     return replace(scene, views=tuple(views), points=points)
 
 
-@pytest.mark.parametrize("cells", [(0.37, 0.0, 0.0), (-120.5, 7.71, 40.23)], ids=str)
+@pytest.mark.parametrize(
+    "cells",
+    [pytest.param((0.37, 0.0, 0.0), marks=pytest.mark.slow), (-120.5, 7.71, 40.23)],
+    ids=str,
+)
 def test_a_scene_that_was_moved_gets_the_same_points_moved(
     yard: Scene, cells: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch
 ):

@@ -185,7 +185,7 @@ def test_the_same_seed_gives_the_same_model_and_the_pace_another_one():
     assert one.means.shape != free.means.shape or not torch.equal(one.means, free.means)
 
 
-@pytest.mark.parametrize("at", [10, 20, 30])
+@pytest.mark.parametrize("at", [20, *(pytest.param(n, marks=pytest.mark.slow) for n in (10, 30))])
 def test_a_killed_run_continues_bit_for_bit(at, tmp_path):
     chosen = ThreeDGS(iterations=60, sh_degree=1, density=StrategicDensity(**vars(TIGHT)))
     assert_continues(chosen, RUN, at, tmp_path)

@@ -64,7 +64,7 @@ def test_photos_keep_the_size_that_they_have_reached(full_from, smaller):
     assert trainer.plan.steps == trainer.step, "those that are done are"
 
 
-@pytest.mark.parametrize("at", [20, 30])
+@pytest.mark.parametrize("at", [20, pytest.param(30, marks=pytest.mark.slow)])
 def test_a_killed_run_keeps_the_number(tmp_path, at):
     def killing(step, total, values):
         if step == at:

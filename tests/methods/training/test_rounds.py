@@ -131,7 +131,7 @@ def test_a_restarted_optimizer_moves_as_a_fresh_one():
     assert moves[0].abs().max() > 0
 
 
-@pytest.mark.parametrize("step", [20, 30, 40])
+@pytest.mark.parametrize("step", [pytest.param(20, marks=pytest.mark.slow), 30, 40])
 def test_a_killed_run_goes_on_the_same_in_either_round(tmp_path, step):
     assert_continues(GROWS, RUN, step, tmp_path)
 
