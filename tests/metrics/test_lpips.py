@@ -99,6 +99,7 @@ def test_weights_on_disk_are_used_and_hashed_for_the_record(network, stored):
     assert BUILT_IN[name].function(IMAGE[:side, :side], target[:side, :side], None) > 0
 
 
+@pytest.mark.parametrize("stored", ["variable", pytest.param("hub", marks=SLOW)], indirect=True)
 def test_the_release_leaves_its_inputs_in_0_1(stored):
     stored("vgg")
     target = spoiled(IMAGE, 0.1)

@@ -81,7 +81,7 @@ def moved(camera: Camera, by: tuple[float, float, float]) -> Camera:
     return replace(camera, world_to_camera=pose)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 @given(turn=st.floats(-3, 3), by=st.tuples(*[st.floats(-5, 5)] * 3), seed=st.integers(0, 99))
 def test_surface_points_project_back_to_pixel_centres(turn, by, seed):
     depth = 1 + 9 * torch.rand(HEIGHT, WIDTH, generator=torch.Generator().manual_seed(seed))

@@ -159,7 +159,7 @@ def box(frame, position, track="a"):
 
 
 @given(speed=st.floats(0, 20), jitter=st.floats(0, 0.15), seed=st.integers(0, 2**16))
-@settings(max_examples=60)
+@settings(max_examples=30)
 def test_speed_is_told_through_jitter(speed, jitter, seed):
     rng = np.random.default_rng(seed)
     noise = rng.uniform(-jitter, jitter, (30, 3)) / np.sqrt(3)

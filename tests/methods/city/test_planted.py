@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
@@ -34,6 +34,7 @@ def light_of(planted: PlantSettings, block: int, blocks: int) -> torch.Tensor:
     return view.load()[0, 0] / 0.5
 
 
+@settings(max_examples=15)
 @given(light=st.floats(0.01, 0.6), blocks=st.integers(2, 8))
 def test_no_light_is_added_over_blocks_or_over_colours(light: float, blocks: int):
     planted = PlantSettings(light=light)

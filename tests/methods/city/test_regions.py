@@ -81,7 +81,7 @@ def by_loop(region: VoxelRegion, points: Tensor) -> Tensor:
     return torch.tensor(found, dtype=D)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(
     size=st.tuples(*[st.integers(1, 7)] * 3), share=st.sampled_from([0.05, 0.3, 0.8, 1.0]),
     unit=st.none() | st.tuples(*[st.floats(0.2, 9.0)] * 3), seed=SEEDS,
@@ -97,7 +97,7 @@ def test_the_distance_to_voxels_is_that_of_the_definition(size, share, unit, see
         assert torch.equal(region.clipped(points, low, high), found.clamp(low, high))
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(size=st.tuples(*[st.integers(1, 40)] * 3), seed=SEEDS)
 def test_a_full_box_of_voxels_has_the_distance_of_the_box(size, seed):
     region = voxels(seed, size, 1.1)

@@ -153,7 +153,7 @@ def test_cores_that_overlap_keep_what_the_reference_keeps(count, size, seed, ove
             assert torch.equal(mine, hard)
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(
     count=st.integers(1, 4), size=st.integers(0, 60), seed=SEEDS, overlap=st.sampled_from([0.0, 0.08, 0.2]),
     kind=st.sampled_from(["cube", "voxels"]),

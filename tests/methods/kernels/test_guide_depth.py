@@ -71,7 +71,7 @@ def error(memory: LayeredDepth, seen_from: Camera) -> float:
     return float((want[0] - got[0]).abs().max())
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     count=st.integers(0, 90), seed=st.integers(0, 2**16), tied=st.booleans(),
     near=st.sampled_from([0.01, 0.5, 3.0]),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import tiny_scene
@@ -27,6 +27,7 @@ def scene_of(positions: torch.Tensor) -> Scene:
     return replace(tiny_scene(), points=points)
 
 
+@settings(max_examples=15)
 @given(count=st.integers(1, 200), most=st.integers(1, 220), seed=st.integers(0, 10))
 def test_never_more_and_the_mean_stays(count, most, seed):
     positions = torch.randn(count, 3, generator=torch.Generator().manual_seed(seed)).double()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers.tiny_scene import tiny_scene
@@ -46,6 +46,7 @@ def test_impossible_schedules_are_refused(values):
         Resolution(**values)
 
 
+@settings(max_examples=15)
 @given(factor=st.floats(1, 8))
 def test_a_shrunk_view_looks_at_the_same_things(factor):
     """Rays through the corners of the image stay, and a mean over the photo too."""
@@ -72,6 +73,7 @@ def test_a_pixel_counts_where_all_that_it_covers_does():
     assert int((~found).sum()) == 1
 
 
+@settings(max_examples=15)
 @given(width=st.integers(17, 300), height=st.integers(17, 300), factor=st.floats(1, 8))
 def test_no_pixel_is_lost_where_all_count(width, height, factor):
     """A mean of ones over two and a third pixels is not 1 in float32."""

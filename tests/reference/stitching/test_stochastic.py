@@ -98,7 +98,7 @@ def by_loop(
     return found
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     blocks=st.integers(1, 4), count=st.integers(0, 16), seed=SEEDS,
     eta=st.sampled_from([0.0, 0.5, 3.0]), k=st.sampled_from([1, 2, 5, 11]), normalise=st.booleans(),
@@ -142,7 +142,7 @@ def test_the_release_scores_logits_unnormalised_against_zero():
     assert stitching.keep_probabilities((lone,), OURS)[0].tolist() == [1]
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(blocks=st.integers(1, 4), count=st.integers(0, 16), seed=SEEDS)
 def test_core_stays_outside_goes_and_a_seed_decides(blocks, count, seed):
     scene = random_blocks(blocks, count, seed)

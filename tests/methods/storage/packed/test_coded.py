@@ -48,7 +48,7 @@ def folder(tmp_path_factory) -> Path:
     return tmp_path_factory.mktemp("coded")
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(
     count=st.sampled_from([0, 1, 2, 15, 16, 17, 60]), degree=st.integers(0, 3), seed=SEEDS,
     profile=PROFILES, shape=st.sampled_from(["", "equal", "flat"]), chunk=st.sampled_from([16, 2**16]),
@@ -93,7 +93,7 @@ def codes_of(cells: np.ndarray) -> np.ndarray:
 
 
 @given(count=st.integers(0, 40), seed=SEEDS)
-@settings(max_examples=15)
+@settings(max_examples=8)
 def test_both_profiles_hold_the_same_model(folder, count, seed):
     whole = small_model(count, 2, seed)
     for profile in ("small", "fast"):

@@ -81,7 +81,7 @@ def test_a_packed_file_holds_what_the_reference_packs(
     assert report.open_share == pytest.approx(float(open_.double().mean()) if count else 0)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(count=st.integers(0, 70), degree=DEGREES, seed=SEEDS)
 def test_what_was_read_packs_to_the_same_file(folder, count, degree, seed):
     kept = FileSettings(gate=0.03)
@@ -151,7 +151,7 @@ def test_a_file_of_the_reference_opens(folder):
     assert same(baked(load_reconstruction(folder / "v1_model")), found)
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(count=st.integers(1, 100), seed=SEEDS, sort=st.booleans())
 def test_folders_stream_to_the_same_file_and_back(tmp_path_factory, count, seed, sort):
     folder = tmp_path_factory.mktemp("stream")
