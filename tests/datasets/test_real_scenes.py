@@ -62,7 +62,7 @@ def test_counts_tracks_and_left_out(name, views, points, left_out):
         ("brighton_beach", "crop"),
         ("brighton_beach", "keep"),
         ("caliterra", "crop"),
-        ("seneca", "keep"),
+        pytest.param("seneca", "keep", marks=pytest.mark.slow),
     ],
 )
 def test_points_project_to_their_undistorted_observations(name, undistort):

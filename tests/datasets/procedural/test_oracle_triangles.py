@@ -43,7 +43,7 @@ def sample(cloud, seed):
 @pytest.mark.parametrize(
     ("world", "density"),
     [
-        ("city", 1.0),
+        pytest.param("city", 1.0, marks=pytest.mark.slow),
         ("tunnel", 20.0),
         pytest.param("street", 1.0, marks=pytest.mark.slow),
     ],

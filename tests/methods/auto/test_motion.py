@@ -137,14 +137,14 @@ def test_what_is_prepared_is_counted_in_the_seconds(monkeypatch):
             left.append(seconds)
 
     def slowly(*given, **more):
-        time.sleep(1.0)
+        time.sleep(0.5)
         return prepare(*given, **more)
 
     monkeypatch.setattr(fitting, "Recount", Noted)
     monkeypatch.setattr(fitting, "prepare", slowly)
-    asked = AutoSettings(seconds=4.0, probe_share=0.0, motion=True)
+    asked = AutoSettings(seconds=2.0, probe_share=0.0, motion=True)
     fit(DRIVE, asked, Run(threads=1, on_stage=spent.__setitem__))
-    assert left[0] <= 4.0 * (1 - RESERVE) - spent["plan"] - 1.0
+    assert left[0] <= 2.0 * (1 - RESERVE) - spent["plan"] - 0.5
 
 
 @pytest.mark.slow

@@ -89,7 +89,7 @@ def on_disk(made: list[BlockModel], folder) -> list[BlockModel]:
     return stored
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(
     count=st.integers(1, 5), size=st.integers(0, 60), seed=SEEDS, k=st.sampled_from([1, 5, 11]),
     kind=st.sampled_from(["cube", "voxels"]),
