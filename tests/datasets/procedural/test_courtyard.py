@@ -15,12 +15,13 @@ from splatproof.base.errors import UsageError
 from splatproof.datasets.catalogue import registry
 from splatproof.datasets.catalogue.opening import open_scene
 from splatproof.datasets.procedural import courtyard, exporting, worlds
+from splatproof.datasets.procedural.daylight import Daylight
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.protocol import Protocol
 
 TINY = courtyard.Settings(width=64, height=48, oblique=4, nadir=(2, 1), samples=2)
 QUICK = replace(TINY, width=32, height=24, samples=1)
-"""For what is made again and again: a sixteenth of the rays."""
+"""For what is made again and again: a sixteenth of a picture's rays."""
 PROTOCOL = Protocol(name="test", source="ours", hold=4)
 
 
@@ -36,6 +37,18 @@ def pixels_hash(folder: Path) -> str:
 
 def unexpected(done, total):
     raise AssertionError("made again")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse_light():
+    """Sky light known at a sixtieth of the places: most rays of so small a scene go there."""
+
+    def coarse(caster, sky, low, high, cell):
+        return Daylight(caster, sky, low, high, 4 * cell)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(courtyard, "Daylight", coarse)
+        yield
 
 
 @pytest.fixture(scope="module")
