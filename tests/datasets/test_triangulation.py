@@ -35,10 +35,17 @@ def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
 
 
+@cache
+def world():
+    """Its triangles, which take seconds to build."""
+    return aerial.SCENES[KIND](0)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """One of the small aerial scenes: the views that `RULES` takes, with fewer samples a pixel and coarser sky light."""
-    with mock.patch.dict(aerial.SCENES, {KIND: aerial.SCENES[KIND]}, clear=True):
+    built = world()
+    with mock.patch.dict(aerial.SCENES, {KIND: lambda seed: built}, clear=True):
         plan = aerial.plan(0, replace(aerial.PRESETS["small"], tests=1, cell=12.0))
     taken = {"test_00.png", *(f"train_{number:02d}.png" for number in range(0, 9, 2))}
     shots = tuple(shot for shot in plan.shots if shot.name in taken)
@@ -48,7 +55,7 @@ def folder(tmp_path_factory):
 
 @cache
 def surface():
-    return truth.surface_cloud(aerial.SCENES[KIND](0), 6.0, 0)
+    return truth.surface_cloud(world(), 6.0, 0)
 
 
 def surface_error(scene: Scene) -> np.ndarray:
