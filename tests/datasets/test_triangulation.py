@@ -55,7 +55,7 @@ def folder(tmp_path_factory):
 
 @cache
 def surface():
-    return truth.surface_cloud(world(), 6.0, 0)
+    return truth.surface_cloud(world(), 2.0, 0)  # a million points
 
 
 def surface_error(scene: Scene) -> np.ndarray:
