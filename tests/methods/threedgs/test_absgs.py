@@ -1,4 +1,4 @@
-"""Method absgs: 3dgs with a split by absolute gradients, on both paths."""
+"""Method absgs: 3dgs with a split by absolute gradients, on both paths (the slower among the slow tests)."""
 
 from dataclasses import replace
 from typing import Any
@@ -28,12 +28,12 @@ def test_its_own_thresholds_hold_where_a_suite_sets_others():
     assert (settings.density.split_gradient, settings.density.split_size) == (4e-4, 1e-3)
 
 
-@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("backend", ["cpu", pytest.param("reference", marks=pytest.mark.slow)])
 def test_with_the_split_off_it_is_3dgs_and_with_it_another_model(backend):
     scene, run = tiny_scene(), Run(threads=1, seed=3, backend=backend)
-    plain = Settings(iterations=20, sh_degree=0, density=Density(**FAST))
+    plain = Settings(iterations=40, sh_degree=0, density=Density(**FAST))
     off = AbsDensity(**FAST, split_gradient=0.0, split_size=0.01)
-    ours = AbsGS(iterations=20, sh_degree=0, density=off)
+    ours = AbsGS(iterations=40, sh_degree=0, density=off)
     method = get_method("absgs")
     want = baked(get_method("3dgs").fit(scene, plain, run))
     assert torch.equal(baked(method.fit(scene, ours, run)).means, want.means)
