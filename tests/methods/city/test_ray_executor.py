@@ -212,7 +212,8 @@ def test_parts_of_a_refinement_are_the_same_through_rays_interface_as_here(tmp_p
     one, other, before = both_ways(tmp_path, lambda step, total, _: heard.append((step, total)))
     assert torch.equal(one.sh, other.sh)
     assert not torch.equal(one.sh, before.sh)
-    assert heard[-1] == (40, 40)
+    done, steps = heard[-1]  # of both parts, told only if both were heard
+    assert done == steps > 0
     assert stand.said == ["init local", "0 CPUs", "1 CPUs", "kill", "shutdown"]
 
 
