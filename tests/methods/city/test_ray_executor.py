@@ -226,7 +226,7 @@ def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
 
 
 def both_ways(
-    tmp_path: Path, report: Callable[..., object]
+    tmp_path: Path, report: Callable[..., None]
 ) -> tuple[Gaussians, Gaussians, Gaussians]:
     """A model refined in parts here and by ray, which reports; and as it was before."""
     scene, model, owners = small_scene(40), random_gaussians(40), torch.arange(40) % 2

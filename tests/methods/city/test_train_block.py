@@ -16,6 +16,7 @@ from splatproof.methods.city.train_block import BlockJob, least_visits, prepare,
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.dpgs.settings import NO_SIDES, SideSettings
 from splatproof.methods.loading import load_reconstruction
+from splatproof.methods.models import exposure as exposure_of
 from splatproof.methods.models.explicit import FIELDS, ExplicitModel
 from splatproof.methods.models.gaussian_model import GaussianModel
 from splatproof.methods.threedgs.settings import Settings
@@ -263,23 +264,25 @@ def test_a_block_that_no_view_covers_by_the_shares_takes_those_that_see_it(tmp_p
     assert job.facts.views == len(job.scene.views) > 0
 
 
-def test_blocks_learn_exposures_that_stay_out_of_their_gaussians(tmp_path):
+def test_blocks_learn_exposures_that_stay_out_of_their_gaussians(tmp_path, monkeypatch):
+    monkeypatch.setattr(exposure_of, "RATE", 0.02)  # at those of longer runs 400 steps say less
+    monkeypatch.setattr(exposure_of, "LAST_RATE", 0.002)
     scene = small_scene(60)
     dim = tuple(
-        replace(view, load=lambda view=view, by=by: (view.load() * by).clamp(0, 1))
-        for by, view in zip([0.5 + 0.1 * i for i in range(9)], scene.views, strict=True)
+        replace(view, load=lambda view=view, by=by: view.load() * by)
+        for by, view in zip([1.0, 0.3] * 4 + [1.0], scene.views, strict=True)
     )
     ends = []
     for exposure in ("off", "gain"):
         still = replace(SHORT.density, gradient=1.0)  # nothing is split: the length counts
-        given = replace(SHORT, iterations=400, exposure=exposure, density=still)
+        given = replace(SHORT, iterations=120, exposure=exposure, density=still)
         found = partition(scene, 2, PartitionSettings(margin=0.1))
         job = block_jobs(replace(scene, views=dim), found, given, RUN, tmp_path)[0]
         losses: list[float] = []
         train_block(job, lambda step, total, values, to=losses: to.append(values["loss"]))
         ends.append(sum(losses[-10:]))
         assert set(loaded(job)) == set(FIELDS)
-    assert ends[1] < ends[0]
+    assert ends[1] < 0.95 * ends[0]  # 0.79 to 0.86 with three seeds
 
 
 def test_a_block_of_one_photo_has_no_exposure_to_learn(tmp_path):

@@ -135,14 +135,14 @@ def test_a_disagreement_is_lowered():
     run = replace(RUN, report=lambda s, t, values: told.append(values["co-regularisation"]))
     # with resets and pruning few rows are left of so short a run: 2 to 5, of which nothing can be said
     whole = replace(DENSITY, stop=9000, reset_interval=0, largest_size=10.0)
-    shown = replace(SHORT, iterations=100, prune_interval=0, density=whole)
+    shown = replace(SHORT, iterations=60, prune_interval=0, density=whole)
     both = [replace(shown, agreement_weight=w) for w in (1e-9, 1.0)]
     ends = []
     for settings in both:
         told.clear()
         fit(tiny_scene(views=3), settings, run)
-        ends.append(sum(told[8:]) / settings.agreement_weight)
-    assert 0 < ends[1] < 0.5 * ends[0], "0.07 to 0.14 of it with four seeds"
+        ends.append(sum(told[4:]) / settings.agreement_weight)
+    assert 0 < ends[1] < 0.5 * ends[0], "0.09 to 0.14 of it with three seeds"
 
 
 def test_the_result_is_the_first_field_alone():

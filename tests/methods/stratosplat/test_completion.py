@@ -21,7 +21,7 @@ from helpers.aerial_scene import (
 )
 from splatproof.base.errors import DataError
 from splatproof.methods.stratosplat import completion
-from splatproof.methods.stratosplat.completion import completed
+from splatproof.methods.stratosplat.completion import DenseCloud, completed
 from splatproof.methods.stratosplat.prior_depth import (
     FEWEST_POINTS,
     LEAST_RATE,
@@ -31,7 +31,7 @@ from splatproof.methods.stratosplat.prior_depth import (
 from splatproof.methods.stratosplat.settings import Completion
 from splatproof.reference.layered_memory import guide_depth
 from splatproof.reference.layered_memory.depth_adaptation import AdaptationSettings, SparseDepths
-from splatproof.reference.types.scene import DepthPrior, Scene, SparsePoints
+from splatproof.reference.types.scene import DepthPrior, Scene
 
 
 def cloud(scene: Scene, *, guided: bool = True, told: list[str] | None = None, **more):
@@ -311,7 +311,7 @@ def test_a_prior_that_few_points_see_is_kept_as_it_is():
 
 
 @cache
-def plain_cloud() -> SparsePoints:
+def plain_cloud() -> DenseCloud:
     """Of many points that are all right, without a prior."""
     return cloud(aerial_scene(points=300))
 

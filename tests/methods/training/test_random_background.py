@@ -51,10 +51,10 @@ def test_backgrounds_change_the_run_and_its_draws_follow_the_seed():
 def test_what_the_photos_show_becomes_opaque():
     scene = tiny_scene()
     view = scene.train_views[0]
-    longer = replace(SETTINGS, iterations=300)
+    longer = replace(SETTINGS, iterations=120)
     alphas = [
         float(fit(scene, replace(longer, random_background=random), RUN)
               .render(view, torch.zeros(3)).alpha.mean())
         for random in (True, False)
     ]  # fmt: skip
-    assert alphas[0] > alphas[1]
+    assert alphas[0] > 1.5 * alphas[1]  # 1.9 to 2.2 times with three seeds

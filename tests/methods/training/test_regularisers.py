@@ -88,13 +88,13 @@ def test_a_killed_run_continues_bit_for_bit(tmp_path):
 
 
 def test_the_pull_makes_the_model_fainter():
-    without = replace(SETTINGS, dropout=0.0, opacity_weight=0.0, iterations=200)
+    without = replace(SETTINGS, dropout=0.0, opacity_weight=0.0, iterations=80)
     opacity = [
         float(fit(tiny_scene(), replace(without, opacity_weight=weight), RUN)
               .bake().opacities.mean())
         for weight in (0.0, 0.3)
     ]  # fmt: skip
-    assert opacity[1] < opacity[0]
+    assert opacity[1] < 0.85 * opacity[0]  # 0.67 to 0.70 of it with three seeds
 
 
 @pytest.mark.parametrize(
