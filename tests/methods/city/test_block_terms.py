@@ -1,6 +1,6 @@
 """What blocks minimise beside their photos: weights as they are told, priors in the scene's scale, runs that go on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -204,12 +204,15 @@ def test_the_sideways_term_shrinks_what_it_measures(tmp_path):
     assert 0 < ends[5.0] < ends[1e-9]
 
 
-def in_other_light() -> Scene:
+STEPS_OF_LIGHT = [0.5 + 0.1 * i for i in range(9)]
+
+
+def in_other_light(factors: Sequence[float] = STEPS_OF_LIGHT) -> Scene:
     """The small scene, each of whose photos is darker or brighter by another factor."""
     scene = small_scene(60)
     lit = tuple(
-        replace(view, load=partial(times, view.load, 0.5 + 0.1 * i))
-        for i, view in enumerate(scene.views)
+        replace(view, load=partial(times, view.load, factor))
+        for factor, view in zip(factors, scene.views, strict=True)
     )
     return replace(scene, views=lit)
 
@@ -221,13 +224,14 @@ def times(load: Callable[[], Tensor], factor: float) -> Tensor:
 def test_appearance_takes_up_what_photos_did_to_the_colours(tmp_path):
     ends = {}
     for appearance in (False, True):
-        job = job_of(tmp_path, in_other_light(), BlockTerms(appearance=appearance))
-        job = replace(job, settings=replace(SHORT, iterations=300, density=STILL))
+        scene = in_other_light([1.0, 0.3] * 4 + [1.0])
+        job = job_of(tmp_path, scene, BlockTerms(appearance=appearance))
+        job = replace(job, settings=replace(SHORT, iterations=200, density=STILL))
         values: list[float] = []
         train_block(job, lambda step, total, told, to=values: to.append(told["photometric"]))
         ends[appearance] = sum(values[-10:])
         assert set(vars(loaded(job).model)) == set(FIELDS)
-    assert ends[True] < ends[False]
+    assert ends[True] < 0.9 * ends[False]  # 0.72 to 0.76 with three seeds
 
 
 def test_appearance_begins_as_no_appearance(tmp_path):

@@ -93,14 +93,14 @@ def test_with_everything_off_it_is_scaffold_gs_to_the_bit():
 def lit() -> DecodedModel:
     """What has learnt light, by steps that are larger than they would be in a run of full length."""
     quick = replace(
-        SHORT, iterations=200, vdjc="off", dropout=0.0, rates=Rates(light=0.02, light_final=4e-3),
+        SHORT, iterations=150, vdjc="off", dropout=0.0, rates=Rates(light=0.02, light_final=4e-3),
         density=AnchorDensity(levels=0, least_opacity=0.0),
     )  # fmt: skip
     return fit(lit_scene(), quick, RUN)
 
 
 def test_it_learns_light_that_scaffold_gs_cannot_know(lit):
-    still = replace(OFF, iterations=200, density=AnchorDensity(levels=0, least_opacity=0.0))
+    still = replace(OFF, iterations=150, density=AnchorDensity(levels=0, least_opacity=0.0))
     off = fit(lit_scene(), still, RUN)
     assert error(lit, lit_scene()) < 0.5 * error(off, lit_scene())
 
