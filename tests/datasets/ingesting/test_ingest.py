@@ -47,15 +47,15 @@ def run(photos: Path, out: Path, said: list[str] | None = None, **changes) -> In
 def flown(tmp_path_factory) -> tuple[Ingested, list[str]]:
     """A flight with everything that a real one has: damaged, foreign and differently sized photos."""
     root = tmp_path_factory.mktemp("flown")
-    photos = write_flight(root / "photos")
-    other = aerial_photo(texture(0), 4.0, -2.0, (320, 240))
+    photos = write_flight(root / "photos", size=(320, 240))
+    other = aerial_photo(texture(0), 4.0, -2.0, (240, 180))
     save_photo(photos / "small one.jpg", other, (4.0, -2.0, 40.0))
-    save_photo(photos / "elsewhere.jpg", aerial_photo(texture(9), 0, 0, (400, 300)), (2, 3, 40.0))
-    Image.new("RGB", (400, 300), (90, 120, 90)).save(photos / "blank.png")
+    save_photo(photos / "elsewhere.jpg", aerial_photo(texture(9), 0, 0, (320, 240)), (2, 3, 40.0))
+    Image.new("RGB", (320, 240), (90, 120, 90)).save(photos / "blank.png")
     whole = (photos / "air_0.jpg").read_bytes()
     (photos / "cut.jpg").write_bytes(whole[: len(whole) // 2])
     save_photo(
-        photos / "tagged.tif", aerial_photo(texture(0), 2.0, -3.0, (400, 300)), (2, -3, 40.0)
+        photos / "tagged.tif", aerial_photo(texture(0), 2.0, -3.0, (320, 240)), (2, -3, 40.0)
     )
     (photos / "phone 1.HEIC").write_bytes(b"what only other programs read")
     (photos / "notes.txt").write_text("not a photo")
@@ -93,7 +93,7 @@ def test_every_photo_is_accounted_for(flown):
     assert made.scene.facts["registered"] == "8 of 12"
     assert dict(open_scene(made.folder, PROTOCOL).left_out) == reasons
     assert any(line.startswith("cut.jpg: left out: not a readable") for line in said)
-    assert any("photos of 3 cameras, one camera model each: 1 of 320 x 240" in x for x in said)
+    assert any("photos of 3 cameras, one camera model each: 1 of 240 x 180" in x for x in said)
 
 
 def test_the_scenes_photos_are_copies_so_that_edits_never_reach_the_users_own(flown):
