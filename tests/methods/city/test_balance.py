@@ -55,7 +55,7 @@ def crowded_cut(settings: PartitionSettings, training: Training = TRAINING) -> P
     return cut(crowded(), 4, settings, training)
 
 
-@pytest.mark.parametrize("even", ["steps", "visits"])
+@pytest.mark.parametrize("even", [pytest.param("steps", marks=pytest.mark.slow), "visits"])
 def test_the_slowest_block_is_no_slower_than_of_the_cut_by_load(even):
     scene = crowded()
     training = replace(TRAINING, even=even)

@@ -47,7 +47,7 @@ def error(model, views) -> float:
 
 
 def test_it_learns_better_than_one_colour_and_about_as_well_as_3dgs():
-    scene, steps = tiny_scene(), 300
+    scene, steps = tiny_scene(), 150
     ours = fit(scene, replace(SHORT, iterations=steps), RUN)
     threedgs = get_method("3dgs")
     other = threedgs.fit(scene, ThreeDGS(iterations=steps, sh_degree=1), RUN)
