@@ -1,14 +1,11 @@
 """Blocks on a local cluster of two workers, one of which is killed in mid-block."""
 
 import os
-import pickle
 import signal
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import cast
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -30,7 +27,6 @@ from splatproof.methods.contracts.run import Run
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
-from splatproof.reference.types.gaussians import Gaussians
 
 STEPS = 300
 SETTINGS = Settings(iterations=STEPS, sh_degree=0, density=Density(stop=0))
@@ -133,102 +129,8 @@ def test_a_worker_loads_the_plug_in_whose_classes_a_job_is_made_of(tmp_path):
     assert facts.block == 0
 
 
-class Stand:
-    """What our code asks of ray, in this process: what is called is done at once, its result kept."""
-
-    __spec__ = object()
-    """Else it would count as not installed."""
-
-    def __init__(self) -> None:
-        """No cluster yet."""
-        self.util = SimpleNamespace(
-            scheduling_strategies=SimpleNamespace(
-                NodeAffinitySchedulingStrategy=lambda node, soft: node
-            )
-        )
-        self.exceptions = SimpleNamespace(RayTaskError=RuntimeError, RayError=OSError)
-        self.cloudpickle = pickle
-        self.results: list[object] = []
-        self.said: list[str] = []
-
-    def is_initialized(self) -> bool:
-        return False
-
-    def init(self, **options: object) -> None:
-        self.said.append(f"init {options['address']}")
-
-    def shutdown(self) -> None:
-        self.said.append("shutdown")
-
-    def get_runtime_context(self) -> SimpleNamespace:
-        return SimpleNamespace(get_node_id=lambda: "here")
-
-    def nodes(self) -> list[dict[str, object]]:
-        return [{"NodeID": "here", "Alive": True}]
-
-    def remote(self, **options: object):
-        self.said.append(f"{options.get('num_cpus')} CPUs")
-
-        def callable_(what):
-            if not isinstance(what, type):
-                return SimpleNamespace(remote=lambda *given: self._kept(what(*given)))
-
-            def actor() -> SimpleNamespace:
-                made = what()
-                return SimpleNamespace(**{
-                    name: SimpleNamespace(remote=lambda *given, name=name: self._kept(getattr(made, name)(*given)))
-                    for name in ("begin", "put", "drain")
-                })  # fmt: skip
-
-            return SimpleNamespace(remote=actor)
-
-        return callable_
-
-    def _kept(self, result: object) -> int:
-        self.results.append(result)
-        return len(self.results) - 1
-
-    def get(self, one: int) -> object:
-        return self.results[one]
-
-    def wait(self, running: list[int], timeout: float) -> tuple[list[int], list[int]]:
-        assert timeout > 0
-        return running[:1], running[1:]
-
-    def cancel(self, one: int, force: bool) -> None:
-        self.said.append(f"cancel {one} {force}")
-
-    def kill(self, actor: object) -> None:
-        self.said.append("kill")
-
-
-def test_parts_of_a_refinement_are_the_same_through_rays_interface_as_here(tmp_path, monkeypatch):
-    """Each job packed, sent, done by `train_remotely` and its reports heard; a true cluster is slow."""
-    stand = Stand()
-    monkeypatch.delenv("RAY_ADDRESS", raising=False)
-    monkeypatch.setattr(ray_executor, "_ray", lambda alone: stand)
-    monkeypatch.setitem(sys.modules, "ray", cast("ModuleType", stand))
-    heard: list[tuple[int, int]] = []
-    one, other, before = both_ways(tmp_path, lambda step, total, _: heard.append((step, total)))
-    assert torch.equal(one.sh, other.sh)
-    assert not torch.equal(one.sh, before.sh)
-    done, steps = heard[-1]  # of both parts, told only if both were heard
-    assert done == steps > 0
-    assert stand.said == ["init local", "0 CPUs", "1 CPUs", "kill", "shutdown"]
-
-
-@pytest.mark.slow  # another worker with all imports: 25 s
 @pytest.mark.usefixtures("cluster")
 def test_parts_of_a_refinement_are_the_same_on_the_cluster_as_here(tmp_path):
-    one, other, before = both_ways(tmp_path, nothing)
-    assert torch.equal(one.sh, other.sh)
-    assert not torch.equal(one.sh, before.sh)
-
-
-def both_ways(
-    tmp_path: Path, report: Callable[..., None]
-) -> tuple[Gaussians, Gaussians, Gaussians]:
-    """A model refined in parts here and by ray, which reports; and as it was before."""
     scene, model, owners = small_scene(40), random_gaussians(40), torch.arange(40) % 2
     views = [torch.arange(len(scene.views)) % 2 == b for b in range(2)]
     facts = [BlockFacts(block=b, views=1, points=1, load=1) for b in range(2)]
@@ -240,9 +142,10 @@ def both_ways(
             settings=RefineSettings(iterations=20), base=SETTINGS, pack=None,
         )  # fmt: skip
         made = part_jobs(model, whole, run, tmp_path / engine)
-        refine_parts(made, run, report if engine == "ray" else nothing)
+        refine_parts(made, run, nothing)
         ends.append(mean_of_parts(model, owners, made))
-    return ends[0], ends[1], model
+    assert torch.equal(ends[0].sh, ends[1].sh)
+    assert not torch.equal(ends[0].sh, model.sh)
 
 
 @pytest.mark.slow  # another worker with all imports
