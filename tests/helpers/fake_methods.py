@@ -5,6 +5,7 @@ import json
 import os
 import time
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from threading import Event, Thread
 
@@ -95,12 +96,17 @@ def model_of(value: float, backend: str) -> ExplicitModel:
     return ExplicitModel(model=replace(model, sh=sh), backend=backend)
 
 
+@cache  # views give copies of their photos
+def _drawn() -> Scene:
+    return tiny_scene(points=12)
+
+
 def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
     """Six tiny views, two of them held out; the name "broken" cannot be opened."""
     if str(spec) == "broken":
         raise DataError("broken: no scene found here")
     return replace(
-        tiny_scene(points=12),
+        _drawn(),
         name=Path(spec).name,
         train=(1, 2, 4, 5),
         test=(0, 3),

@@ -22,6 +22,7 @@ from splatproof.reference.types.result_json import result_from_json, result_to_j
 from splatproof.reference.types.scene import DepthPrior, Scene
 from splatproof.reports.leaderboard import build_tables
 from splatproof.reports.run_data import case_name
+from splatproof.suites import held_out
 from splatproof.suites import run_case as cases
 from splatproof.suites.case_keys import case_key, key_of
 from splatproof.suites.runner import Progress, run_suite
@@ -49,6 +50,7 @@ def opened(spec, protocol) -> Scene:
 def _fakes(monkeypatch, tmp_path):
     monkeypatch.setenv("SPLATPROOF_CACHE", str(tmp_path / "cache"))
     monkeypatch.setitem(METHODS, "fake", None)
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)  # time is not what is tested here
     monkeypatch.setattr(cases, "open_scene", opened)
     fake_methods.register()
     monkeypatch.setattr(cases, "open_scene", opened)

@@ -1,7 +1,9 @@
 """Saved models of finished cases are drawn in turns, and their records then say what a frame took."""
 
+import shutil
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -32,18 +34,31 @@ CASES = tuple(
 SUITE = Suite(name="tiny", description="For tests", cases=CASES, scenes=("town", "village"))
 
 
-@pytest.fixture(autouse=True)
-def _fakes(monkeypatch):
-    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+def fakes(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(METHODS, "fake", None)  # removed again after the test
     for module in (run_case, frames_in_turns):
-        monkeypatch.setattr(module, "open_scene", fake_scene)
+        patch.setattr(module, "open_scene", fake_scene)
     fake_methods.register()
 
 
+@pytest.fixture(autouse=True)
+def _fakes(monkeypatch):
+    fakes(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """What the suite leaves: each test gets a copy."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        fakes(patch)
+        run_suite(SUITE, folder, backend="reference", launch=in_process)
+    return folder
+
+
 @pytest.fixture
-def ran(tmp_path):
-    run_suite(SUITE, tmp_path, backend="reference", launch=in_process)
-    return tmp_path
+def ran(finished, tmp_path):
+    return shutil.copytree(finished, tmp_path / "ran")
 
 
 def test_each_has_its_turn_in_each_round_and_another_one_begins():

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -31,7 +32,8 @@ from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scoring import truth_sha256
 from splatproof.reference.types.protocol import Protocol
-from splatproof.suites import case_folder, workers
+from splatproof.reference.types.result import Result
+from splatproof.suites import case_folder, held_out, workers
 from splatproof.suites import run_case as cases
 from splatproof.suites.held_out import kept
 from splatproof.suites.records import read_record
@@ -40,13 +42,19 @@ from splatproof.suites.suite_files import Case, Suite
 from splatproof.suites.workers import in_process, in_worker
 
 PROTOCOL = load_protocol("default")
+FIRST = Path("tiny/town/fake/default/seed0")
+
+
+def fakes(patch: pytest.MonkeyPatch) -> None:
+    patch.setitem(METHODS, "fake", None)  # removed again after the test
+    patch.setattr(held_out, "TIMED_FRAMES", 3)  # time is not what is tested here
+    patch.setattr(cases, "open_scene", fake_scene)
+    fake_methods.register()
 
 
 @pytest.fixture(autouse=True)
 def _fakes(monkeypatch):
-    monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
-    monkeypatch.setattr(cases, "open_scene", fake_scene)
-    fake_methods.register()
+    fakes(monkeypatch)
 
 
 def case(scene: str = "town", seed: int = 0, **settings: object) -> Case:
@@ -59,6 +67,23 @@ def suite(*those: Case) -> Suite:
 
 
 run = partial(run_suite, backend="reference", launch=in_process)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory) -> Path:
+    """What a run of the one case leaves: each test gets a copy."""
+    folder = tmp_path_factory.mktemp("done")
+    with pytest.MonkeyPatch.context() as patch:
+        fakes(patch)
+        run(suite(case()), folder)
+    return folder
+
+
+@pytest.fixture
+def first(done, tmp_path) -> Result:
+    """The result of the one case, which has run in `tmp_path`."""
+    shutil.copytree(done, tmp_path, dirs_exist_ok=True)
+    return read_record(tmp_path / FIRST)
 
 
 def test_what_was_spent_elsewhere_is_part_of_the_costs(tmp_path):
@@ -110,36 +135,34 @@ def test_a_case_leaves_a_whole_record_and_pictures(tmp_path):
     assert not list(tmp_path.rglob("*.partial"))
 
 
-def test_the_saved_pictures_are_what_was_scored(tmp_path):
-    (outcome,) = run(suite(case()), tmp_path)
+def test_the_saved_pictures_are_what_was_scored(first, tmp_path):
     view = fake_scene("town", PROTOCOL).test_views[0]
-    image = outcome.result.images[0]
+    image = first.images[0]
     truth, _ = kept(view.load(), "float")
     assert image.truth_sha256 == truth_sha256(truth)
-    read = cv2.imread(str(outcome.folder / "renders" / "0.png"))
+    read = cv2.imread(str(tmp_path / FIRST / "renders" / "0.png"))
     assert read is not None
     render = read[..., ::-1] / 255
     mse = np.mean((render - view.load().double().numpy()) ** 2)
     assert image.metrics["psnr"] == pytest.approx(-10 * math.log10(mse), abs=1e-4)
 
 
-def test_a_finished_case_is_kept_and_another_seed_runs(tmp_path):
-    run(suite(case()), tmp_path)
-    before = (tmp_path / "tiny/town/fake/default/seed0/record.json").stat().st_mtime_ns
+def test_a_finished_case_is_kept_and_another_seed_runs(first, tmp_path):
+    before = (tmp_path / FIRST / "record.json").stat().st_mtime_ns
     outcomes = run(suite(case(), case(seed=1)), tmp_path)
     assert [outcome.status for outcome in outcomes] == ["kept", "finished"]
-    assert (tmp_path / "tiny/town/fake/default/seed0/record.json").stat().st_mtime_ns == before
-    first, second = (outcome.result for outcome in outcomes)
+    assert (tmp_path / FIRST / "record.json").stat().st_mtime_ns == before
+    kept, second = (outcome.result for outcome in outcomes)
+    assert kept == first
     assert first.model_sha256 != second.model_sha256
 
 
-def test_the_same_seed_gives_the_same_numbers(tmp_path):
-    (first,) = run(suite(case()), tmp_path / "a")
+def test_the_same_seed_gives_the_same_numbers(first, tmp_path):
     (second,) = run(suite(case()), tmp_path / "b")
-    assert first.result.metrics == second.result.metrics
-    assert first.result.images == second.result.images
-    assert first.result.model_sha256 == second.result.model_sha256
-    assert first.result.curve == second.result.curve
+    assert first.metrics == second.result.metrics
+    assert first.images == second.result.images
+    assert first.model_sha256 == second.result.model_sha256
+    assert first.curve == second.result.curve
 
 
 @pytest.mark.parametrize(
@@ -150,8 +173,7 @@ def test_the_same_seed_gives_the_same_numbers(tmp_path):
     ],
     ids=["settings", "rules of the same name"],
 )
-def test_what_a_number_depends_on_makes_the_case_run_again_and_says_so(tmp_path, changed):
-    run(suite(case()), tmp_path)
+def test_what_a_number_depends_on_makes_the_case_run_again_and_says_so(first, tmp_path, changed):
     notes = []
     (outcome,) = run(suite(changed), tmp_path, on_progress=lambda p: notes.append(p.note))
     assert outcome.status == "finished"
@@ -162,28 +184,25 @@ def test_what_a_number_depends_on_makes_the_case_run_again_and_says_so(tmp_path,
     assert kept.status == "kept"
 
 
-def test_a_checkpoint_of_other_settings_is_not_continued(tmp_path):
+def test_a_checkpoint_of_other_settings_is_not_continued(done, tmp_path):
     failing = case(fail_with="no", iterations=40)
     run(suite(failing), tmp_path)
     folder = tmp_path / "tiny/town/fake/default/seed0"
     assert (folder / "checkpoint").exists()
     (outcome,) = run(suite(case()), tmp_path)
-    (undisturbed,) = run(suite(case()), tmp_path / "other")
-    assert outcome.result.model_sha256 == undisturbed.result.model_sha256
+    assert outcome.result.model_sha256 == read_record(done / FIRST).model_sha256
     assert not (folder / "failure.txt").exists()
 
 
-def test_starting_over_runs_a_finished_case_again(tmp_path):
-    (first,) = run(suite(case()), tmp_path)
+def test_starting_over_runs_a_finished_case_again(first, tmp_path):
     (again,) = run(suite(case()), tmp_path, resume=False)
     assert again.status == "finished"
-    assert again.result.images == first.result.images
+    assert again.result.images == first.images
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "version", "not JSON"])
-def test_a_damaged_record_is_made_again(tmp_path, damage):
-    (first,) = run(suite(case()), tmp_path)
-    path = first.folder / "record.json"
+def test_a_damaged_record_is_made_again(first, tmp_path, damage):
+    path = tmp_path / FIRST / "record.json"
     text = path.read_text()
     path.write_text(
         {
@@ -196,7 +215,7 @@ def test_a_damaged_record_is_made_again(tmp_path, damage):
     notes = []
     (again,) = run(suite(case()), tmp_path, on_progress=lambda p: notes.append(p.note))
     assert again.status == "finished"
-    assert again.result.images == first.result.images
+    assert again.result.images == first.images
     assert notes[0].startswith("runs again: ")
     assert str(path) in notes[0]
 
@@ -413,15 +432,14 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
     run(suite(case()), tmp_path)
 
 
-def test_a_worker_gives_the_numbers_of_this_process(tmp_path):
+def test_a_worker_gives_the_numbers_of_this_process(first, tmp_path):
     launch = partial(in_worker, target=run_fake_case)
     seen = []
     (apart,) = run_suite(
         suite(case()), tmp_path / "a", backend="reference", launch=launch, on_progress=seen.append
     )
-    (here,) = run(suite(case()), tmp_path / "b")
     assert apart.status == "finished"
-    assert apart.result.images == here.result.images
+    assert apart.result.images == first.images
     assert [p.step for p in seen if p.stage == "train"] == list(range(1, 41))
 
 

@@ -10,6 +10,7 @@ from helpers.fake_methods import FakeSettings, fake_scene
 from splatproof.methods.loading import load_origin
 from splatproof.methods.registry import METHODS
 from splatproof.metrics.protocol_files import load_protocol
+from splatproof.suites import held_out
 from splatproof.suites import run_case as cases
 from splatproof.suites.runner import run_suite, select
 from splatproof.suites.same_model import training_key
@@ -31,6 +32,7 @@ def fits(monkeypatch) -> list[int]:
         return fake_methods.fit(scene, settings, run)
 
     monkeypatch.setitem(METHODS, "fake", None)  # removed again after the test
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)  # time is not what is tested here
     monkeypatch.setattr(cases, "open_scene", fake_scene)
     fake_methods.register()
     monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))

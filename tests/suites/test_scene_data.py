@@ -19,8 +19,8 @@ from splatproof.reference.types.protocol import Protocol
 from splatproof.reference.types.result import Result
 from splatproof.reference.types.scene import Scene
 from splatproof.reports.store import find_cases
+from splatproof.suites import held_out, runner, scene_data
 from splatproof.suites import run_case as cases
-from splatproof.suites import runner, scene_data
 from splatproof.suites.records import read_finished, read_record, write_record
 from splatproof.suites.runner import Progress, run_suite
 from splatproof.suites.suite_files import Case, Suite
@@ -48,6 +48,7 @@ def town(tmp_path, monkeypatch) -> Path:
         )
 
     monkeypatch.setitem(METHODS, "fake", None)
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)  # time is not what is tested here
     for module in (cases, scene_data):
         monkeypatch.setattr(module, "open_scene", opened)
     fake_methods.register()
