@@ -7,7 +7,7 @@ SHOWN = ("depth_abs_rel",)
 
 MOST_SECONDS = 120.0
 """Processor seconds: the street and the tunnel together take less than four minutes, even one case
-after the other. Measured: 15 at 112 pixels, beside other work; other processors take twice as long."""
+after the other. Measured: 14 at 112 pixels, beside other work; other processors take twice as long."""
 
 
 def test_tunnel_runs_every_method(tmp_path, capsys, monkeypatch):
