@@ -13,13 +13,14 @@ from fuzz.targets import TARGETS
 
 INPUTS = 20_000
 """Of the million of `make fuzz-inputs`: its first numbers."""
-FEWEST = 60
-"""Inputs of a reader where only some are tried, unless one costs so much that all are fewer."""
+FEWEST = 45
+"""Inputs of a reader where only some are tried, unless one costs so much that all are fewer: of the photos' EXIF
+data, which few damages reach, number 39 is the first that is refused."""
 
 
 def some_of(goals: dict[str, int]) -> dict[str, int]:
-    """A fifth."""
-    return {name: max(goal // 5, min(goal, FEWEST)) for name, goal in goals.items()}
+    """A twentieth."""
+    return {name: max(goal // 20, min(goal, FEWEST)) for name, goal in goals.items()}
 
 
 @pytest.mark.parametrize("chosen", [some_of, pytest.param(dict, marks=pytest.mark.slow)])

@@ -115,6 +115,12 @@ def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
     )
 
 
+@cache
+def _drawn() -> Scene:
+    """Drawn once a process: a seventh of what a case costs."""
+    return tiny_scene(points=12)
+
+
 def register() -> None:
     """Make the fake method and its scenes known in this process."""
     METHODS["fake"] = Method(

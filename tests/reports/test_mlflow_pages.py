@@ -2,18 +2,19 @@
 
 import dataclasses
 import json
+import os
 import shutil
 import signal
-import subprocess
-import sys
-import textwrap
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from helpers import case_folders
+from helpers.forked import ended, forked
 from splatproof.reference.types.result import Result
+from splatproof.reports import executions
 from splatproof.reports.mlflow_client import open_client
 from splatproof.reports.mlflow_search import EXECUTION, EXPERIMENTS, STATE
 from splatproof.reports.saved_views import SCORES, VIEW
@@ -92,37 +93,29 @@ def test_a_case_that_no_suite_ran_lies_alone(tmp_path: Path, uri: str):
 def test_two_processes_make_one_execution(tmp_path: Path, uri: str):
     for seed in range(4):
         write(tmp_path, seed=seed)
-    command = "import sys, pathlib; from splatproof.reports.store import find_cases, sync; "
-    command += "cases = find_cases(pathlib.Path(sys.argv[1]))[::int(sys.argv[3])]; "
-    command += "failed = sync(cases, sys.argv[2]); assert not failed, failed"
-    both = [
-        subprocess.Popen([sys.executable, "-c", command, tmp_path, uri, order])
-        for order in ("1", "-1")
-    ]
-    assert [one.wait(180) for one in both] == [0, 0]
+
+    def work(order: int) -> None:
+        assert sync(find_cases(tmp_path)[::order], uri) == []
+
+    both = [forked(partial(work, order)) for order in (1, -1)]
+    assert [ended(pid) for pid in both] == [0, 0]
     (parent,), cases = runs(uri)
     assert len(cases) == 4
     assert {case.data.tags[PARENT] for case in cases} == {parent.info.run_id}
 
 
-KILLED = """
-    import os, signal, sys
-    from pathlib import Path
-    from splatproof.reports import executions, store
-
-    def die(*_, **__):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-    setattr(executions, sys.argv[1], die)
-    store.sync([Path(sys.argv[2])], sys.argv[3])
-"""
-
-
 def test_an_execution_whose_sync_was_killed_is_finished_by_the_next(tmp_path: Path, uri: str):
     """Every case is in the store then, so that nothing else is left to do."""
     folder = write(tmp_path, seed=0)
-    command = [sys.executable, "-c", textwrap.dedent(KILLED), "finish", str(folder), uri]
-    assert subprocess.run(command, check=False, timeout=180).returncode == -signal.SIGKILL
+
+    def die(*_: object, **__: object) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def work() -> None:
+        executions.finish = die
+        sync([folder], uri)
+
+    assert ended(forked(work)) == -signal.SIGKILL
     ((half,), _) = runs(uri)
     assert half.info.status == "RUNNING"
     assert NOTE not in half.data.tags

@@ -21,6 +21,7 @@ from mlflow.tracking import MlflowClient
 from sqlalchemy import Connection, Engine, event
 
 from helpers import case_folders
+from helpers.forked import ended, forked
 from splatproof.base.errors import DataError, MissingError, UsageError
 from splatproof.reference.types.result_json import result_to_json
 from splatproof.reports import run_data, store
@@ -138,35 +139,23 @@ def test_other_settings_are_another_case(tmp_path: Path, uri: str):
     assert len(read_results(uri)) == 2
 
 
-KILLED = """
-    import os, signal, sys
-    from pathlib import Path
-    from splatproof.reports import store
-    from mlflow.tracking import MlflowClient
+def dies_at(moment: str, folder: Path, uri: str) -> int:
+    """Log a case in a process that is killed where it first calls a method of MLflow's client."""
 
-    def die(*_, **__):
+    def die(*_: object, **__: object) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
-    setattr(MlflowClient, sys.argv[1], die)
-    store.sync([Path(sys.argv[2])], sys.argv[3])
-"""
+    def work() -> None:
+        setattr(MlflowClient, moment, die)
+        sync([folder], uri)
+
+    return ended(forked(work))
 
 
-SLOW = pytest.mark.slow  # a process that imports mlflow: seconds
-
-
-@pytest.mark.parametrize(
-    "moment",
-    [pytest.param("log_batch", marks=SLOW), "log_artifacts", pytest.param("set_tag", marks=SLOW)],
-)
+@pytest.mark.parametrize("moment", ["log_batch", "log_artifacts", "set_tag"])
 def test_a_case_half_logged_by_a_killed_process_is_replaced(moment: str, tmp_path: Path, uri: str):
     folder = write(tmp_path)
-    died = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(KILLED), moment, str(folder), uri],
-        check=False,
-        timeout=60,
-    )
-    assert died.returncode == -signal.SIGKILL
+    assert dies_at(moment, folder, uri) == -signal.SIGKILL
     (half,) = runs_of(uri)
     assert half.data.tags[STATE] == "logging"
     assert read_results(uri) == []
@@ -177,13 +166,13 @@ def test_a_case_half_logged_by_a_killed_process_is_replaced(moment: str, tmp_pat
     assert [one.result.seed for one in read_results(uri)] == [0]
 
 
-@pytest.mark.slow  # tests/reports/test_mlflow_pages.py has two processes that log four cases
 def test_a_case_that_another_process_logs_is_waited_for(tmp_path: Path, uri: str):
     folder = write(tmp_path)
-    command = "import sys, pathlib; from splatproof.reports.store import sync; "
-    command += "assert sync([pathlib.Path(sys.argv[1])], sys.argv[2]) == []"
-    both = [subprocess.Popen([sys.executable, "-c", command, folder, uri]) for _ in range(2)]
-    assert [one.wait(60) for one in both] == [0, 0]
+
+    def work() -> None:
+        assert sync([folder], uri) == []
+
+    assert [ended(pid) for pid in [forked(work), forked(work)]] == [0, 0]
     assert len(runs_of(uri)) == 1
 
 
@@ -470,12 +459,7 @@ def wait_for(uri: str, process: subprocess.Popen, log: Path) -> str:
 def test_a_real_server_takes_and_gives_back_everything(tmp_path: Path, server: str):
     odd = {"psnr": math.inf, "ssim_3dgs": math.nan}
     folders = [write(tmp_path, seed=0), write(tmp_path, seed=1, metrics=odd)]
-    died = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(KILLED), "set_tag", str(folders[0]), server],
-        check=False,
-        timeout=60,
-    )
-    assert died.returncode == -signal.SIGKILL
+    assert dies_at("set_tag", folders[0], server) == -signal.SIGKILL
     assert sync(folders, server) == []
     assert sync(folders, server) == []
     assert [run.data.tags[STATE] for run in runs_of(server)] == ["complete"] * 2
@@ -498,16 +482,13 @@ def test_a_damaged_record_in_the_store_is_named(tmp_path: Path, uri: str):
 def test_a_store_whose_making_was_killed_is_made_again(tmp_path: Path):
     """Killed between two of its tables, MLflow's own file could never be opened again."""
     uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
-    program = (
-        "import sys; from splatproof.reports.mlflow_client import open_client as o; o(sys.argv[1])"
-    )
     making = tmp_path / "mlflow.db.making"
-    process = subprocess.Popen([sys.executable, "-c", program, uri])
+    pid = forked(lambda: open_client(uri))
     while not (making.exists() and making.stat().st_size > 50_000):
-        assert process.poll() is None
+        assert os.waitpid(pid, os.WNOHANG) == (0, 0)
         time.sleep(0.002)
-    process.kill()
-    process.wait()
+    os.kill(pid, signal.SIGKILL)
+    assert ended(pid) == -signal.SIGKILL
     assert not (tmp_path / "mlflow.db").exists()
     assert making.exists()
     open_client(uri)
@@ -535,7 +516,7 @@ def test_only_the_making_of_a_store_leaves_the_disk_to_the_system(tmp_path: Path
     assert levels == {("mlflow.db.making", off), ("mlflow.db", full)}
 
 
-@SLOW
+@pytest.mark.slow  # a process that imports mlflow: seconds
 def test_a_store_is_made_quietly_where_mlflow_was_imported_before(tmp_path: Path):
     code = (
         "import mlflow, sys\n"
