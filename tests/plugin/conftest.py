@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from helpers import colmap_scenes
+from splatproof.suites import held_out
 from splatproof.suites.workers import in_process
 from splatproof.testing import items, runs
 
@@ -73,6 +74,7 @@ def project(pytester: pytest.Pytester, tiny: Path, monkeypatch: pytest.MonkeyPat
     """The project; its cases run in this process, which saves seconds of imports each."""
     assert items.Runs is runs.Runs  # loaded before: pytester forgets what is loaded in a test
     monkeypatch.setattr(runs, "in_worker", in_process)
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)
     (pytester.path / "scene").symlink_to(tiny)
     (pytester.path / "mine.splat.toml").write_text(SUITE)
     (pytester.path / "half.toml").write_text(PROTOCOL)

@@ -1,6 +1,7 @@
 """The pytest plugin in a project of somebody else: what is worse must fail, and nothing else."""
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -32,19 +33,32 @@ def records(project: pytest.Pytester) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in found}
 
 
-def saved(project: pytest.Pytester) -> pytest.Pytester:
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder for what the first `saved` project holds; the others get copies, which count as finished."""
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture
+def saved(project: pytest.Pytester, kept: Path) -> pytest.Pytester:
+    """The project with its test and a baseline that was saved by it."""
     project.makepyfile(test_mine=CHECK)
+    if (kept / "base.json").exists():
+        shutil.copytree(kept, project.path, dirs_exist_ok=True)
+        return project
     result = project.runpytest_inprocess("--splatproof-save", "test_mine.py")
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*splatproof*", "*frozen: 3 cases in*base.json"])
+    shutil.copytree(project.path / ".splatproof", kept / ".splatproof")
+    shutil.copy(project.path / "base.json", kept)
     return project
 
 
-def test_unchanged_code_passes_and_nothing_runs_again(project: pytest.Pytester):
-    before = records(saved(project))
+def test_unchanged_code_passes_and_nothing_runs_again(saved: pytest.Pytester):
+    before = records(saved)
     assert len(before) == 3
-    project.runpytest_inprocess("test_mine.py").assert_outcomes(passed=1)
-    assert records(project) == before
+    saved.runpytest_inprocess("test_mine.py").assert_outcomes(passed=1)
+    assert records(saved) == before
 
 
 ROWS = """
@@ -72,11 +86,10 @@ def test_tests_of_parts_of_a_suite_share_a_baseline(project: pytest.Pytester):
 
 
 def test_a_method_made_worse_fails_with_what_got_worse_and_where(
-    project: pytest.Pytester, changed: Change
+    saved: pytest.Pytester, changed: Change
 ):
-    saved(project)
     changed("WRONG = 0.0", "WRONG = 5.0")
-    result = project.runpytest_inprocess("test_mine.py")
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines([
         "E*worse than base.json (holm over 2 tests, alpha 0.05):",
@@ -89,69 +102,66 @@ def test_a_method_made_worse_fails_with_what_got_worse_and_where(
     assert Path(shown.replace("{truth,renders,errors}", "renders")).is_file()
 
 
-def test_what_was_asked_for_and_is_not_judged_is_said(project: pytest.Pytester):
-    path = saved(project).path / "base.json"
+def test_what_was_asked_for_and_is_not_judged_is_said(saved: pytest.Pytester):
+    path = saved.path / "base.json"
     elsewhere = [
         dataclasses.replace(case, environment=case.environment | {BOOT: "another machine"})
         for case in baselines.read(path, "base.json").cases
     ]
     baselines.write(path, elsewhere)
-    project.makepyfile(test_mine=CHECK.replace('"ssim_3dgs"', '"render_ms"'))
-    result = project.runpytest_inprocess("test_mine.py")
+    saved.makepyfile(test_mine=CHECK.replace('"ssim_3dgs"', '"render_ms"'))
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*not judged against base.json:", "*render_ms: *"])
-    project.makepyfile(test_mine=CHECK.replace('"psnr", "ssim_3dgs"', '"render_ms",'))
-    result = project.runpytest_inprocess("test_mine.py")
+    saved.makepyfile(test_mine=CHECK.replace('"psnr", "ssim_3dgs"', '"render_ms",'))
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*render_ms: *", "*nothing of this run could be compared*"])
 
 
 def test_a_comment_in_the_code_runs_the_cases_again_and_passes(
-    project: pytest.Pytester, changed: Change
+    saved: pytest.Pytester, changed: Change
 ):
-    before = records(saved(project))
+    before = records(saved)
     changed('"""Place them."""', '"""Place all of them."""')
-    project.runpytest_inprocess("test_mine.py").assert_outcomes(passed=1)
-    assert len(records(project)) == 2 * len(before)
+    saved.runpytest_inprocess("test_mine.py").assert_outcomes(passed=1)
+    assert len(records(saved)) == 2 * len(before)
 
 
-def test_a_case_that_fails_is_named(project: pytest.Pytester, changed: Change):
-    saved(project)
+def test_a_case_that_fails_is_named(saved: pytest.Pytester, changed: Change):
     changed("FAILS = False", "FAILS = True")
-    result = project.runpytest_inprocess("test_mine.py")
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["E*CaseFailed: scene/painted/half/seed0: *not today*"])
 
 
-def test_a_missing_or_damaged_baseline_says_what_to_do(project: pytest.Pytester):
-    project.makepyfile(test_mine=CHECK)
-    result = project.runpytest_inprocess("test_mine.py")
+def test_a_missing_or_damaged_baseline_says_what_to_do(saved: pytest.Pytester):
+    (saved.path / "base.json").unlink()
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*base.json: no such baseline; run pytest with --splatproof-save"])
-    (project.path / "base.json").write_text("{}")
-    result = project.runpytest_inprocess("test_mine.py")
+    (saved.path / "base.json").write_text("{}")
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*base.json: no baseline; *"])
 
 
-def test_other_data_under_the_baseline_cannot_pass(project: pytest.Pytester):
-    saved(project)
-    protocol = project.path / "half.toml"
+def test_other_data_under_the_baseline_cannot_pass(saved: pytest.Pytester):
+    protocol = saved.path / "half.toml"
     protocol.write_text(protocol.read_text().replace("hold = 2", "hold = 3"))
-    result = project.runpytest_inprocess("test_mine.py")
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*other rules of the protocol: *", "*nothing of this run *"])
 
 
 def test_undecided_is_shown_and_fails_where_that_is_asked_for(
-    project: pytest.Pytester, changed: Change
+    saved: pytest.Pytester, changed: Change
 ):
-    saved(project)
     changed("+ WRONG", "+ 0.3 * (run.seed - 1)")  # lighter, the same and darker
-    result = project.runpytest_inprocess("test_mine.py")
+    result = saved.runpytest_inprocess("test_mine.py")
     result.assert_outcomes(passed=1)
     result.stdout.fnmatch_lines(["*= splatproof =*", "*undecided against base.json:*"])
-    project.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(failed=1)
+    saved.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(failed=1)
 
 
 def test_a_suite_file_is_collected_case_by_case(project: pytest.Pytester):
@@ -164,16 +174,15 @@ def test_a_suite_file_is_collected_case_by_case(project: pytest.Pytester):
 
 
 def test_a_suite_file_fails_by_the_cases_error_and_is_checked(
-    project: pytest.Pytester, changed: Change
+    saved: pytest.Pytester, changed: Change
 ):
     options = ["mine.splat.toml", "--splatproof-baseline", "base.json"]
-    project.runpytest_inprocess(*options, "--splatproof-save").assert_outcomes(passed=4)
     changed("WRONG = 0.0", "WRONG = 5.0")
-    result = project.runpytest_inprocess(*options)
+    result = saved.runpytest_inprocess(*options)
     result.assert_outcomes(passed=3, failed=1)
     result.stdout.fnmatch_lines(["worse than base.json*"])
     changed("FAILS = False", "FAILS = True")
-    result = project.runpytest_inprocess("mine.splat.toml")
+    result = saved.runpytest_inprocess("mine.splat.toml")
     result.assert_outcomes(failed=3)
     result.stdout.fnmatch_lines(["scene/painted/half/seed0: *not today*"])
 
@@ -219,16 +228,15 @@ def test_absent_scenes_skip_with_the_reason(
 
 
 @pytest.mark.slow  # five runs
-def test_a_baseline_holds_several_suites(project: pytest.Pytester):
-    saved(project)
-    other = (project.path / "mine.splat.toml").read_text()
-    (project.path / "other.splat.toml").write_text(other.replace("[0, 1, 2]", "[3, 4]"))
+def test_a_baseline_holds_several_suites(saved: pytest.Pytester):
+    other = (saved.path / "mine.splat.toml").read_text()
+    (saved.path / "other.splat.toml").write_text(other.replace("[0, 1, 2]", "[3, 4]"))
     options = ["other.splat.toml", "--splatproof-baseline", "base.json"]
-    result = project.runpytest_inprocess(*options)
+    result = saved.runpytest_inprocess(*options)
     result.stdout.fnmatch_lines(["*base.json: no case, so there is nothing to compare"])
-    project.runpytest_inprocess(*options, "--splatproof-save").assert_outcomes(passed=3)
-    project.runpytest_inprocess(*options).assert_outcomes(passed=3)
-    project.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(passed=1)
+    saved.runpytest_inprocess(*options, "--splatproof-save").assert_outcomes(passed=3)
+    saved.runpytest_inprocess(*options).assert_outcomes(passed=3)
+    saved.runpytest_inprocess("test_mine.py", "--splatproof-strict").assert_outcomes(passed=1)
 
 
 @pytest.mark.slow  # three starts of python, each with all imports
