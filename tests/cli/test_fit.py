@@ -26,8 +26,8 @@ from splatproof.methods.threedgs.settings import Settings
 from splatproof.methods.training.density import Density
 from splatproof.metrics.protocol_files import load_protocol
 from splatproof.reference.types.protocol import key_rules
+from splatproof.suites import held_out, runner
 from splatproof.suites import run_case as cases
-from splatproof.suites import runner
 from splatproof.suites.records import read_record
 from splatproof.suites.suite_files import load_suite
 from splatproof.suites.workers import in_process
@@ -50,6 +50,7 @@ def town(tmp_path, monkeypatch):
     monkeypatch.setattr("splatproof.suites.scenes.open_scene", fake_scene)
     for name in ("run_suite", "run_alone"):
         monkeypatch.setattr(runner, name, partial(getattr(runner, name), launch=in_process))
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)  # 15 were a third of what a case takes
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.chdir(tmp_path)
     fake_methods.register()

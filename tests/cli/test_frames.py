@@ -1,6 +1,7 @@
 """bench frames: times of saved models in turns, from arguments to records and lines."""
 
 import json
+import shutil
 from functools import partial
 
 import pytest
@@ -26,27 +27,31 @@ iterations = 3
 """
 
 
-@pytest.fixture
-def ran(tmp_path, monkeypatch):
-    """A suite file of the fake method, and its finished cases in runs/."""
-    monkeypatch.setitem(METHODS, "fake", None)
-    for module in (cases, frames_in_turns):
-        monkeypatch.setattr(module, "open_scene", fake_scene)
-    monkeypatch.setattr(runner, "run_suite", partial(runner.run_suite, launch=in_process))
-    monkeypatch.setattr(report, "sync_cases", lambda out, uri: synced.append(out) or False)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A folder with a suite file of the fake method and its finished cases in runs/; for reading alone."""
+    folder = tmp_path_factory.mktemp("finished")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(METHODS, "fake", None)
+        for module in (cases, frames_in_turns):
+            patch.setattr(module, "open_scene", fake_scene)
+        patch.setattr(runner, "run_suite", partial(runner.run_suite, launch=in_process))
+        patch.setattr(report, "sync_cases", lambda out, uri: False)
+        patch.chdir(folder)
+        fake_methods.register()
+        (folder / "town").mkdir()
+        (folder / "mine.toml").write_text(SUITE)
+        assert main(["run", "mine.toml", "--backend", "reference", "--quiet"]) == 0
+        yield folder
+
+
+def test_every_case_has_a_line_and_its_record_the_same_number(
+    finished, tmp_path, capsys, monkeypatch
+):
     synced: list[object] = []
-    monkeypatch.chdir(tmp_path)
-    fake_methods.register()
-    (tmp_path / "town").mkdir()
-    (tmp_path / "mine.toml").write_text(SUITE)
-    assert main(["run", "mine.toml", "--backend", "reference", "--quiet"]) == 0
-    synced.clear()
-    return tmp_path, synced
-
-
-def test_every_case_has_a_line_and_its_record_the_same_number(ran, capsys):
-    folder, synced = ran
-    capsys.readouterr()
+    monkeypatch.setattr(report, "sync_cases", lambda out, uri: synced.append(out) or False)
+    folder = shutil.copytree(finished, tmp_path / "copy")
+    monkeypatch.chdir(folder)
     assert main(["frames", "mine.toml", "--rounds", "3", "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(line["method"], line["seed"]) for line in lines] == [("fake", 0), ("fake", 1)]
@@ -71,11 +76,14 @@ def test_every_case_has_a_line_and_its_record_the_same_number(ran, capsys):
         (["--out", "nowhere"], "nowhere/mine: 0 of 2 cases have a result here"),
     ],
 )
-def test_what_cannot_be_drawn_is_told_in_one_line_and_leaves_nothing(ran, capsys, arguments, told):
-    folder, _ = ran
-    capsys.readouterr()
+def test_what_cannot_be_drawn_is_told_in_one_line_and_leaves_nothing(
+    finished, capsys, monkeypatch, arguments, told
+):
+    monkeypatch.chdir(finished)
+    before = {path: path.read_bytes() for path in finished.rglob("record.json")}
     assert main(["frames", "mine.toml", *arguments]) == 2
     said = capsys.readouterr()
     assert told in said.err
     assert not said.out
-    assert not (folder / "nowhere").exists()
+    assert not (finished / "nowhere").exists()
+    assert {path: path.read_bytes() for path in finished.rglob("record.json")} == before

@@ -14,7 +14,7 @@ from helpers import fake_methods
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
 from splatproof.methods.registry import METHODS
-from splatproof.suites import environment, estimate, runner
+from splatproof.suites import environment, estimate, held_out, runner
 from splatproof.suites import run_case as cases
 from splatproof.suites.workers import in_process
 
@@ -37,6 +37,7 @@ def suite(tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "open_scene", fake_scene)
     monkeypatch.setattr(estimate, "open_scene", fake_scene)
     monkeypatch.setattr(runner, "run_suite", partial(runner.run_suite, launch=in_process))
+    monkeypatch.setattr(held_out, "TIMED_FRAMES", 3)  # 15 were a third of what a case takes
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.chdir(tmp_path)
     fake_methods.register()

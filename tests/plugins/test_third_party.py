@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from helpers.reel_scene import photo, write_reel
 from helpers.tiny_scene import camera
 from splatproof.base.errors import DataError
 from splatproof.base.tensor_files import read_tensors
+from splatproof.cli import main
 from splatproof.datasets.photos import read_photo
 from splatproof.methods.loading import load_reconstruction
 from splatproof.methods.storage.ply import read_ply
@@ -57,21 +59,40 @@ def prepared(folder: Path) -> Path:
 
 
 TOGETHER = """
-import json, sys
+import contextlib, io, json, os, sys
 from splatproof.cli import main
-for arguments in json.loads(sys.argv[1]):
-    if code := main([*arguments, "--quiet"]):
-        sys.exit(code)
+ended = []
+for folder, arguments in json.loads(sys.argv[1]):
+    os.chdir(folder)
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([*arguments, "--quiet"])
+    ended.append((code, out.getvalue(), err.getvalue()))
+print(json.dumps(ended))
 """
 """Several commands in one process: each of its own would import all again, for seconds."""
 
 
-def bench_together(folder: Path, environment: dict[str, str], commands: list[list[str]]) -> None:
+@dataclass(frozen=True)
+class Ended:
+    """What came of a command."""
+
+    code: int
+    out: str
+    err: str
+
+
+def bench_together(
+    environment: dict[str, str], commands: list[tuple[Path, list[str]]]
+) -> list[Ended]:
+    """What came of commands, each in a folder."""
+    given = json.dumps([(str(folder), arguments) for folder, arguments in commands])
     process = subprocess.run(
-        [sys.executable, "-P", "-c", TOGETHER, json.dumps(commands)], cwd=folder, env=environment,
-        text=True, capture_output=True, timeout=900, check=False,
+        [sys.executable, "-P", "-c", TOGETHER, given], env=environment, text=True,
+        capture_output=True, timeout=900, check=False,
     )  # fmt: skip
     assert process.returncode == 0, process.stderr
+    return [Ended(*each) for each in json.loads(process.stdout)]
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +104,43 @@ def straight(tmp_path_factory, environment) -> tuple[Path, list[dict[str, Any]]]
 
 def case(folder: Path, method: str) -> Path:
     return folder / "runs" / "mine" / "reel" / method / "biased" / "seed0"
+
+
+TIMES = {"early.png": 0.25, "late.png": 1.25}
+SEEN_FROM = camera(2, width=48, height=36)
+
+
+@pytest.fixture(scope="module")
+def after(straight, environment, tmp_path_factory) -> tuple[Path, dict[str, Ended]]:
+    """A folder, and what came of the commands whose files lie there, by name."""
+    folder, _ = straight
+    out = tmp_path_factory.mktemp("after")
+    entry = {"width": 48, "height": 36, "K": SEEN_FROM.K.tolist(),
+             "world_to_camera": SEEN_FROM.world_to_camera.tolist()}  # fmt: skip
+    (out / "cameras.json").write_text(
+        json.dumps([entry | {"name": name, "time": at} for name, at in TIMES.items()])
+    )
+    prepared(out / "spoilt")
+    index = out / "spoilt" / "reel" / "reel.csv"
+    lines = list(csv.reader(index.read_text().splitlines()))
+    lines[3] = lines[3][:7]
+    with index.open("w", newline="") as file:
+        csv.writer(file).writerows(lines)
+    at = {"relocating": []}  # the others are baked for a view
+    commands = {
+        f"export {method}": (
+            out,
+            ["export", str(case(folder, method)), "--ply", f"{method}.ply",
+             *at.get(method, ["--view", "04.png"])],
+        )
+        for method in METHODS
+    } | {
+        "render": (out, ["render", str(case(folder, "drifting")), "out", "--cameras", "cameras.json"]),
+        "fit": (out / "spoilt", ["fit", "drifting", "reel", "--out", "x"]),
+        "report": (folder, ["report", "--json"]),
+    }  # fmt: skip
+    ended = bench_together(environment, list(commands.values()))
+    return out, dict(zip(commands, ended, strict=True))
 
 
 def test_every_method_learns_and_is_scored_by_the_metric(straight):
@@ -135,20 +193,12 @@ def test_killed_and_continued_is_the_same_to_the_bit(straight, environment, tmp_
         assert all(np.array_equal(one[name].numpy(), other[name].numpy()) for name in one)
 
 
-def test_time_reaches_the_render(straight, environment, tmp_path):
+def test_time_reaches_the_render(after):
     """The moving method is near the truth at times that no photo has; at another time it is not."""
-    folder, _ = straight
-    where = camera(2, width=48, height=36)
-    entry = {"width": 48, "height": 36, "K": where.K.tolist(),
-             "world_to_camera": where.world_to_camera.tolist()}  # fmt: skip
-    times = {"early.png": 0.25, "late.png": 1.25}
-    (tmp_path / "cameras.json").write_text(
-        json.dumps([entry | {"name": name, "time": at} for name, at in times.items()])
-    )
-    model = str(case(folder, "drifting"))
-    bench(tmp_path, environment, "render", model, "out", "--cameras", "cameras.json")
-    shown = {name: read_photo(tmp_path / "out" / name) for name in times}
-    truth = {name: photo(where, at) for name, at in times.items()}
+    folder, ended = after
+    assert ended["render"].code == 0, ended["render"].err
+    shown = {name: read_photo(folder / "out" / name) for name in TIMES}
+    truth = {name: photo(SEEN_FROM, at) for name, at in TIMES.items()}
 
     def error(one: str, other: str) -> float:
         return float((shown[one] - truth[other]).square().mean())
@@ -158,16 +208,11 @@ def test_time_reaches_the_render(straight, environment, tmp_path):
     assert error("late.png", "late.png") < 0.7 * error("late.png", "early.png")
 
 
-def test_baked_and_exported(straight, environment, tmp_path):
-    folder, _ = straight
-    at = {"relocating": []}  # the others are baked for a view
-    bench_together(tmp_path, environment, [
-        ["export", str(case(folder, method)), "--ply", f"{method}.ply",
-         *at.get(method, ["--view", "04.png"])]
-        for method in METHODS
-    ])  # fmt: skip
+def test_baked_and_exported(after):
+    folder, ended = after
     for method in METHODS:
-        gaussians, _ = read_ply(tmp_path / f"{method}.ply")
+        assert ended[f"export {method}"].code == 0, ended[f"export {method}"].err
+        gaussians, _ = read_ply(folder / f"{method}.ply")
         assert len(gaussians.means) > 20
         assert gaussians.means.isfinite().all()
 
@@ -177,10 +222,11 @@ def test_a_fit_of_one_is_the_suites_case_and_renders_its_own_views(straight, env
     folder, _ = straight
     arguments = ["../reel", "--protocol", "../biased.toml", "--iterations", str(STEPS)]
     (folder / "alone").mkdir(exist_ok=True)
-    bench_together(folder / "alone", environment, [
-        ["fit", "tiny-anchors", *arguments, "--out", "mine"],
-        ["render", "mine", str(tmp_path / "again")],
+    ended = bench_together(environment, [
+        (folder / "alone", ["fit", "tiny-anchors", *arguments, "--out", "mine"]),
+        (folder / "alone", ["render", "mine", str(tmp_path / "again")]),
     ])  # fmt: skip
+    assert [one.code for one in ended] == [0, 0], ended
     one, other = (
         read_tensors(at / "model" / "model.safetensors")[0]
         for at in (folder / "alone" / "mine", case(folder, "tiny-anchors"))
@@ -190,36 +236,29 @@ def test_a_fit_of_one_is_the_suites_case_and_renders_its_own_views(straight, env
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes()
 
 
-def test_the_report_has_every_method_and_the_metric(straight, environment):
-    folder, _ = straight
-    lines = bench(folder, environment, "report")
+def test_the_report_has_every_method_and_the_metric(after):
+    _, ended = after
+    assert ended["report"].code == 0, ended["report"].err
+    lines = [json.loads(line) for line in ended["report"].out.splitlines()]
     assert {line["method"] for line in lines if "method" in line} >= set(METHODS)
     assert any("brightness_bias" in json.dumps(line) for line in lines)
 
 
-def test_without_the_package_its_model_is_refused_in_one_line(straight, tmp_path):
+def test_without_the_package_its_model_is_refused_in_one_line(
+    straight, tmp_path, monkeypatch, capsys
+):
     folder, _ = straight
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "cameras.json").write_text("[]")
     arguments = [str(tmp_path / "out"), "--cameras", "cameras.json", "--protocol", "default"]
     with pytest.raises(DataError, match=r"kind 'drifting', .*install the package"):
         load_reconstruction(case(folder, "drifting") / "model")
-    process = subprocess.run(
-        [BENCH, "render", str(case(folder, "drifting")), *arguments], text=True,
-        capture_output=True, check=False, cwd=tmp_path,
-    )  # fmt: skip
-    assert (process.returncode, process.stderr.count("\n")) == (2, 1)
+    assert main(["render", str(case(folder, "drifting")), *arguments]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "install the package" in line
 
 
-def test_a_damaged_index_is_named(environment, tmp_path):
-    prepared(tmp_path / "spoilt")
-    index = tmp_path / "spoilt" / "reel" / "reel.csv"
-    lines = list(csv.reader(index.read_text().splitlines()))
-    lines[3] = lines[3][:7]
-    with index.open("w", newline="") as file:
-        csv.writer(file).writerows(lines)
-    process = subprocess.run(
-        [BENCH, "fit", "drifting", "reel", "--out", "x", "--quiet"], cwd=tmp_path / "spoilt",
-        env=environment, text=True, capture_output=True, check=False,
-    )  # fmt: skip
-    assert process.returncode == 2
-    assert "reel.csv: line 4" in process.stderr
+def test_a_damaged_index_is_named(after):
+    _, ended = after
+    assert ended["fit"].code == 2
+    assert "reel.csv: line 4" in ended["fit"].err
