@@ -190,8 +190,13 @@ MOMENTS = (0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.45, 0.6, 1.0)
 """Seconds after the start begins; a worker here is ready after about 0.5 to 1."""
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("how", ["spawn", "preload"])
+@pytest.mark.parametrize(
+    ("how", "number"),
+    [
+        ("spawn", signal.SIGINT), ("preload", signal.SIGINT), ("preload", signal.SIGTERM),
+        pytest.param("spawn", signal.SIGTERM, marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
 def test_ctrl_c_at_any_moment_of_a_start_is_one_line(tmp_path, number, how):
     (tmp_path / "slow.py").write_text(SLOW)
     (tmp_path / "starts.py").write_text(STARTS)

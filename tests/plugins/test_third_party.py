@@ -110,16 +110,18 @@ TIMES = {"early.png": 0.25, "late.png": 1.25}
 SEEN_FROM = camera(2, width=48, height=36)
 
 
+def write_cameras(path: Path) -> None:
+    entry = {"width": 48, "height": 36, "K": SEEN_FROM.K.tolist(),
+             "world_to_camera": SEEN_FROM.world_to_camera.tolist()}  # fmt: skip
+    path.write_text(json.dumps([entry | {"name": name, "time": at} for name, at in TIMES.items()]))
+
+
 @pytest.fixture(scope="module")
 def after(straight, environment, tmp_path_factory) -> tuple[Path, dict[str, Ended]]:
     """A folder, and what came of the commands whose files lie there, by name."""
     folder, _ = straight
     out = tmp_path_factory.mktemp("after")
-    entry = {"width": 48, "height": 36, "K": SEEN_FROM.K.tolist(),
-             "world_to_camera": SEEN_FROM.world_to_camera.tolist()}  # fmt: skip
-    (out / "cameras.json").write_text(
-        json.dumps([entry | {"name": name, "time": at} for name, at in TIMES.items()])
-    )
+    write_cameras(out / "cameras.json")
     prepared(out / "spoilt")
     index = out / "spoilt" / "reel" / "reel.csv"
     lines = list(csv.reader(index.read_text().splitlines()))
@@ -249,7 +251,7 @@ def test_without_the_package_its_model_is_refused_in_one_line(
 ):
     folder, _ = straight
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "cameras.json").write_text("[]")
+    write_cameras(tmp_path / "cameras.json")
     arguments = [str(tmp_path / "out"), "--cameras", "cameras.json", "--protocol", "default"]
     with pytest.raises(DataError, match=r"kind 'drifting', .*install the package"):
         load_reconstruction(case(folder, "drifting") / "model")
