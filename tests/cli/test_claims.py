@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,10 @@ from helpers.printed_rows import rows_of
 from splatproof.cli import claim_running, claim_sources, claims, main
 from splatproof.cli.claim_sources import CHECKS_NAME, committed, read_checked, write_checked
 from splatproof.reference.types.checked import Checked
+from splatproof.reports.claims import claim as claim_module
 from splatproof.reports.claims.claim import CheckClaim, Claim, all_claims
 from splatproof.reports.measured import measured_row
+from splatproof.suites import suite_files
 from splatproof.suites.claim_checks.registry import CHECKS
 from splatproof.suites.published.rows import numbers
 from splatproof.suites.records import write_record
@@ -21,13 +24,23 @@ from splatproof.suites.suite_files import load_suite
 
 DOCS = Path(__file__).parents[2] / "docs"
 
+suite_of = cache(load_suite)
+claims_of = cache(lambda: all_claims(numbers()))
+
+
+@pytest.fixture(autouse=True)
+def _read_once(monkeypatch: pytest.MonkeyPatch):
+    """The package's suites and claims are the same in every test: reading them takes seconds."""
+    monkeypatch.setattr(suite_files, "load_suite", suite_of)
+    monkeypatch.setattr(claim_module, "all_claims", lambda _: claims_of())
+
 
 def test_the_committed_page_is_what_the_command_makes_of_the_committed_rows():
     assert (DOCS / "claims.md").read_text(encoding="utf-8") == claims.page_text(DOCS)
 
 
 def test_the_page_names_every_file_of_rows_that_claims_are_made_of():
-    suites = {claim.suite for claim in all_claims(numbers())[0]}
+    suites = {claim.suite for claim in claims_of()[0]}
     text = (DOCS / "claims.md").read_text(encoding="utf-8")
     listed = text.split("pages\n(")[1].split(")")[0].split()
     assert {name.rstrip(",") for name in listed} == {f"{name}.json" for name in suites}
@@ -180,7 +193,7 @@ def test_what_runs_is_what_the_claims_are_about_and_its_other_lengths(tmp_path: 
 def test_rows_of_other_lengths_are_needed_too():
     """Whether real scenes are there or not: of the suite as it is planned."""
     wanted = claim(suite="city", row="stitchgs", protocol="city_400", scenes=("caliterra",))
-    rows = {case.row for case in load_suite("city").cases if claim_running._wanted(case, [wanted])}
+    rows = {case.row for case in suite_of("city").cases if claim_running._wanted(case, [wanted])}
     methods = ("stitchgs", "3dgs")
     lengths = {f"{method}@{length}" for method in methods for length in ("half", "double")}
     assert rows == lengths | set(methods)
@@ -194,7 +207,7 @@ def test_of_a_variant_its_own_lengths_are_needed_and_of_its_method_no_other_vari
         protocol="city_400",
         scenes=("caliterra",),
     )
-    rows = {case.row for case in load_suite("city").cases if claim_running._wanted(case, [wanted])}
+    rows = {case.row for case in suite_of("city").cases if claim_running._wanted(case, [wanted])}
     lengths = {
         "odbp+stitch@tuned-half",
         "odbp+stitch@tuned-double",
