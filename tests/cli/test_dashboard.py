@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
+from helpers.empty_store import lay_empty_store
 from helpers.generated_store import write_store
 from splatproof.cli import main
-from splatproof.reports.mlflow_client import open_client
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
-    open_client(f"sqlite:///{folder}/mlflow.db")
+    lay_empty_store(folder)
     write_store(folder, [case_folders.result(seed=0)])
     return folder
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from helpers import fake_methods
+from helpers.empty_store import lay_empty_store
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
 from splatproof.cli.expected_time import expected_time
@@ -81,6 +82,7 @@ def test_a_report_shows_a_fit_and_all_fits_of_a_folder_above(town, capsys):
     (line,) = map(json.loads, capsys.readouterr().out.splitlines()[-1:])
     assert (line["suite"], line["scene"], line["method"]) == ("fit", "town", "fake")
     assert line["psnr"] == read_record(town / "all/one").metrics["psnr"]
+    lay_empty_store(town / "all")
     assert main(["report", "--out", "all", "--json", "--quiet"]) == 0
     assert json.loads(capsys.readouterr().out) == line
 

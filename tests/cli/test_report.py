@@ -7,13 +7,15 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
+from helpers.empty_store import lay_empty_store
 from splatproof.cli import main
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Finished cases that no store knows yet."""
+    """Finished cases, and a store that does not know them yet."""
     out = tmp_path_factory.mktemp("runs")
+    lay_empty_store(out)
     for seed in range(3):
         case_folders.write_case(out, case_folders.result(seed=seed))
     return out
@@ -66,6 +68,7 @@ def test_nothing_to_report_is_a_usage_error_and_leaves_nothing(tmp_path: Path, c
 def test_a_damaged_case_is_told_and_the_rest_is_reported(runs: Path, tmp_path: Path, capsys):
     out = tmp_path / "runs"
     shutil.copytree(runs / "quick", out / "quick")
+    lay_empty_store(out)
     damaged = min(out.rglob("record.json"))
     damaged.write_text("{")
     assert main(["report", "--out", str(out), "--json"]) == 1

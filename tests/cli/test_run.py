@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from helpers import fake_methods
+from helpers.empty_store import lay_empty_store
 from helpers.fake_methods import fake_scene
 from splatproof.cli import main, report
 from splatproof.methods.registry import METHODS
@@ -263,6 +264,7 @@ def test_results_reach_a_pipe_while_a_bar_is_on_the_terminal():
 
 
 def test_the_leaderboard_of_a_folder_is_that_of_the_store(suite, capsys):
+    lay_empty_store(suite.parent / "runs")
     assert bench_run(suite, "--quiet") == 0
     first = capsys.readouterr().out
     assert main(["report", "--quiet"]) == 0

@@ -6,16 +6,14 @@ from pathlib import Path
 import pytest
 
 from helpers import case_folders
-from splatproof.reports.mlflow_client import open_client
+from helpers.empty_store import lay_empty_store
 from splatproof.reports.store import StoredResult, read_results, sync
 
 
 @pytest.fixture(scope="session")
 def migrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An empty store whose tables exist: making them takes a second, copying them nothing."""
-    file = tmp_path_factory.mktemp("empty") / "mlflow.db"
-    open_client(f"sqlite:///{file}")
-    return file
+    """An empty store whose tables exist."""
+    return lay_empty_store(tmp_path_factory.mktemp("empty"))
 
 
 @pytest.fixture(scope="session")
