@@ -46,6 +46,12 @@ def of_store(stored: list[StoredResult], **named: object) -> str:
     return render_page(tables, stored, stored[0].uri, WHEN, **named)  # type: ignore[arg-type]
 
 
+@pytest.fixture(scope="module")
+def whole(stored: list[StoredResult]) -> str:
+    """The page of the store, which tests read and none changes."""
+    return of_store(stored)
+
+
 class Reader(HTMLParser):
     """Elements with what they refer to; fails on elements that are not closed in order."""
 
@@ -85,8 +91,8 @@ def embedded(text: str) -> dict[str, str]:
     return json.loads(found[1])
 
 
-def test_it_refers_to_nothing_outside_itself(stored: list[StoredResult]):
-    text = of_store(stored)
+def test_it_refers_to_nothing_outside_itself(whole: str):
+    text = whole
     read = Reader(text)
     assert all(ref.startswith(("#", "data:")) for ref in read.references)
     assert {ref[1:] for ref in read.references if ref.startswith("#")} <= set(read.ids)
@@ -97,8 +103,8 @@ def test_it_refers_to_nothing_outside_itself(stored: list[StoredResult]):
     assert all(uri.startswith("data:image/jpeg;base64,") for uri in embedded(text).values())
 
 
-def test_it_shows_every_row_and_every_image(stored: list[StoredResult]):
-    text = of_store(stored)
+def test_it_shows_every_row_and_every_image(stored: list[StoredResult], whole: str):
+    text = whole
     words = " ".join(Reader(text).words)
     for table in build_tables([one.result for one in stored]):
         for row in table.rows:
@@ -115,26 +121,26 @@ def test_it_shows_every_row_and_every_image(stored: list[StoredResult]):
 
 
 def test_a_few_differences_and_their_verdicts_are_open_and_many_are_not(
-    stored: list[StoredResult], monkeypatch: pytest.MonkeyPatch
+    stored: list[StoredResult], whole: str, monkeypatch: pytest.MonkeyPatch
 ):
-    def shown() -> list[bool]:
-        parts = of_store(stored).split("<details")[1:]
+    def shown(text: str) -> list[bool]:
+        parts = text.split("<details")[1:]
         return [part.startswith(" open>") for part in parts if "Differences between" in part]
 
-    assert shown()
-    assert all(shown())
+    assert shown(whole)
+    assert all(shown(whole))
     monkeypatch.setattr(report_page, "OPEN_DIFFERENCES", 1)
-    assert not any(shown())
+    assert not any(shown(of_store(stored)))
 
 
-def test_it_is_the_same_twice(stored: list[StoredResult]):
-    assert of_store(stored) == of_store(stored)
+def test_it_is_the_same_twice(stored: list[StoredResult], whole: str):
+    assert of_store(stored) == whole
 
 
-def test_the_budget_of_pictures_holds_and_the_page_says_so(stored: list[StoredResult]):
-    whole = sum(map(len, embedded(of_store(stored)).values()))
-    text = of_store(stored, budget=whole // 2)
-    assert sum(map(len, embedded(text).values())) <= whole // 2
+def test_the_budget_of_pictures_holds_and_the_page_says_so(stored: list[StoredResult], whole: str):
+    size = sum(map(len, embedded(whole).values()))
+    text = of_store(stored, budget=size // 2)
+    assert sum(map(len, embedded(text).values())) <= size // 2
     assert "of 4 test images are embedded" in text
     least = of_store(stored, budget=1)
     assert len(embedded(least)) == 2 * (1 + 3 * 2)  # one image a scene whatever it takes
