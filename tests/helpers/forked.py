@@ -1,6 +1,8 @@
 """A process that begins as a copy of this one: what is imported here need not be imported again."""
 
 import os
+import signal
+import time
 import traceback
 import warnings
 from collections.abc import Callable
@@ -26,10 +28,19 @@ def forked(work: Callable[[], object]) -> int:
     os._exit(0)
 
 
-def ended(pid: int) -> int:
+def ended(pid: int, seconds: float = 180.0) -> int:
     """Wait for a process; its exit code, or -N where signal N ended it.
 
     Args:
         pid: As `forked` returned it.
+        seconds: How long at most: then it is killed, and the test has failed.
     """
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    last = time.monotonic() + seconds
+    while time.monotonic() < last:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.01)
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    raise TimeoutError(f"process {pid} had not ended after {seconds:g} s")
