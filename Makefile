@@ -18,7 +18,7 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
 	@echo "site: build/site/index.html"
 
-# a worker a core and one more (tests/conftest.py); a file's tests share what its fixtures made, so they stay on
+# a worker a core and two more (tests/conftest.py); a file's tests share what its fixtures made, so they stay on
 # one worker; the longest files come
 # first (tests/conftest.py), not those with most tests
 test: setup-dev

@@ -58,11 +58,11 @@ LONGEST = (
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """A worker more than cores: some tests wait for a clock or for a process of theirs."""
+    """Two workers more than cores: some tests wait for a clock or for a process of theirs."""
     cores = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
-    return cores + 1
+    return cores + 2
 
 
 def pytest_runtest_setup() -> None:
