@@ -96,11 +96,6 @@ def model_of(value: float, backend: str) -> ExplicitModel:
     return ExplicitModel(model=replace(model, sh=sh), backend=backend)
 
 
-@cache  # views give copies of their photos
-def _drawn() -> Scene:
-    return tiny_scene(points=12)
-
-
 def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
     """Six tiny views, two of them held out; the name "broken" cannot be opened."""
     if str(spec) == "broken":
@@ -117,7 +112,7 @@ def fake_scene(spec: str | Path, protocol: Protocol) -> Scene:
 
 @cache
 def _drawn() -> Scene:
-    """Drawn once a process: a seventh of what a case costs."""
+    """Drawn once a process: a seventh of what a case costs. Views give copies of their photos."""
     return tiny_scene(points=12)
 
 
