@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from textwrap import fill
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -25,6 +26,8 @@ FURTHEST = 1e4
 """Multiples of a bar that are shown at most."""
 LINE = 0.32
 """Height of a line in inches."""
+LONGEST = 76
+"""Letters of a name side by side: longer ones take a second line, or they would leave the chart no room."""
 
 
 def draw_effects(found: Sequence[Finding], path: Path) -> bool:
@@ -54,7 +57,7 @@ def draw_effects(found: Sequence[Finding], path: Path) -> bool:
     axes.axvspan(0.5, WIDEST, color="#228833", alpha=0.06)
     axes.set_xlim(-WIDEST, WIDEST)
     axes.set_xlabel(
-        "measured effect in printed effects: 0 none, 1 as printed; holds: right of 0 and into the green"
+        "measured effect in printed effects: 0 none, 1 as printed;\nholds: right of 0 and into the green"
     )
     _names(axes, [f"{one.paper}: {one.text}" for one in reversed(shown)])
     _legend(axes, shown)
@@ -106,7 +109,8 @@ def _interval(axes: Axes, line: int, ends: list[float], at: float, verdict: Verd
 
 
 def _names(axes: Axes, names: list[str]) -> None:
-    axes.set_yticks(range(len(names)), names, fontsize=8)
+    lines = [fill(name, LONGEST) for name in names]
+    axes.set_yticks(range(len(names)), lines, fontsize=8)
     axes.set_ylim(-0.7, len(names) - 0.3)
     axes.grid(axis="x", color="#eeeeee")
     axes.set_axisbelow(True)
