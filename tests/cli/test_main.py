@@ -1,5 +1,6 @@
 """What every command shares: help, exit codes, one-line errors, where output goes."""
 
+import gc
 import json
 import os
 import subprocess
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from splatproof import __version__, cli
+from splatproof import __version__, cli, start
 from splatproof.base.errors import DataError, MissingError
 from splatproof.base.plugin_files import forget_plugin_file, load_plugin_file
 from splatproof.cli import COMMANDS, main, output
@@ -191,6 +192,30 @@ def test_the_console_script_is_this_main():
     done = subprocess.run([BENCH, "nonsense"], capture_output=True, check=False)
     assert done.returncode == 2
     assert done.stdout == b""
+
+
+def test_garbage_is_collected_once_a_command_begins(doctor, monkeypatch):
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # the tests keep theirs
+    monkeypatch.setattr(sys, "argv", ["bench", "doctor"])
+    while_loading = []
+    monkeypatch.setattr(cli, "_join", watched(cli._join, while_loading))
+    doctor(lambda: int(not gc.isenabled()))
+    try:
+        assert start.main() == 0
+        assert while_loading == [False]
+    finally:
+        gc.unfreeze()
+        gc.enable()
+
+
+def watched(function, seen: list[bool]):
+    """The function, which notes first whether garbage is collected."""
+
+    def noting(*given):
+        seen.append(gc.isenabled())
+        return function(*given)
+
+    return noting
 
 
 def test_exit_code_is_what_the_command_returns(doctor):

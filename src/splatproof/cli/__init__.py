@@ -5,6 +5,7 @@ it returns (an int, or None for 0) is the exit code, and it prints through splat
 imported only when it is chosen, and imports what is heavy (torch, mlflow, pycolmap) when it is called.
 """
 
+import gc
 import importlib
 import inspect
 import io
@@ -221,6 +222,9 @@ def _run(arguments: list[str]) -> int:
         with redirect_stdout(sys.stderr), suppress(SystemExit):
             app.cli(prog="bench", description=DESCRIPTION, args=["--help"])
         return UsageError.exit_code
+    if not gc.isenabled():  # so splatproof.start left it; what is loaded by now stays loaded
+        gc.freeze()
+        gc.enable()
     code = app.cli(prog="bench", description=DESCRIPTION, args=arguments)
     return 0 if code is None else int(code)
 
