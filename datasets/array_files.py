@@ -31,8 +31,8 @@ def read_arrays(path: Path, *names: str) -> list[np.ndarray]:
     except (
         OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error, MemoryError, RecursionError, SyntaxError, TypeError,
         tokenize.TokenError,  # numpy reads the header of an array as Python
-        RuntimeError,  # zipfile's word where a password is wanted
-        NotImplementedError,  # zipfile's word for a compression that it does not know
+        # zipfile's words where a password is wanted, and, as a kind of it, for a compression that it does not know
+        RuntimeError,
     ) as error:  # fmt: skip
         said = str(error).splitlines()[0][:120] if str(error) else type(error).__name__
         raise DataError(

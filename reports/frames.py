@@ -82,7 +82,7 @@ def rows_where(frame: pd.DataFrame, chosen: Bool[np.ndarray, " n"]) -> pd.DataFr
         frame: Any frame.
         chosen: True for each row that is kept.
     """
-    return cast(pd.DataFrame, frame[chosen])
+    return frame[chosen]
 
 
 def groups(frame: pd.DataFrame, by: str) -> list[tuple[str, pd.DataFrame]]:
@@ -102,8 +102,7 @@ def records(frame: pd.DataFrame, names: Sequence[str]) -> list[dict[str, Any]]:
         frame: Any frame.
         names: Columns that are taken.
     """
-    chosen = cast(pd.DataFrame, frame[list(names)])
-    return cast(list[dict[str, Any]], chosen.to_dict(orient="records"))
+    return cast(list[dict[str, Any]], frame[list(names)].to_dict(orient="records"))
 
 
 def count_distinct(frame: pd.DataFrame, name: str) -> int:
@@ -113,7 +112,7 @@ def count_distinct(frame: pd.DataFrame, name: str) -> int:
         frame: Any frame.
         name: Name of the column.
     """
-    return int(cast(int, frame[name].nunique(dropna=False)))
+    return int(frame[name].nunique(dropna=False))
 
 
 def _identity(result: Result) -> dict[str, object]:

@@ -133,7 +133,11 @@ def measured_row(row: Mapping[str, Any]) -> Measured:
     """
     names = {one.name for one in fields(Measured)}
     try:
-        old = {"steps": row.get("iterations", 0), "grown": -1, "late_gain": math.inf}
+        old: dict[str, Any] = {
+            "steps": row.get("iterations", 0),
+            "grown": -1,
+            "late_gain": math.inf,
+        }
         plain = old | {name: value for name, value in row.items() if name in names}
         return Measured(**plain)
     except (AttributeError, TypeError) as error:

@@ -126,7 +126,7 @@ def open_client(uri: str) -> "MlflowClient":
         MissingError: The store does not answer within the bounded retries, or lacks its driver.
     """
     check_uri(uri)
-    errors = (*store_errors(), ImportError)
+    errors: tuple[type[Exception], ...] = (*store_errors(), ImportError)
     file = sqlite_file(uri)
     with warnings.catch_warnings():
         # sqlalchemy 2.1 on MLflow's own models, raised while its module is imported

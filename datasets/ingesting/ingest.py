@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,7 +116,7 @@ def _alone(out: Path, lock: Path) -> Iterator[None]:
             lock.unlink(missing_ok=True)
 
 
-def _prepare(work: Path, survey: Survey, settings: dict[str, object]) -> bool:
+def _prepare(work: Path, survey: Survey, settings: Mapping[str, object]) -> bool:
     """Make the working folder, or keep that of an equal job; whether it was kept."""
     files = {
         photo.name: [str(photo.path.resolve()), *_stamp(photo.path)] for photo in survey.photos

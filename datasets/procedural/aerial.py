@@ -115,8 +115,8 @@ def stadium(seed: int) -> World:
     lands.ground(world, grounds.stadium, grounds.bowl, 1.0)
     for x in (-44.0, 44.0):
         for y in (-36.0, 36.0):
-            mast = [(cylinder(0.5, 26.0, 8, 0.3), things.METAL),
-                    (placed(things.box((4.0, 0.6, 2.4)), (0, 0, 26.0)), things.CONCRETE)]  # fmt: skip
+            mast: things.Parts = [(cylinder(0.5, 26.0, 8, 0.3), things.METAL),
+                                  (placed(things.box((4.0, 0.6, 2.4)), (0, 0, 26.0)), things.CONCRETE)]  # fmt: skip
             world.add("mast", things.moved(mast, (x, y, 0.0), np.arctan2(y, x) + np.pi / 2))
     roof = [things.box((52.0, 10.0, 0.7), 15.5)]  # on posts behind the highest row
     roof += [placed(cylinder(0.35, 15.5, 10), (x, 3.6, 0.0)) for x in np.linspace(-24, 24, 7)]

@@ -88,7 +88,9 @@ class Drive:
         self.first = len(self.still.kinds)
         """Object id of the first mover."""
         self.kinds = (*self.still.kinds, *(mover.kind for mover in self.movers))
-        self._lock, self._stages, self._light = Lock(), OrderedDict(), None
+        self._lock = Lock()
+        self._stages: OrderedDict[Number, Stage] = OrderedDict()
+        self._light: Daylight | None = None
 
     def stage(self, time: Number) -> Stage:
         """The lit street at a time in seconds."""

@@ -9,6 +9,7 @@ all else stays. Without anything the page is written again from that file.
 import json
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -165,7 +166,7 @@ def machine() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def lined(heads: tuple[str, ...], lines: list[tuple[str, ...]], texts: int) -> str:
+def lined(heads: tuple[str, ...], lines: Sequence[tuple[str, ...]], texts: int) -> str:
     """A Markdown table.
 
     Args:

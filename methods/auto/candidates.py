@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from splatproof.methods.auto.choices import NOT_MEASURED, Choice
 from splatproof.methods.auto.facts import SceneFacts
@@ -77,7 +78,8 @@ def compete(
     for one in tried if best else ():
         if not left(1):
             break
-        other = replace(settings, **{one.setting: one.value})
+        change: dict[str, Any] = {one.setting: one.value}
+        other = replace(settings, **change)
         found = score(other, 0)
         pair, times = (found, best), ""
         if beats(*pair, WORTH) and left(2):

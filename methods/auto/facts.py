@@ -16,7 +16,7 @@ from splatproof.methods.auto.spreading import evenly
 from splatproof.methods.dynamic.sweep_motion import in_motion
 from splatproof.methods.dynamic.sweep_points import swept_moments, timed_points
 from splatproof.methods.training.initialise import require_points
-from splatproof.reference.supervision.dense_initialisation import observations, points_of
+from splatproof.reference.supervision.dense_initialisation import observations, points_of, rows_of
 from splatproof.reference.types.camera import project_points
 from splatproof.reference.types.scene import Scene, View
 
@@ -102,7 +102,7 @@ def facts_of(scene: Scene) -> SceneFacts:
     require_points(scene)
     views = scene.train_views
     positions = scene.points.positions
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     counts = np.asarray(seen.sum(axis=0)).ravel()
     chosen = [(row, views[row]) for row in evenly(range(len(views)), SAMPLES)]
     told = [_told(view, positions, seen, row) for row, view in chosen]
@@ -206,8 +206,8 @@ def _coverage(views: Sequence[View], positions: Float[Tensor, "n 3"]) -> float:
 def _neighbours(seen: csr_array) -> float:
     """Median number of views that share enough points with a view."""
     views = len(seen.indptr) - 1
-    some = np.arange(0, views, max(1, views // MOST_COMPARED))
-    shared = (seen[some].astype(np.int64) @ seen.T.astype(np.int64)).toarray()
+    some = range(0, views, max(1, views // MOST_COMPARED))
+    shared = (rows_of(seen, some).astype(np.int64) @ seen.T.astype(np.int64)).toarray()
     own = shared[np.arange(len(some)), some].copy()
     shared[np.arange(len(some)), some] = 0
     return float(np.median((shared >= np.maximum(1, SHARED * own)[:, None]).sum(axis=1)))

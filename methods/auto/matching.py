@@ -17,6 +17,7 @@ from splatproof.methods.training.dense_points import match
 from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
     observations,
+    rows_of,
     seen_by_both,
     select_pairs,
 )
@@ -79,7 +80,7 @@ def planned_matching(
         if facts.points > ENOUGH * (most_points or 2 * facts.points):
             return _none(f"{facts.points:,} points are enough to start from", str(UNMATCHED))
     cell = CELL if asked.dense_cell is None else asked.dense_cell
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     centres = torch.stack([view.camera.centre for view in scene.train_views])
     pairs, seconds, each = [], 0.0, 0.0
     for partners in PARTNERS:

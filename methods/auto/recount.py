@@ -41,7 +41,8 @@ class Recount:
         self.first = min(max(grown, whole) + 1, steps)
         self.next = min(max(whole, int(SETTLED * steps)) + 1, self.first)
         self.seconds, self.most, self.tell = seconds, most, tell
-        self.since, self.began, self.growing = 0, 0.0, None
+        self.since, self.began = 0, 0.0
+        self.growing: bool | None = None
 
     def __call__(self, step: int, seconds: float) -> int | None:
         """The number of steps, after `MEASURED` steps at the final speed and whenever half of the rest is done.

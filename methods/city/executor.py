@@ -142,7 +142,9 @@ def run_inline(
     with torch_threads(threads):
         for index, job in enumerate(jobs):
             with alone(job):
-                found.append(job.work(lambda *at, i=index: report(i, *at)))
+                found.append(
+                    job.work(lambda step, total, values, i=index: report(i, step, total, values))
+                )
     return found
 
 

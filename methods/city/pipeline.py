@@ -210,7 +210,7 @@ def _partition(
     found: list[Partition] = []
 
     def work() -> dict[str, Any]:
-        model = coarse and read_gaussians(coarse)
+        model = None if coarse is None else read_gaussians(coarse)
         points = len(scene.points)
         grown = mean_gaussians(settings.iterations, points, settings.density.most)
         training = Training(

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 import torch
 from jaxtyping import Float64, Int64
@@ -177,7 +178,7 @@ def load_regions(path: Path) -> tuple[AnyRegion, ...]:
         raise DataError(
             f"{path}: version {facts.get('version')!r}, this splatproof reads 1 to {VERSION}"
         )
-    known = {kind.__name__: kind for kind in AnyRegion.__args__}
+    known = {kind.__name__: kind for kind in get_args(AnyRegion)}
     regions = []
     try:
         for i, entry in enumerate(facts["regions"]):

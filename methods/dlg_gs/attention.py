@@ -43,7 +43,7 @@ def attention_among(
     near = every.among(seen)
     if radius < math.inf:
         near = near.within(centres[seen], radius)
-    return _Attend.apply(query, key, value, near)  # type: ignore[return-value]
+    return _Attend.apply(query, key, value, near)
 
 
 def local_attention(
@@ -61,7 +61,7 @@ def local_attention(
     Source: DLG-GS, Eqs. 9 to 11; the backward pass by lists: ours.
     """
     query, key, value = (features @ w for w in (weights.query, weights.key, weights.value))
-    return _Attend.apply(query / math.sqrt(key.shape[1]), key, value, neighbours)  # type: ignore[return-value]
+    return _Attend.apply(query / math.sqrt(key.shape[1]), key, value, neighbours)
 
 
 class _Attend(torch.autograd.Function):

@@ -49,7 +49,7 @@ def disparity_error(
 
     Source: DLG-GS, Eq. 4.
     """
-    return _Error.apply(disparity, target, valid, weight)  # type: ignore[return-value]
+    return _Error.apply(disparity, target, valid, weight)
 
 
 class _Error(torch.autograd.Function):

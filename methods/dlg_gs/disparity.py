@@ -88,7 +88,7 @@ def inverses(camera: Camera, positions: Float[Tensor, "n 3"], depth: Depth) -> F
     """
     if depth == "z":
         return 1 / transform_points(camera, positions)[:, 2].clamp(min=camera.near)
-    return _Inverse.apply(positions, camera.centre.to(positions), camera.near)  # type: ignore[return-value]
+    return _Inverse.apply(positions, camera.centre.to(positions), camera.near)
 
 
 class _Inverse(torch.autograd.Function):

@@ -134,8 +134,8 @@ def placed(scene: Scene, *, radius: float, extent: float) -> Lighting:
     margin = MARGIN * max(float((high - low).max()), extent)
     return Lighting(
         views=tuple(view.name for view in scene.train_views),
-        low=tuple((low - margin).tolist()),  # type: ignore[arg-type]
-        high=tuple((high + margin).tolist()),  # type: ignore[arg-type]
+        low=tuple((low - margin).tolist()),
+        high=tuple((high + margin).tolist()),
         radius=radius,
         extent=extent,
     )

@@ -93,7 +93,7 @@ def gated_projections(
     gate = torch.sigmoid(feature)[:, None]
     query = weights.query / math.sqrt(weights.key.shape[1])
     projections = (gate * each for each in (query, weights.key, weights.value))
-    return _Projected.apply(inputs, anchor, *projections)  # type: ignore[return-value]
+    return _Projected.apply(inputs, anchor, *projections)
 
 
 class _Projected(torch.autograd.Function):

@@ -76,7 +76,7 @@ def decode(
         camera_centre.detach().to(dtype=torch.float32, device="cpu"),
         (with_distance, features is not None), index,
         anchors.centres, anchors.offsets, read, anchors.log_scales, *_tensors(decoder),
-    )  # type: ignore[misc]  # fmt: skip
+    )  # fmt: skip
     return Splats(
         means=means, quaternions=quaternions, scales=scales, opacities=opacities, colours=colours,
         rows=rows, slots=slots, decoded=index,

@@ -68,7 +68,7 @@ def attend(
     if not applies(query, key, value, *([] if centres is None else [centres])):
         raise ValueError("expected torch.float32 on the CPU")
     query = query if scaled else query / math.sqrt(key.shape[1])
-    return _Attend.apply(near, rows, plain(centres), radius, query, key, value)  # type: ignore[return-value]
+    return _Attend.apply(near, rows, plain(centres), radius, query, key, value)
 
 
 class _Attend(torch.autograd.Function):

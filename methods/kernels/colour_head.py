@@ -54,7 +54,7 @@ def adapt(
     if not applies(colours, of_each, head):
         raise ValueError("expected torch.float32 on the CPU and a head of three layers")
     first, second, third = head.weights
-    return _Adapt.apply(  # type: ignore[return-value]
+    return _Adapt.apply(
         owner, colours, of_each, first[:3], second, head.biases[1], third, head.biases[2]
     )
 

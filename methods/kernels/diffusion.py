@@ -33,7 +33,7 @@ def diffused(
     """
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in (values, across, down)):
         raise ValueError("expected torch.float32 on the CPU")
-    return _Diffuse.apply(values, across, down, sweeps)  # type: ignore[return-value]
+    return _Diffuse.apply(values, across, down, sweeps)
 
 
 class _Diffuse(torch.autograd.Function):

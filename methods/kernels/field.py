@@ -47,7 +47,7 @@ def evaluate(
         raise ValueError(
             f"{len(grids)} grids and {len(network)} tensors of a network, expected 4 and 4"
         )
-    return _Evaluate.apply(places, *grids, *network)  # type: ignore[return-value]
+    return _Evaluate.apply(places, *grids, *network)
 
 
 class _Evaluate(torch.autograd.Function):

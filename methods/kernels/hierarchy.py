@@ -108,7 +108,7 @@ def decode(
         _Facts(settings, time, camera_centre, index, features is not None, unit, middle),
         len(stored),
         *stored, *_tensors(networks),
-    )  # type: ignore[misc]  # fmt: skip
+    )  # fmt: skip
     return Splats(
         means=means, quaternions=quaternions, scales=scales, opacities=opacities, colours=colours,
         rows=rows, slots=slots, decoded=index,

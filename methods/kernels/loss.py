@@ -54,7 +54,7 @@ def photometric(
         )
     if truth.requires_grad:
         raise ValueError("truth requires a gradient, but the loss has none by it; detach it")
-    return _Photometric.apply(image, truth, dssim, mask)  # type: ignore[return-value]
+    return _Photometric.apply(image, truth, dssim, mask)
 
 
 class _Photometric(torch.autograd.Function):

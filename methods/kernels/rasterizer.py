@@ -106,7 +106,7 @@ def rasterize(
     probes = (None, None) if probe is None else (probe.signed, probe.absolute)
     asked = (mode == "antialiased", EXACT, distance, median, contributors)
     images = _Rasterize.apply(camera, asked, *model, background, *probes)
-    return RenderOutput(**dict(zip(_NAMES, images, strict=True)))  # type: ignore[arg-type]
+    return RenderOutput(**dict(zip(_NAMES, images, strict=True)))
 
 
 def rasterize_roughly(
@@ -151,7 +151,7 @@ def rasterize_roughly(
     check_background(background, 3)
     asked = (mode == "antialiased", shortcuts, False, False, 0)
     images = _Rasterize.apply(camera, asked, *model, background, None, None)
-    return RenderOutput(**dict(zip(_NAMES, images, strict=True)))  # type: ignore[arg-type]
+    return RenderOutput(**dict(zip(_NAMES, images, strict=True)))
 
 
 def rasterize_again(
@@ -201,7 +201,7 @@ def rasterize_again(
         nothing = alpha.new_zeros(*alpha.shape, colours.shape[1])
         return RenderOutput(colour=nothing, alpha=alpha, depth=depth, radii=drawn.radii)
     image = _Again.apply(node, alpha, depth, *shape, colours)
-    return RenderOutput(colour=image, alpha=alpha, depth=depth, radii=drawn.radii)  # type: ignore[arg-type]
+    return RenderOutput(colour=image, alpha=alpha, depth=depth, radii=drawn.radii)
 
 
 def is_drawn(output: RenderOutput) -> bool:

@@ -35,7 +35,7 @@ def stored_harmonics(
     """
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in (rest, log_scales, logits)):
         raise ValueError("expected torch.float32 on the CPU")
-    return _Stored.apply(rest, log_scales, logits, steps)  # type: ignore[return-value]
+    return _Stored.apply(rest, log_scales, logits, steps)
 
 
 class _Stored(torch.autograd.Function):

@@ -70,7 +70,7 @@ def support(
     return _Support.apply(
         (*pairs, seen, modulated, gated), features, centres, quaternions, scales,
         *_parameters(network),
-    )  # type: ignore[return-value]  # fmt: skip
+    )  # fmt: skip
 
 
 def _parameters(network: SupportNetwork) -> list[Tensor]:

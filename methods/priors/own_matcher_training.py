@@ -30,6 +30,7 @@ from splatproof.methods.priors.unet import fitted
 from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
     observations,
+    rows_of,
     seen_by_both,
     select_pairs,
 )
@@ -74,7 +75,7 @@ def pairs_of(scene: Scene) -> Iterator[tuple[View, View, Float[Tensor, "n 3"]]]:
         scene: A made world, with its truth.
     Raises: DataError where a view has no true depth.
     """
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     views, positions = scene.train_views, scene.points.positions
     for view in views:
         if view.load_depth is None:

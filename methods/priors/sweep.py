@@ -14,6 +14,7 @@ from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
     observations,
     points_of,
+    rows_of,
     seen_by_both,
     select_pairs,
 )
@@ -43,7 +44,7 @@ def prepare(scene: Scene, weights: Path | None, seed: int) -> Callable[[int], De
         seed: Not used; it draws nothing.
     Raises: UsageError where no training view shares points with another.
     """
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     centres = torch.stack([view.camera.centre for view in scene.train_views])
     pairs = select_pairs(centres, scene.points.positions, seen, PAIRS) if seen.nnz else []
     if not pairs:

@@ -27,6 +27,7 @@ from splatproof.reference.supervision.dense_initialisation import (
     observations,
     points_of,
     points_of_pair,
+    rows_of,
     seen_by_both,
     select_pairs,
 )
@@ -78,7 +79,7 @@ def with_dense_points(
     matcher = _network(settings)
     without = f"dense_cell {cell:g}: no points of matched photos are added, for"
     instead = "dense_cell 0 goes without"
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     if len(scene.train) == 1:
         say(f"{without} the only training view has no partner; {instead}")
         return scene
@@ -122,7 +123,7 @@ def chosen_pairs(scene: Scene, settings: DenseSettings) -> list[tuple[int, int]]
         scene: A scene with sparse points and tracks.
         settings: Which images form pairs.
     """
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     centres = torch.stack([view.camera.centre for view in scene.train_views])
     return select_pairs(centres, scene.points.positions, seen, settings)
 

@@ -121,9 +121,8 @@ class DensityControl:
         self.settings = shrunk(settings, iterations)
         self.extent, self.rules = extent, rules
         self.statistic: Statistic = statistic
-        self.needs: frozenset[Statistic] = frozenset(
-            {statistic, "absolute"} if settings.split_gradient else {statistic}
-        )
+        needs: set[Statistic] = {statistic, "absolute"} if settings.split_gradient else {statistic}
+        self.needs = frozenset(needs)
         self.gradient_sum = self.absolute_sum = self.seen = torch.zeros(0)
 
     def watches(self, step: int) -> bool:

@@ -102,4 +102,4 @@ def fake_quantise(
 
     Source: StitchGS, Sec. 3.2.4 (Q_8, straight-through estimator).
     """
-    return _StraightThrough.apply(values, low.to(values), reach.to(values))  # type: ignore[return-value]
+    return _StraightThrough.apply(values, low.to(values), reach.to(values))

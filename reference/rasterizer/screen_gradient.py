@@ -66,4 +66,4 @@ def pixel_offsets(
     offsets = pixels[:, None, :] - means[None, :, :]
     if probe is None:
         return offsets
-    return _Collect.apply(offsets, probe.signed, probe.absolute)  # type: ignore[return-value]
+    return _Collect.apply(offsets, probe.signed, probe.absolute)

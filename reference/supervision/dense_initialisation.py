@@ -1,9 +1,9 @@
 """Dense co-visibility initialisation: match pairs, triangulate, score, merge in voxels."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 import torch
@@ -94,6 +94,16 @@ def observations(points: SparsePoints, views: int) -> csr_array:
     return seen.T.tocsr()
 
 
+def rows_of(seen: csr_array, views: Sequence[int]) -> csr_array:
+    """What some views see, as a matrix of their rows alone.
+
+    Args:
+        seen: See `observations`.
+        views: Rows to take, in the order wanted.
+    """
+    return _rows(seen, list(views))
+
+
 def points_of(seen: csr_array, view: int) -> Int[Tensor, " m"]:
     """Points that a view sees.
 
@@ -152,7 +162,7 @@ def select_pairs(
         np.searchsorted(first, np.arange(len(centres)), side) for side in ("left", "right")
     )
     by_value = [np.argsort(points[:, axis].numpy(), kind="stable") for axis in range(3)]
-    sorted_seen = [seen[:, order].sorted_indices() for order in by_value]
+    sorted_seen = [cast(csr_array, seen[:, order]).sorted_indices() for order in by_value]
     found = np.zeros(len(centres), np.int64)
     low, high = settings.angles
     pairs = set()
@@ -171,13 +181,17 @@ def select_pairs(
     return sorted(pairs)
 
 
+def _rows(seen: csr_array, chosen: list[int] | np.ndarray) -> csr_array:
+    return cast(csr_array, seen[chosen])  # scipy has no types, and its index has many forms
+
+
 def _middle(seen: csr_array, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """The lower middle one of the points that each of some pairs of views share, in the order of the columns."""
     size = max(1, AT_ONCE // int(np.diff(seen.indptr).max()))
     found = []
     for begin in range(0, len(first), size):
         part = slice(begin, begin + size)
-        both = (seen[first[part]] * seen[second[part]]).tocsr()
+        both = (_rows(seen, first[part]) * _rows(seen, second[part])).tocsr()
         found.append(both.indices[(both.indptr[:-1] + both.indptr[1:] - 1) // 2])
     return np.concatenate(found)
 

@@ -68,8 +68,9 @@ def match_by_flow(
     # the preset stops at half the resolution, where depth errors are three times as large
     search.setFinestScale(0)
     search.setPatchStride(PATCH_STRIDE)
-    forward = search.calc(gray_a, gray_b, None)  # type: ignore[call-overload]
-    backward = search.calc(gray_b, gray_a, None)  # type: ignore[call-overload]
+    # cv2's own stub asks for a flow to start from; cv2 takes None
+    forward = search.calc(gray_a, gray_b, None)  # pyrefly: ignore[no-matching-overload]
+    backward = search.calc(gray_b, gray_a, None)  # pyrefly: ignore[no-matching-overload]
     landed = centres + forward
     returned = forward + _read(backward, landed)
     agreement = np.exp(-np.square(returned).sum(axis=-1) / (2 * AGREEMENT**2))

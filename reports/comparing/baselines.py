@@ -109,7 +109,7 @@ def path_of(name: str, folder: Path = FOLDER) -> Path:
 
 def _packed(run: Measured) -> dict[str, Any]:
     """A case's numbers with the names of its images' metrics written once."""
-    plain = asdict(run)
+    plain: dict[str, Any] = asdict(run)
     if math.isinf(run.late_gain):  # JSON has no such number
         del plain["late_gain"]
     plain["settings"] = _named(plain["settings"])

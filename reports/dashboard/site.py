@@ -108,7 +108,7 @@ class Site:
                 return self._data(name)
             case ("record", _) if path.suffix == ".json":
                 run = self.state.runs.get(path.stem)
-                return run and read_file(run.files, self.uri, "record.json")
+                return None if run is None else read_file(run.files, self.uri, "record.json")
             case ("picture", run, kind, file) if path.suffix == ".png":
                 return self.picture(run, kind, file)
             case ("thumb", run, kind, file) if path.suffix == ".jpg":

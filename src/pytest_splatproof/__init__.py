@@ -116,7 +116,7 @@ def runs_of(config: pytest.Config) -> "Runs":
     return made
 
 
-RUNS = pytest.StashKey["Runs"]()
+RUNS: "pytest.StashKey[Runs]" = pytest.StashKey()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -1,6 +1,7 @@
 """What the pictures share: figures without a screen, images with titles, saving."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -28,7 +29,7 @@ def panels(columns: int, *, width: float = 10.0, ratio: float = 0.75) -> tuple[F
     return figure, list(axes)
 
 
-def show_image(axes: Axes, image: np.ndarray, title: str, **options: object) -> None:
+def show_image(axes: Axes, image: np.ndarray, title: str, **options: Any) -> None:
     """An image or map without ticks under its title.
 
     Args:
@@ -37,7 +38,7 @@ def show_image(axes: Axes, image: np.ndarray, title: str, **options: object) -> 
         title: Line above it.
         options: Further arguments of matplotlib's imshow.
     """
-    axes.imshow(image, interpolation="nearest", **options)  # type: ignore[arg-type]
+    axes.imshow(image, interpolation="nearest", **options)
     axes.set_title(title, fontsize=9)
     axes.set_xticks([])
     axes.set_yticks([])

@@ -26,7 +26,7 @@ class GaussianScene:
 
     def but(self, **changes: Tensor | Camera) -> "GaussianScene":
         """The same scene with some parameters replaced."""
-        return replace(self, **changes)  # type: ignore[arg-type]
+        return replace(self, **changes)
 
 
 def camera_at(width: int, height: int, *, turn: float = 0.1, near: float = 0.01) -> Camera:

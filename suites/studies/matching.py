@@ -66,7 +66,8 @@ def rows(*, quick: bool, roma: Path | None = None) -> Iterator[Row]:
         for threshold, values in SWEEP.items():
             for value in (values[0], values[-1]) if quick else values:
                 if value != getattr(DenseSettings(), threshold):
-                    moved = replace(DenseSettings(), **{threshold: value})
+                    change: dict[str, Any] = {threshold: value}
+                    moved = replace(DenseSettings(), **change)
                     row = {"scene": name, "threshold": threshold, "value": value}
                     yield row | quality(scene, moved)
 

@@ -37,7 +37,7 @@ def rows(*, quick: bool) -> Iterator[dict[str, Any]]:
         scene = open_scene("courtyard", protocol)
     seen = dense.observations(scene.points, len(scene.views))
     batches = dense_batches(scene, seen, 4 if quick else 12)
-    reference = int(seen[list(scene.train)].sum(axis=1).argmax())
+    reference = int(dense.rows_of(seen, scene.train).sum(axis=1).argmax())
     camera = scene.views[scene.train[reference]].camera
     held = scene.points.positions[dense.points_of(seen, scene.train[reference])]
     eps = SHARE * float(project_points(camera, held)[1].median())
@@ -65,7 +65,7 @@ def dense_batches(scene: Scene, seen: csr_array, most: int) -> list[dense.DenseP
     Returns: The points of each pair, apart.
     """
     settings = dense.DenseSettings()
-    trained = seen[list(scene.train)]
+    trained = dense.rows_of(seen, scene.train)
     centres = torch.stack([scene.views[i].camera.centre for i in scene.train])
     pairs = dense.select_pairs(centres, scene.points.positions, trained, settings)
     shared = {pair: dense.seen_by_both(trained, *pair) for pair in pairs}

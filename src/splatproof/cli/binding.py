@@ -38,5 +38,5 @@ def bound(
     command = inspect.unwrap(command)
     command.__doc__ = f"{title}\n\n{inspect.cleandoc(function.__doc__ or '')}"
     command.__annotations__ = {name: hint for name, hint in hints.items() if name not in gone}
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature(parameters)
     return command

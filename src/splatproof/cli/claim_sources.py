@@ -169,7 +169,8 @@ def read_checked(path: Path) -> dict[str, Checked]:
     found = {}
     for row in _listing(path) if path.is_file() else ():
         try:
-            one = Checked(**{**row, "values": tuple(map(float, row["values"]))})
+            told: dict[str, Any] = {**row, "values": tuple(map(float, row["values"]))}
+            one = Checked(**told)
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"{path}: not a measured check ({error}): {str(row)[:80]}") from None
         found[one.check] = one

@@ -96,7 +96,7 @@ def with_flags(
     command.__name__, command.__doc__ = function.__name__, function.__doc__
     kinds = {name: kind for name, (kind, _) in added.items()}
     command.__annotations__ = get_type_hints(function, include_extras=True) | kinds
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    command.__signature__ = inspect.Signature(parameters)
     return command
 
 

@@ -5,7 +5,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import tyro
 
@@ -207,8 +207,8 @@ def write_page(study: Study, machine: dict[str, str], rows: list[Row], page: Pat
         page: Markdown file to write.
     """
     assert study.page is not None
-    kept: Any = [{key: _short(value) for key, value in row.items()} for row in rows]
-    kept = output.finite(kept)
+    short = [{key: _short(value) for key, value in row.items()} for row in rows]
+    kept = cast(list[Row], output.finite(short))
     folder = page.parent / "images" / page.stem
     drawn = study.pictures(kept, folder) if study.pictures else []
     lines = ",\n".join("  " + json.dumps(row, ensure_ascii=False) for row in kept)
