@@ -46,7 +46,7 @@ def test_a_wrong_shape_is_refused_and_a_right_one_is_not():
 def test_a_dataclass_is_checked_whenever_one_is_made():
     with pytest.raises(jaxtyping.TypeCheckError):
         GeometryScores(
-            accuracy="0",  # pyright: ignore[reportArgumentType]
+            accuracy="0",  # pyrefly: ignore[bad-argument-type]
             completeness_distance=0.0,
             precision=0.0,
             completeness=0.0,

@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -168,9 +169,9 @@ def test_measured_checks_are_kept_and_given_to_the_page(tmp_path: Path):
     assert committed(tmp_path, ["street"]).runs == {}
 
 
-def claim(**changed) -> Claim:
-    plain = {"paper": "P", "text": "t", "suite": "tunnel", "row": "scaffold-gs", "other": "3dgs",
-             "metric": "psnr", "protocol": "tunnel"}  # fmt: skip
+def claim(**changed: Any) -> Claim:
+    plain: dict[str, Any] = {"paper": "P", "text": "t", "suite": "tunnel", "row": "scaffold-gs", "other": "3dgs",
+                             "metric": "psnr", "protocol": "tunnel"}  # fmt: skip
     return Claim(**{**plain, **changed})
 
 

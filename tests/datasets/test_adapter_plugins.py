@@ -101,7 +101,8 @@ def no_file(folder):
 
 WRONG = dataclasses.replace(FILM, open=wrong_open)
 BLIND = dataclasses.replace(FILM, recognises=no_file)
-SILENT = dataclasses.replace(FILM, open=lambda folder, protocol: None)
+# what no adapter may return
+SILENT = dataclasses.replace(FILM, open=lambda folder, protocol: None)  # pyrefly: ignore[bad-argument-type]
 
 
 @pytest.mark.parametrize(

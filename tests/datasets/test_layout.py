@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ PHOTO = PosedPhoto(
 LAYOUT = Layout(adapter="rig", photos=(PHOTO,), points=plain_points(CLOUD, GREY))
 
 
-def shot(**change: object) -> Layout:
+def shot(**change: Any) -> Layout:
     return replace(LAYOUT, photos=(PHOTO, replace(PHOTO, name="1.png", **change)))
 
 

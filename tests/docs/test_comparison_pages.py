@@ -6,6 +6,7 @@ from dataclasses import fields as fields_of
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -139,19 +140,19 @@ def test_pictures_at_hand_take_the_places_of_those_before():
     assert pictures_of([b], [own], [{"row": "y"}]) == [b]
 
 
-def row(name: str, seed: int = 0, **changed) -> Measured:
+def row(name: str, seed: int = 0, **changed: Any) -> Measured:
     values = {"psnr": 20.0 + seed, "disk_mb": 2.0, "render_ms": 20.0, **changed.pop("values", {})}
-    plain = {"scene": "s", "row": name, "protocol": "p", "seed": seed, "steps": 100, "grown": 2,
-             "late_gain": 0.1, "machine": "cores 2", "data": "d", "values": values,
-             "images": {"v": {"psnr": values["psnr"]}}}  # fmt: skip
+    plain: dict[str, Any] = {"scene": "s", "row": name, "protocol": "p", "seed": seed, "steps": 100, "grown": 2,
+                             "late_gain": 0.1, "machine": "cores 2", "data": "d", "values": values,
+                             "images": {"v": {"psnr": values["psnr"]}}}  # fmt: skip
     return Measured(**{**plain, **changed})
 
 
-def small_page(rows: list[Measured], **changed) -> Page:
+def small_page(rows: list[Measured], **changed: Any) -> Page:
     claim = Claim(paper="P", text="a is better", row="a", other="b", metric="psnr", printed=3.0)
-    plain = {"suite": "street", "title": "T", "intro": "I", "findings": "",
-             "planned": {("s", "p", "a"): 3, ("s", "p", "a@half"): 1, ("s", "p", "b"): 3},
-             "rows": rows, "claims": [claim], "printed": ()}  # fmt: skip
+    plain: dict[str, Any] = {"suite": "street", "title": "T", "intro": "I", "findings": "",
+                             "planned": {("s", "p", "a"): 3, ("s", "p", "a@half"): 1, ("s", "p", "b"): 3},
+                             "rows": rows, "claims": [claim], "printed": ()}  # fmt: skip
     return Page(**{**plain, **changed})
 
 
@@ -202,7 +203,8 @@ def test_a_row_of_another_length_that_a_claim_compares_is_in_the_tables(side):
     planned = {("s", p, name): 3 for p in "pq" for name in ("a", "a@half", "a@c-double")}
     double = [row("a@c-double", seed, values={"psnr": 23.0 + seed}) for seed in range(3)]
     rows = [replace(one, protocol=p) for p in "pq" for one in (*some_rows(), *double)]
-    claims = [replace(claim, **{side: "a@c-double"}) for claim in small_page([]).claims]
+    double_side: dict[str, Any] = {side: "a@c-double"}
+    claims = [replace(claim, **double_side) for claim in small_page([]).claims]
     text = render_page(small_page(rows, planned=planned, claims=claims), [])
     beside, *places = text.split("\n## ")[2:]
     assert "| a@c-double | 24.00 ± 2.48 | 24.00 ± 2.48 |" in beside

@@ -1,10 +1,8 @@
 """Calls of the native layer with what nobody should give it, drawn at random."""
 
-# Wrong arguments are what is tried here.
-# pyright: reportArgumentType=false, reportCallIssue=false
-
 import random
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -91,7 +89,7 @@ def model(draw: random.Random) -> dict[str, Tensor]:
 
 
 def draw_and_differentiate(draw: random.Random) -> None:
-    parts = {name: spoiled(draw, value) for name, value in model(draw).items()}
+    parts: dict[str, Any] = {name: spoiled(draw, value) for name, value in model(draw).items()}
     if draw.random() < 0.3:
         channels = draw.choice((0, 1, 2, 3, 5, 16, 31, 32, 33))
         parts["colours"] = spoiled(draw, numbers(draw, len(parts["means"]), channels))
@@ -182,8 +180,11 @@ def bare(draw: random.Random) -> None:
         numbers(draw, plain, draw.choice((3, 3, 3, 2))) if plain or draw.random() < 0.1 else None
     )
     rest = numbers(draw, lit, draw.choice((0, 3, 8, 15))) if draw.random() < 0.3 else None
+    means, quaternions, scales, opacities = (
+        spoiled(draw, values[name]) for name in ("means", "quaternions", "scales", "opacities")
+    )
     made = _ext.Model(
-        *(spoiled(draw, values[name]) for name in ("means", "quaternions", "scales", "opacities")),
+        means, quaternions, scales, opacities,
         None if colours is None else spoiled(draw, colours), spoiled(draw, values["sh"][:lit]),
         draw.choice((k, k, 0, -1, 16, 17)), draw.random() < 0.5, draw.random() < 0.5, rest,
     )  # fmt: skip
@@ -199,12 +200,14 @@ def bare(draw: random.Random) -> None:
         weights = torch.empty(height, width, draw.choice((2, 2, 3)))
     else:
         ids = weights = None
-    pictures, radii = [spoiled(draw, p) for p in pictures], spoiled(draw, radii)
+    (colour, alpha, depth), radii = [spoiled(draw, p) for p in pictures], spoiled(draw, radii)
     state = _ext.render(
         made,
         *native_camera(view),
         background(draw),
-        *pictures,
+        colour,
+        alpha,
+        depth,
         radii,
         None,
         None,
@@ -218,9 +221,9 @@ def bare(draw: random.Random) -> None:
         torch.empty(n, 2), draw.choice((None, torch.empty(n, 2))), draw.choice((None, torch.empty(n, 3))),
     ]  # fmt: skip
     given = [None if g is None else spoiled(draw, g) for g in gradients]
-    colour = spoiled(draw, numbers(draw, height, width, 3))
+    pull = spoiled(draw, numbers(draw, height, width, 3))
     _ext.render_backward(
-        state, made, background(draw), pictures[1], pictures[2], None, colour, None, None, None, None,
+        state, made, background(draw), alpha, depth, None, pull, None, None, None, None,
         *given,
     )  # fmt: skip
 
@@ -237,7 +240,7 @@ def huge(draw: random.Random) -> None:
 
 def flood(draw: random.Random) -> None:
     """Gaussians that each cover the whole image, and bands of one pair."""
-    values = model(draw)
+    values: dict[str, Any] = {**model(draw)}
     values["scales"] = values["scales"] * 0 + 10.0 ** draw.randint(-2, 8)
     values["means"][:, 2] = 1
     _ext.set_backward_rows(draw.choice((0, 1, 50)))
@@ -295,10 +298,10 @@ def attention(draw: random.Random) -> None:
     rows = torch.randperm(n, generator=g)[: draw.choice((0, 1, n))].sort().values
     if draw.random() < 0.1 and len(rows):
         rows[draw.randrange(len(rows))] = draw.choice((-1, 0, n, 2**40))
-    parts = [spoiled(draw, numbers(draw, len(rows), c)) for c in (width, width, out)]
+    query, key, value = (spoiled(draw, numbers(draw, len(rows), c)) for c in (width, width, out))
     centres = draw.choice((None, spoiled(draw, numbers(draw, n, 3))))
     radius = draw.choice((0.0, 1.0, float("inf"), float("nan"), -1.0))
-    state = _ext.Attended(near, *parts, spoiled(draw, rows), centres, radius)
+    state = _ext.Attended(near, query, key, value, spoiled(draw, rows), centres, radius)
     del near
     _ext.attend(state, spoiled(draw, torch.empty(len(rows), out)))
     made = [spoiled(draw, torch.empty(len(rows), c)) for c in (width, width, out)]
@@ -363,7 +366,8 @@ def support(draw: random.Random) -> None:
         if parts[i].is_floating_point():
             parts[i].requires_grad_()
     out = native_support.support(
-        network, *parts, (spoiled(draw, receives), spoiled(draw, gives), ends),
+        network, parts[0], parts[1], parts[2], parts[3],
+        (spoiled(draw, receives), spoiled(draw, gives), ends),
         spoiled(draw, torch.tensor(seen, dtype=torch.int64)),
         modulated=draw.random() < 0.7, gated=draw.random() < 0.7,
     )  # fmt: skip
@@ -393,10 +397,12 @@ def layers(draw: random.Random) -> None:
     spoil = draw.random() < 0.3
     positions = numbers(draw, n, 3, spoil=spoil).double()
     depths = (pixels + 1).double() * 10.0 ** draw.randint(-8, 2)  # rising: sorted
-    parts = [pixels, numbers(draw, n).double() if spoil else depths, positions]
+    depths = numbers(draw, n).double() if spoil else depths
     K, pose, width, height, _ = native_camera(reference)
     made = _ext.Layers(
-        *(spoiled(draw, part) for part in parts),
+        spoiled(draw, pixels),
+        spoiled(draw, depths),
+        spoiled(draw, positions),
         K,
         pose,
         width,

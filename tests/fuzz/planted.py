@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 from fuzz.bounds import SECONDS
 from fuzz.layout import Layout
@@ -20,7 +21,7 @@ def _raises(path: Path) -> object:
     return int("three")
 
 
-def _long(path: Path) -> object:
+def _long(path: Path) -> NoReturn:
     while True:
         pass
 
@@ -56,7 +57,7 @@ def _dies(path: Path) -> object:
     os.abort()
 
 
-def _hangs(path: Path) -> object:
+def _hangs(path: Path) -> NoReturn:
     while True:
         time.sleep(1)
 

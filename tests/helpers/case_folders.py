@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ def result(
     spread: float = 0.05,
     names: Sequence[str] = NAMES,
     protocol: Protocol | None = None,
-    **changes: object,
+    **changes: Any,
 ) -> Result:
     """A plausible result; the scores depend on scene, method and seed alone.
 

@@ -1,6 +1,7 @@
 """Sides of a comparison made of arrays: what runs would have measured, without runs."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,11 @@ from splatproof.reports.comparing.cases import CaseRecord
 from splatproof.reports.comparing.sides import Side
 from splatproof.reports.measured import Measured
 
-RULES = {"name": "p", "metrics": ["psnr", "ssim_3dgs", "flip", "delta_e_2000"], "rounding": "round"}
+RULES: dict[str, object] = {
+    "name": "p",
+    "metrics": ["psnr", "ssim_3dgs", "flip", "delta_e_2000"],
+    "rounding": "round",
+}
 METRICS = ("psnr", "ssim_3dgs", "flip", "delta_e_2000")
 SCALES = {"psnr": 1.0, "ssim_3dgs": 0.01, "flip": -0.02, "delta_e_2000": -0.3}
 """What a dB of PSNR is worth in each metric, in this made-up world."""
@@ -30,7 +35,7 @@ def case(scene: str, seed: int, scores: Mapping[str, np.ndarray], **changed) -> 
     values = {name: float(np.mean(own)) for name, own in scores.items()} | changed.pop("values", {})
     run = {"scene": scene, "row": "3dgs", "protocol": "p", "seed": seed, "steps": 10, "grown": 2,
            "values": values, "images": images} | changed.pop("measured", {})  # fmt: skip
-    plain = {
+    plain: dict[str, Any] = {
         "suite": "s", "measured": Measured(**run), "rules": RULES, "settings": {"lr": 0.1},
         "environment": {"commit": "0123abcd", "python": "3.11"}, "split": "split",
         "truth": {name: f"sha of {name}" for name in images},

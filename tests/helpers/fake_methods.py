@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +148,6 @@ def run_case_that_leaves_a_thread(job: Job, tell: Tell) -> None:
     run_fake_case(job, tell)
 
 
-def settings_table(**values: object) -> dict[str, object]:
+def settings_table(**values: Any) -> dict[str, Any]:
     """All settings as a result records them."""
-    return asdict(FakeSettings(**values))  # pyright: ignore[reportArgumentType]
+    return asdict(FakeSettings(**values))

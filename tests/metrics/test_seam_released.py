@@ -195,4 +195,4 @@ def test_a_scene_is_the_mean_of_the_views_in_which_it_is_defined():
 def test_a_depth_that_is_not_finite_is_refused():
     image = noise_image(5, 6, 0)
     with pytest.raises(DataError, match="not finite"):
-        seam_view_released(image, image, image[..., 0] / 0, image[..., 0] > 0.5)
+        seam_view_released(image, image, image[..., 0] * math.nan, image[..., 0] > 0.5)

@@ -5,6 +5,7 @@ import io
 import math
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -22,12 +23,12 @@ from splatproof.reports.table import Row, Table
 from splatproof.suites.environment import environment
 
 
-def seeds(count: int = 3, **named: object) -> list[Result]:
-    return [result(seed=seed, **named) for seed in range(count)]  # type: ignore[arg-type]
+def seeds(count: int = 3, **named: Any) -> list[Result]:
+    return [result(seed=seed, **named) for seed in range(count)]
 
 
-def of(results: Sequence[Result], **changes: object) -> list[Result]:
-    return [dataclasses.replace(one, **changes) for one in results]  # type: ignore[arg-type]
+def of(results: Sequence[Result], **changes: Any) -> list[Result]:
+    return [dataclasses.replace(one, **changes) for one in results]
 
 
 def only_table(results: Sequence[Result]) -> Table:
@@ -122,8 +123,8 @@ def test_one_name_with_two_sets_of_rules_is_two_protocols():
     assert all("other rules" in table.warnings[0] for table in tables)
 
 
-def with_image(one: Result, **changes: object) -> Result:
-    changed = dataclasses.replace(one.images[0], **changes)  # type: ignore[arg-type]
+def with_image(one: Result, **changes: Any) -> Result:
+    changed = dataclasses.replace(one.images[0], **changes)
     return dataclasses.replace(one, images=(changed, *one.images[1:]))
 
 
@@ -343,9 +344,10 @@ def test_markdown_marks_the_best_and_says_the_rest():
 
 def test_the_terminal_shows_every_number_that_markdown_shows():
     tables = [only_table([*CLEAR, *seeds(1, method="[red]x", psnr=30.0)])]
-    console = Console(file=io.StringIO(), width=200)
+    file = io.StringIO()
+    console = Console(file=file, width=200)
     console.print(text.terminal(tables, console.width))
-    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    shown = file.getvalue()
     for row in tables[0].rows:
         for cell, _ in text.texts(tables[0], row):
             assert cell in shown
@@ -355,9 +357,10 @@ def test_the_terminal_shows_every_number_that_markdown_shows():
 @pytest.mark.parametrize("width", [50, 60, 80, 100, 160])
 def test_a_narrow_terminal_breaks_tables_between_columns_and_no_number(width: int):
     table = only_table([*CLEAR, *seeds(1, method="with_a_long_name", psnr=30.0)])
-    console = Console(file=io.StringIO(), width=width)
+    file = io.StringIO()
+    console = Console(file=file, width=width)
     console.print(text.terminal([table], width))
-    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    lines = file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     for row in table.rows:
         own = " ".join(line for line in lines if re.search(rf" {row.label} ", line))

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 import cv2
 import numpy as np
@@ -36,14 +37,14 @@ class WithoutPictures(StoredResult):
         return None
 
 
-def page(results: list[Result], **named: object) -> str:
+def page(results: list[Result], **named: Any) -> str:
     stored = [WithoutPictures(one, "sqlite:///x.db", str(i)) for i, one in enumerate(results)]
-    return render_page(build_tables(results), stored, "sqlite:///x.db", WHEN, **named)  # type: ignore[arg-type]
+    return render_page(build_tables(results), stored, "sqlite:///x.db", WHEN, **named)
 
 
-def of_store(stored: list[StoredResult], **named: object) -> str:
+def of_store(stored: list[StoredResult], **named: Any) -> str:
     tables = build_tables([one.result for one in stored])
-    return render_page(tables, stored, stored[0].uri, WHEN, **named)  # type: ignore[arg-type]
+    return render_page(tables, stored, stored[0].uri, WHEN, **named)
 
 
 @pytest.fixture(scope="module")

@@ -56,8 +56,8 @@ def runs_of(uri: str, *, parents: bool = False) -> list:
     return [run for run in runs if (run.data.tags[STATE] == SUITE) == parents]
 
 
-def write(out: Path, seed: int = 0, **changes: object) -> Path:
-    case = dataclasses.replace(case_folders.result(seed=seed), **changes)  # type: ignore[arg-type]
+def write(out: Path, seed: int = 0, **changes: Any) -> Path:
+    case = dataclasses.replace(case_folders.result(seed=seed), **changes)
     return case_folders.write_case(out, case)
 
 
@@ -247,12 +247,12 @@ def test_a_store_that_dies_midway_ends_the_loop(
     folders = [write(tmp_path, seed) for seed in range(4)]
     honest, calls = MlflowClient.log_artifacts, []
 
-    def failing(*args: object, **names: object) -> object:
+    def failing(*args: Any, **names: Any) -> object:
         calls.append(args)
         if len(calls) > 6:  # four folders of files a case: dies within the second
             monkeypatch.setattr(MlflowClient, "search_experiments", refuse)
             raise MlflowException("connection reset\nsecond line")
-        return honest(*args, **names)  # type: ignore[arg-type]
+        return honest(*args, **names)
 
     def refuse(*_: object, **__: object) -> object:
         raise MlflowException("connection refused")
@@ -387,7 +387,10 @@ def test_the_key_of_a_case_sees_settings_and_rules_but_not_scores():
     case = case_folders.result()
     same = dataclasses.replace(case, metrics={}, settings=dict(reversed(case.settings.items())))
     assert run_data.case_key(same) == run_data.case_key(case)
-    for change in ({"seed": 7}, {"settings": {"iterations": 1}}, {"protocol_rules": {"hold": 3}}):
+    others: list[dict[str, Any]] = [
+        {"seed": 7}, {"settings": {"iterations": 1}}, {"protocol_rules": {"hold": 3}},
+    ]  # fmt: skip
+    for change in others:
         assert run_data.case_key(dataclasses.replace(case, **change)) != run_data.case_key(case)
 
 

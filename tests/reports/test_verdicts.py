@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +18,12 @@ CLAIM = Claim(paper="ours", text="a is better", row="a", other="b", metric="psnr
 NAMES = tuple(f"view_{i}" for i in range(6))
 
 
-def run(row: str, seed: int, scores, **changed) -> Measured:
+def run(row: str, seed: int, scores, **changed: Any) -> Measured:
     """A finished run with a PSNR for each view."""
     images = {name: {"psnr": float(v)} for name, v in zip(NAMES, scores, strict=False)}
     values = {"psnr": float(np.mean(scores)), "disk_mb": 10.0, **changed.pop("values", {})}
-    plain = {"scene": "s", "row": row, "protocol": "p", "seed": seed, "steps": 10, "grown": 3,
-             "late_gain": 0.1, "values": values, "images": images, "data": "one"}  # fmt: skip
+    plain: dict[str, Any] = {"scene": "s", "row": row, "protocol": "p", "seed": seed, "steps": 10, "grown": 3,
+                             "late_gain": 0.1, "values": values, "images": images, "data": "one"}  # fmt: skip
     return Measured(**{**plain, **changed})
 
 
@@ -277,7 +278,7 @@ def test_too_short_to_judge():
 )  # fmt: skip
 def test_rows_that_visit_a_photo_too_seldom_are_too_short(visits, asked, changed, told):
     """One seed is enough to be one; a record that does not say it is not judged by it."""
-    least = dict(zip("ab", visits, strict=True))
+    least: dict[str, int | None] = dict(zip("ab", visits, strict=True))
     found = [
         one if (count := least[one.row]) is None
         else dataclasses.replace(one, counters={"least_visits": count + (one.seed != 1)})

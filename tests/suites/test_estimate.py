@@ -52,7 +52,7 @@ def test_more_iterations_and_more_views_cost_what_the_method_says():
 @pytest.mark.parametrize(
     ("cost", "said"),
     [
-        (lambda settings, scene: 1 / 0, "ZeroDivisionError: division by zero"),
+        (lambda settings, scene: 1 / 0, "ZeroDivisionError: division by zero"),  # pyrefly: ignore[division-by-zero]
         (lambda settings, scene: None, "AttributeError"),
         (lambda settings, scene: Cost(cpu_seconds=-1.0, memory_mb=1.0), "expected 0 or more"),
     ],

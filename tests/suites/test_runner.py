@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, NoReturn
 
 import cv2
 import numpy as np
@@ -57,8 +58,8 @@ def _fakes(monkeypatch):
     fakes(monkeypatch)
 
 
-def case(scene: str = "town", seed: int = 0, **settings: object) -> Case:
-    fake = FakeSettings(**settings)  # pyright: ignore[reportArgumentType]
+def case(scene: str = "town", seed: int = 0, **settings: Any) -> Case:
+    fake = FakeSettings(**settings)
     return Case(scene=scene, method="fake", settings=fake, seed=seed, protocol=PROTOCOL)
 
 
@@ -265,7 +266,7 @@ def test_a_held_out_photo_that_cannot_be_read_is_named_before_training(tmp_path,
 
 
 def test_an_error_that_is_not_ours_is_one_line_with_its_type(tmp_path, monkeypatch):
-    def fit(*_: object) -> None:
+    def fit(*_: object) -> NoReturn:
         raise RuntimeError("first line\nsecond line")
 
     monkeypatch.setitem(METHODS, "fake", replace(METHODS["fake"], fit=fit))
@@ -375,7 +376,7 @@ def test_progress_tells_every_stage_in_order(tmp_path):
 
 
 def test_training_that_had_ended_is_not_repeated(tmp_path, monkeypatch):
-    def stop(*_: object) -> None:
+    def stop(*_: object) -> NoReturn:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:

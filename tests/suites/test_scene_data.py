@@ -6,6 +6,7 @@ import shutil
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,9 +58,9 @@ def town(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-def run(out: Path, seen: list[Progress] | None = None, **settings: object) -> tuple[str, Result]:
+def run(out: Path, seen: list[Progress] | None = None, **settings: Any) -> tuple[str, Result]:
     """Status and result of the one case of the suite."""
-    fake = FakeSettings(**settings)  # pyright: ignore[reportArgumentType]
+    fake = FakeSettings(**settings)
     protocol = load_protocol("default")
     case = Case(scene="town", method="fake", settings=fake, seed=0, protocol=protocol)
     suite = Suite(name="tiny", description="For tests", cases=(case,), scenes=("town",))

@@ -82,7 +82,7 @@ def test_the_held_out_view_does_not_count_and_few_are_asked_for():
         asked.append(view.camera.world_to_camera.numpy().tobytes())
         return whole(view, background)
 
-    model.render = noted  # type: ignore[method-assign]
+    model.render = noted
     assert training_gap(scene, model, RULES, [held(20.0)])["training_gap"] == pytest.approx(
         0.0, abs=1e-3
     )

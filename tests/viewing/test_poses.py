@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -19,7 +20,7 @@ def double(*values: float) -> torch.Tensor:
 
 
 def free(**about):
-    told = {"field": 60.0, "width": 32, "height": 24, "near": 0.01} | about
+    told: dict[str, Any] = {"field": 60.0, "width": 32, "height": 24, "near": 0.01} | about
     return looking(double(1, 2, 3), double(0, 0, 2), double(0.5, -1, 0), **told)
 
 

@@ -4,6 +4,7 @@ import json
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -129,7 +130,8 @@ def test_photos_keep_their_size_where_it_or_the_steps_are_given(asked):
 def test_photos_that_would_lose_something_keep_their_size(lost):
     scene = tiny_scene()
     views = list(scene.views)
-    views[2] = replace(views[2], **{lost: lambda: None})
+    there: dict[str, Any] = {lost: lambda: None}
+    views[2] = replace(views[2], **there)
     scene = replace(scene, views=tuple(views))
     assert planned_photos(scene, ASKED, RUN) == Photos(train=scene.train)
 

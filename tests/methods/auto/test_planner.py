@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -178,7 +179,8 @@ def test_what_is_fixed_is_neither_planned_nor_tried():
 )
 def test_bounds_on_shape_stand_in_the_plan(name, component, usual, why):
     for asked, share, because in ((None, usual, why), (0.0, 0.0, "given"), (2.0, 2.0, "given")):
-        found = planned(replace(AutoSettings(), **{name: asked}))
+        given: dict[str, Any] = {name: asked}
+        found = planned(replace(AutoSettings(), **given))
         assert getattr(found.settings, name) == share
         (told,) = (one for one in found.choices if one.component == component)
         assert because in told.because
@@ -365,7 +367,8 @@ def test_what_larger_steps_learn_is_narrower_on_points():
         (59, {"widest_at_points": 0.0}, 0.0), (59, {"widest_at_points": 0.4}, 0.4),
         (60, {"widest_at_points": 0.4}, 0.4),
     ):  # fmt: skip
-        found = planned(replace(AutoSettings(steps=looks * FEW.views), **asked), facts=FEW)
+        given: dict[str, Any] = asked
+        found = planned(replace(AutoSettings(steps=looks * FEW.views), **given), facts=FEW)
         assert found.settings.widest_at_points == share
         (told,) = (one for one in found.choices if one.component == "largest scale")
         assert ("on start points" in told.value) == ("fog" in told.because) == bool(share)

@@ -41,7 +41,7 @@ SHORT = {
     "density": Density(start=0, interval=10, least_interval=10, stop=25_000, reset_interval=0,
                        gradient=1e-6, largest_size=10.0),
 }  # fmt: skip
-CITY = SHORT | {"blocks": 2}
+CITY: dict[str, Any] = SHORT | {"blocks": 2}
 ROWS = {
     "citygaussian": {"coarse_iterations": 5},
     "vastgaussian": {},
@@ -54,8 +54,9 @@ BARE = {"gcr": False, "quantise": False}
 SCENE = small_scene(60)
 
 
-def run(folder: Path | None = None, **more) -> Run:
-    return Run(**{"folder": folder, "backend": "cpu", "threads": 1, "engine": "inline"} | more)
+def run(folder: Path | None = None, **more: Any) -> Run:
+    usual: dict[str, Any] = {"folder": folder, "backend": "cpu", "threads": 1, "engine": "inline"}
+    return Run(**usual | more)
 
 
 def fit(row: str, at: Run, **more) -> CityModel:
@@ -344,7 +345,7 @@ def straight() -> CityModel:
     return fit("odbp+stitch", run())
 
 
-KILLS = {
+KILLS: dict[str, dict[str, Any]] = {
     "partition": {"on_stage": killed_after("partition")},
     "a block's steps": {"report": killed_at(0.3)},
     "blocks": {"on_stage": killed_after("blocks")},

@@ -5,6 +5,7 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -50,8 +51,16 @@ def spoilt() -> Gaussians:
 def nothing(*_: object) -> None: ...
 
 
-def whole(moving: torch.Tensor | None = None, scene: Scene = SCENE, views=VIEWS, **more) -> Whole:
-    made = {"owners": OWNERS, "blocks": FACTS, "settings": SETTINGS, "base": BASE, "pack": None}
+def whole(
+    moving: torch.Tensor | None = None, scene: Scene = SCENE, views=VIEWS, **more: Any
+) -> Whole:
+    made: dict[str, Any] = {
+        "owners": OWNERS,
+        "blocks": FACTS,
+        "settings": SETTINGS,
+        "base": BASE,
+        "pack": None,
+    }
     return Whole(**made | {"moving": moving, "scene": scene, "views": views} | more)
 
 

@@ -1,5 +1,7 @@
 """What a backend draws of splats."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -18,8 +20,9 @@ def test_the_background_stands_behind_every_three_channels():
     )  # fmt: skip
     background = torch.tensor([0.4, 0.5, 0.6])
     drawn = get_backend("cpu").draw(camera(2), splats, background=background).colour
-    for part, colour in zip(drawn.split(3, dim=-1), splats.colours.split(3, dim=-1), strict=True):  # type: ignore[union-attr]
-        one = Splats(**{**vars(splats), "colours": colour})
+    assert splats.colours is not None
+    for part, colour in zip(drawn.split(3, dim=-1), splats.colours.split(3, dim=-1), strict=True):
+        one = replace(splats, colours=colour)
         assert torch.equal(
             part, get_backend("cpu").draw(camera(2), one, background=background).colour
         )
@@ -40,7 +43,7 @@ def test_splats_with_harmonics_and_with_colours_are_drawn_and_baked_together(bac
     splats, where = mixed(4, 6), camera(2)
     drawn = get_backend(backend).draw(where, splats, background=torch.tensor([0.1, 0.2, 0.3]))
     seen = spherical_harmonics.seen_colours(splats.means, where.centre, splats.sh, splats.colours)
-    flat = Splats(**{**vars(splats), "sh": None, "colours": seen})
+    flat = replace(splats, sh=None, colours=seen)
     plain = get_backend(backend).draw(where, flat, background=torch.tensor([0.1, 0.2, 0.3]))
     torch.testing.assert_close(drawn.colour, plain.colour, atol=1e-6, rtol=0)
     back = get_backend(backend).draw(where, activated(gaussians_of(splats)))

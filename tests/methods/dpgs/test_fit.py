@@ -15,7 +15,7 @@ from splatproof.methods.dpgs.refiners import refiner_of
 from splatproof.methods.dpgs.settings import Dpgs, SideSettings
 from splatproof.methods.dpgs.side_training import with_side_views
 from splatproof.methods.models.explicit import FIELDS
-from splatproof.methods.models.exposure import TENSOR, exposed
+from splatproof.methods.models.exposure import TENSOR, ExposedGaussians, exposed
 from splatproof.methods.registry import get_method
 from splatproof.methods.threedgs import fit as threedgs
 from splatproof.methods.threedgs.settings import Settings
@@ -88,7 +88,8 @@ def test_side_views_change_the_model_and_the_record_says_how_many_there_were():
 def test_exposures_are_those_of_photos():
     fitted = fit(scene(), replace(SHORT, exposure="gain"), RUN)
     names = [view.name for view in scene().train_views]
-    assert list(fitted.exposures.photos) == names  # type: ignore[attr-defined]
+    assert isinstance(fitted, ExposedGaussians)
+    assert list(fitted.exposures.photos) == names
 
 
 def test_targets_are_in_the_exposure_of_renders_whatever_photos_have():

@@ -142,7 +142,9 @@ def test_what_others_look_through_moved():
     ).reshape(-1, 3)  # fmt: skip
     scene = drive(at1=torch.cat([thing, behind]), at2=grid, at3=grid)
     found = timed_points(scene)
-    first = found.take(found.seconds == scene.views[1].time)
+    time = scene.views[1].time
+    assert time is not None
+    first = found.take(found.seconds == time)
     assert first.moved.tolist() == [True, False]
     once = timed_points(drive(at1=torch.cat([thing, behind]), at2=grid))
     assert not once.moved.any()

@@ -59,7 +59,8 @@ def test_all_five_outputs_and_their_gradients_are_the_references(layers):
         parts = (splats.means, rotation.normalise(splats.quaternions), splats.scales,
                  splats.opacities, splats.colours)  # fmt: skip
         pulls.manual_seed(9)
-        totals.append(sum((p * torch.randn(p.shape, generator=pulls)).sum() for p in parts))
+        pulled = [(p * torch.randn(p.shape, generator=pulls)).sum() for p in parts]
+        totals.append(torch.stack(pulled).sum())
     for name in ("means", "scales", "opacities", "colours"):
         torch.testing.assert_close(getattr(found, name), getattr(want, name))
     torch.testing.assert_close(

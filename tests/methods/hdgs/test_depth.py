@@ -1,6 +1,7 @@
 """Depth terms: what they say against the reference's, what they need, what they draw."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -56,9 +57,10 @@ def depths(seed: int = 1) -> torch.Tensor:
     return 2 + 5 * torch.rand(18, 24, generator=torch.Generator().manual_seed(seed))
 
 
-def term(name: str, **more):
-    settings = DepthSettings(**{"global_weight": 0.1, **more})
-    view = replace(tiny_drive().views[0], load_prior=lambda: None)
+def term(name: str, **more: Any):
+    chosen: dict[str, Any] = {"global_weight": 0.1, **more}
+    settings = DepthSettings(**chosen)
+    view = replace(tiny_drive().views[0], load_prior=pytest.fail)
     scene = replace(tiny_drive(), views=(view,), train=(0,), test=())
     return {t.name: t for t in depth_terms(scene, settings, unit=4.0)}[name]
 

@@ -47,7 +47,11 @@ def with_priors() -> Scene:
 )  # fmt: skip
 def test_the_terms_are_told_by_name(chosen, terms):
     told: list[dict[str, float]] = []
-    fit(with_priors(), replace(SMALL, **chosen), replace(RUN, report=lambda *x: told.append(x[2])))
+    fit(
+        with_priors(),
+        replace(SMALL, **chosen),
+        replace(RUN, report=lambda step, total, values: told.append(values)),
+    )
     assert told[-1].keys() == ALWAYS | terms
 
 

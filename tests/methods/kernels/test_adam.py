@@ -81,4 +81,4 @@ def test_nothing_is_fine():
 def test_bad_arguments_are_refused_with_their_name(name, arguments):
     good = {key: [torch.zeros(4, 3)] for key in ("values", "gradients", "first", "second")}
     with pytest.raises(ValueError, match=name):
-        adam.step(**({**good, "rates": [0.1], "number": 1} | arguments))  # type: ignore[arg-type]
+        adam.step(**({**good, "rates": [0.1], "number": 1} | arguments))

@@ -91,8 +91,8 @@ def test_arm64_computes_what_this_machine_does(tmp_path):
     there.mkdir()
     arm = results(build(CROSS, {"portable": (), "neon": ("-DSPLAT_NEON",)}, there), EMULATOR)
     assert list(arm) == ["portable", "neon"]
-    native = {"portable": (), "avx2": ("-mavx2", "-mfma"),
-              "avx512": ("-mavx512f", "-mavx512dq", "-mavx512vl", "-mavx512bw", "-mfma")}  # fmt: skip
+    native: dict[str, tuple[str, ...]] = {"portable": (), "avx2": ("-mavx2", "-mfma"),
+                                          "avx512": ("-mavx512f", "-mavx512dq", "-mavx512vl", "-mavx512bw", "-mfma")}  # fmt: skip
     want = results(build("g++", native, here))["portable"]
     assert want["radii"].astype(bool).sum() > 300, "hardly anything is seen: nothing is tested"
     for level, got in arm.items():

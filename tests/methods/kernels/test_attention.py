@@ -1,6 +1,7 @@
 """The native attention against the masked dense one in float64: what is mixed, and every gradient."""
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -56,7 +57,7 @@ def errors(
     exact = [t.double().requires_grad_() for t in tensors]
     mine = [t.clone().requires_grad_() for t in tensors]
     want = dense(centres[rows], exact, radius)
-    looked = {"centres": centres, "radius": radius} if slack else {}
+    looked: dict[str, Any] = {"centres": centres, "radius": radius} if slack else {}
     got = native.attend(near, rows, *mine, **looked)
     weight = torch.randn(want.shape, generator=torch.Generator().manual_seed(1))
     right = torch.autograd.grad((want * weight).sum(), exact)

@@ -149,6 +149,8 @@ def test_any_number_of_channels(simd_level, channels, names, watched):
         results.append((out.colour, [leaf.grad for leaf in (*leaves[:4], colours, *probes)]))
     assert largest_error(results[1][0], results[0][0]) <= PIXEL_TOLERANCE
     for value, truth in zip(results[1][1], results[0][1], strict=True):
+        assert value is not None
+        assert truth is not None
         assert compare_gradients(value, truth).good(GRADIENT_TOLERANCE)
 
 
@@ -168,6 +170,7 @@ def test_colours_alone_get_the_gradient_that_they_get_with_all(simd_level, chann
         colours = values.clone().requires_grad_()
         out = native.rasterize(scene.camera, *leaves, colours=colours)
         (out.colour * weight).sum().backward()
+        assert colours.grad is not None
         found.append(colours.grad)
     assert torch.equal(*found)
 
@@ -235,6 +238,8 @@ def test_many_gaussians_are_sorted_alike_by_any_number_of_threads(threads):
         torch.set_num_threads(before)
     one, many = pictures
     assert torch.equal(one.colour, many.colour)
+    assert one.contributor_ids is not None
+    assert many.contributor_ids is not None
     assert torch.equal(one.contributor_ids, many.contributor_ids)
 
 

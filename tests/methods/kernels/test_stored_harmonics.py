@@ -1,5 +1,7 @@
 """The native harmonics of our small file against the file's own codes, in double, and against torch's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -61,7 +63,7 @@ def test_all_classes_are_reached_and_another_class_would_be_seen():
     codes = [quantisers.uniform("x", v.double().numpy(), 0.1) for v in (log_scales, logits)]
     found = quantisers.classes(codes[0], codes[1], STEPS.weights)
     assert set(found.tolist()) == set(range(7))
-    coarser = Steps(**{**vars(STEPS), "harmonics": 2 * STEPS.harmonics})
+    coarser = replace(STEPS, harmonics=2 * STEPS.harmonics)
     other = stored_harmonics(rest, log_scales, logits, coarser)
     assert float((other - stored_harmonics(rest, log_scales, logits, STEPS)).abs().max()) > 0.01
 

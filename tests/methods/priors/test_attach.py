@@ -1,6 +1,7 @@
 """Priors on training views: who gets one, what is kept, what makes them anew."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -139,7 +140,9 @@ def test_whatever_they_depend_on_makes_them_anew(made, tmp_path):
 
 
 def file_of(scene: Scene) -> Path:
-    return scene.views[1].load_prior.args[0]  # pyright: ignore[reportOptionalMemberAccess, reportFunctionMemberAccess]
+    load = scene.views[1].load_prior
+    assert isinstance(load, partial)
+    return load.args[0]
 
 
 def test_without_files_what_is_looked_at_counts(made):

@@ -160,7 +160,7 @@ def test_the_second_sweep_is_finer_and_about_what_the_first_found():
         logits[3] = 50.0  # of both sweeps
         return logits
 
-    network._swept = third  # type: ignore[method-assign]
+    network._swept = third
     inverse, sure = estimate(network, pair)
     first, second = swept
     step = (first[1] - first[0])[0, 0]
@@ -174,8 +174,10 @@ def test_the_second_sweep_is_finer_and_about_what_the_first_found():
 def test_what_the_other_photo_says_otherwise_is_not_sure(monkeypatch):
     scene = textured_scene()
     a, b = scene.views[0], scene.views[1]
+    assert a.load_depth is not None
+    assert b.load_depth is not None
     for share, least, most in ((1.0, 0.99, 1.0), (1.5, 0.0, 0.2)):
-        depths = iter([a.load_depth(), b.load_depth() * share])  # type: ignore[misc]
+        depths = iter([a.load_depth(), b.load_depth() * share])
 
         def says(network, pair, depths=depths):
             depth = next(depths).double()

@@ -94,7 +94,11 @@ def test_killed_and_continued_is_the_same_to_the_bit(scene, trained, tmp_path, s
 
 def test_the_terms_are_told_by_name(scene):
     told: list[dict[str, float]] = []
-    fit(scene, replace(SHORT, iterations=1), replace(RUN, report=lambda *now: told.append(now[2])))
+    fit(
+        scene,
+        replace(SHORT, iterations=1),
+        replace(RUN, report=lambda step, total, values: told.append(values)),
+    )
     assert told[-1].keys() == {"loss", "lidar", "sky", "photometric", "gaussians"}
 
 

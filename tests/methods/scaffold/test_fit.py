@@ -71,7 +71,7 @@ def test_volume_weighs_what_the_settings_say():
             fit(
                 tiny_scene(),
                 replace(SHORT, iterations=20, volume=weight),
-                replace(RUN, report=lambda *now, seen=seen: seen.append(now[2])),
+                replace(RUN, report=lambda step, total, values, seen=seen: seen.append(values)),
             )
         )
         for weight, seen in told.items()

@@ -1,6 +1,7 @@
 """Density control by the spread of opacity gradients: who grows, how many, resumes, refusals."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from helpers.baking import baked
 from helpers.killed_run import assert_continues
 from helpers.tiny_scene import tiny_scene
 from splatproof.base.errors import UsageError
+from splatproof.methods.contracts.parameters import Parameters
 from splatproof.methods.contracts.run import Run
 from splatproof.methods.threedgs.density import ErrorGate, Insertion, Mcmc, StrategicDensity
 from splatproof.methods.threedgs.error_control import splats_of
@@ -30,8 +32,8 @@ def seeded(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def control(**changed: object) -> tuple[SpreadControl, object]:
-    density = replace(SPREAD, least_opacity=0.0, **changed)  # type: ignore[arg-type]
+def control(**changed: Any) -> tuple[SpreadControl, Parameters]:
+    density = replace(SPREAD, least_opacity=0.0, **changed)
     model, plan = prepare(tiny_scene(), replace(SHORT, density=density), RUN)
     assert isinstance(plan.density, SpreadControl)
     pulled_at(plan.density)
@@ -52,7 +54,7 @@ def test_who_grows_is_drawn_by_the_spread(monkeypatch: pytest.MonkeyPatch):
     for seed in range(200):
         pulled_at(found)
         monkeypatch.setattr(found, "most_after", lambda step, count: count + 1)
-        (edit,) = found.edits(10, rows, seeded(seed))  # type: ignore[arg-type]
+        (edit,) = found.edits(10, rows, seeded(seed))
         assert edit.parents is not None
         assert len(edit.parents) == 41
         grown.append(int(edit.parents.bincount().argmax()))
@@ -63,7 +65,7 @@ def test_who_grows_is_drawn_by_the_spread(monkeypatch: pytest.MonkeyPatch):
 
 def test_the_score_is_of_all_views_together():
     found, rows = control(scored_views=99)
-    splats = splats_of(rows)  # type: ignore[arg-type]
+    splats = splats_of(rows)
     views = found.scorer.chosen(seeded())
     assert len(views) == 5
     tallies = [found.scorer.tallied(10, view, splats) for view in views]
@@ -82,8 +84,8 @@ def test_who_grows_is_scored_by_all_that_is_looked_at(monkeypatch: pytest.Monkey
         return opacity_spread.spread(tallies)
 
     monkeypatch.setattr("splatproof.methods.threedgs.spread_control.spread", listening)
-    list(found.edits(10, rows, seeded()))  # type: ignore[arg-type]
-    splats = splats_of(rows)  # type: ignore[arg-type]
+    list(found.edits(10, rows, seeded()))
+    splats = splats_of(rows)
     views = found.scorer.chosen(seeded())
     wanted = torch.stack([found.scorer.tallied(10, view, splats) for view in views]).sum(dim=0)
     assert len(views) == 5
@@ -93,13 +95,13 @@ def test_who_grows_is_scored_by_all_that_is_looked_at(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(("gradient", "wanted"), [(0.0, 40), (0.5, 20), (1.1, 0)])
 def test_as_many_grow_as_are_pulled_at(gradient, wanted):
     found, rows = control(gradient=gradient, most=None, pace="free")
-    (edit,) = found.edits(10, rows, seeded())  # type: ignore[arg-type]
+    (edit,) = found.edits(10, rows, seeded())
     assert edit.parents is not None
     seen = 40 if wanted < 40 else len(edit.parents) - 40  # some show in no photo
     assert len(edit.parents) == 40 + min(wanted, seen)
     assert seen > 20
     # statistics start anew
-    (edit,) = found.edits(20, rows, seeded())  # type: ignore[arg-type]
+    (edit,) = found.edits(20, rows, seeded())
     assert edit.parents is not None
     assert len(edit.parents) == 40
 
@@ -107,7 +109,7 @@ def test_as_many_grow_as_are_pulled_at(gradient, wanted):
 def test_nothing_grows_where_nothing_is_seen_or_no_room_is_left():
     for changed in ({"most": 40}, {"most": 41}):
         found, rows = control(**changed)
-        (edit,) = found.edits(10, rows, seeded())  # type: ignore[arg-type]
+        (edit,) = found.edits(10, rows, seeded())
         assert edit.parents is not None
         assert len(edit.parents) == 40
 

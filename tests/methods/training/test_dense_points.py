@@ -32,6 +32,7 @@ from splatproof.reference.supervision.dense_initialisation import (
     DenseSettings,
     merge_in_voxels,
     observations,
+    rows_of,
     seen_by_both,
 )
 from splatproof.reference.types.camera import project_points
@@ -54,7 +55,7 @@ def dense(yard: Scene) -> Scene:
 
 def edge_of(scene: Scene) -> float:
     """Edge of the voxels in scene units."""
-    seen = observations(scene.points, len(scene.views))[list(scene.train)]
+    seen = rows_of(observations(scene.points, len(scene.views)), scene.train)
     return CELL * dense_points.footprint(scene.train_views, scene.points.positions, seen)
 
 
@@ -394,7 +395,7 @@ def test_where_no_match_becomes_a_point_one_line_says_so(yard: Scene):
 def test_a_point_far_beyond_all_others_takes_no_match_away(yard: Scene):
     """Structure from motion leaves such points; the voxels' corner went there, and all matches were beyond reach."""
     few = replace(yard, train=yard.train[:2])
-    seen = observations(few.points, len(few.views))[list(few.train)]
+    seen = rows_of(observations(few.points, len(few.views)), few.train)
     positions = few.points.positions.clone()
     positions[int(seen.indices[0])] -= 1e5 * (positions.amax(dim=0) - positions.amin(dim=0))
     heard: list[str] = []

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import pytest
 import torch
@@ -26,7 +27,11 @@ def drawn(count: int, seed: int) -> tuple[Gaussians, torch.Tensor]:
 
 
 def apply(model, gradient, settings=Density(), **given):  # noqa: B008 (frozen)
-    options = {"extent": 10.0, "prune_large": False, "generator": torch.Generator().manual_seed(0)}
+    options: dict[str, Any] = {
+        "extent": 10.0,
+        "prune_large": False,
+        "generator": torch.Generator().manual_seed(0),
+    }
     return densify(model, gradient, settings, **(options | given))
 
 

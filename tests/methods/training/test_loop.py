@@ -75,7 +75,7 @@ def test_same_seed_same_model_and_another_seed_another(straight):
 
 def test_density_changes_while_training():
     counts = []
-    run = replace(ON_KERNELS, report=lambda *a: counts.append(a[2]["gaussians"]))
+    run = replace(ON_KERNELS, report=lambda step, total, values: counts.append(values["gaussians"]))
     fit(tiny_scene(), SHORT, run)
     assert len(set(counts)) > 1
 

@@ -1,6 +1,7 @@
 """Hiding Gaussians at random and the pull on opacity: formulas, both routes, repeatable, resumable."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -101,5 +102,6 @@ def test_the_pull_makes_the_model_fainter():
     ("name", "value"), [("dropout", 1.0), ("dropout", -0.1), ("opacity_weight", -1.0)]
 )
 def test_impossible_settings_are_refused(name: str, value: float):
+    change: dict[str, Any] = {name: value}
     with pytest.raises(UsageError, match=name):
-        replace(SETTINGS, **{name: value})
+        replace(SETTINGS, **change)

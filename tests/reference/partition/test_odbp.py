@@ -18,7 +18,7 @@ SEEDS = st.integers(0, 2**16)
 
 def cut(positions: Tensor, loads: Tensor, blocks: int, **settings: float) -> OdbpPartition:
     return odbp.partition(
-        positions, loads, OdbpSettings(blocks=blocks, voxel_size=1.0, seeds=3, **settings)  # type: ignore[arg-type]
+        positions, loads, OdbpSettings(blocks=blocks, voxel_size=1.0, seeds=3, **settings)
     )  # fmt: skip
 
 

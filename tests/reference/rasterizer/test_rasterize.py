@@ -156,7 +156,7 @@ def test_moving_the_world_and_the_camera_together_changes_nothing(n, seed):
         [w1 * w2 - v2 @ v1[:, None], w1 * v2 + w2 * v1 + torch.linalg.cross(v1.expand_as(v2), v2)],
         dim=1,
     )
-    other = {**s, "means": s["means"] @ turn.T + move, "quaternions": product}
+    other: dict[str, Any] = {**s, "means": s["means"] @ turn.T + move, "quaternions": product}
     a = rasterize(camera, **s, colours=colours)
     b = rasterize(moved, **other, colours=colours)
     assert_close(a.colour, b.colour, atol=1e-10, rtol=0)

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -211,7 +212,9 @@ def test_a_view_in_neither_part_is_hidden_too():
 def test_whatever_a_view_has_is_hidden_unless_it_is_known_to_be_shown():
     """A field that is added to View is hidden from rendering until someone decides otherwise."""
     sweep = Sweep(positions=torch.zeros(1, 3), origin=torch.zeros(3, dtype=torch.float64))
-    whole = {name: (lambda: sweep) for name in View.__dataclass_fields__ if name.startswith("load")}
+    whole: dict[str, Any] = {
+        name: (lambda: sweep) for name in View.__dataclass_fields__ if name.startswith("load")
+    }
     view = replace(
         tiny_scene().views[0], **whole, time=1.0, sweep_time=0.9, sensor="a", appearance="b"
     )

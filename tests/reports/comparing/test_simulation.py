@@ -1,5 +1,7 @@
 """Rates that are stated, held against simulated suites: false alarms, power, false equality."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -32,7 +34,7 @@ def alarms(world: str, suites: int, scenes: int = 2, quiet: float = 1.0) -> tupl
         quiet: Noise of NEW's seeds over that of BASE's.
     """
     wrong = equal = 0
-    options = {"seeds": 3, "images": 8, "scenes": scenes} | WORLDS[world]
+    options: dict[str, Any] = {"seeds": 3, "images": 8, "scenes": scenes} | WORLDS[world]
     for seed in range(suites):
         rng = np.random.default_rng(seed)
         hard = rng.normal(24, 3, (scenes, options["images"]))

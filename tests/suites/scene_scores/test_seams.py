@@ -17,7 +17,7 @@ from splatproof.metrics.protocol_files import load_protocol
 from splatproof.metrics.scene_registry import SCENE_METRICS
 from splatproof.metrics.seam_released import NAMES as RELEASED
 from splatproof.metrics.seam_released import seam_mask_released, seam_view_released
-from splatproof.reference.partition.boxes import OrientedBox
+from splatproof.reference.partition.boxes import OrientedBox, Region
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 from splatproof.reference.types.scene import Scene, View
@@ -45,7 +45,7 @@ class TwoBlocks:
     model: Gaussians
     blocks: torch.Tensor
     distances: torch.Tensor
-    regions: tuple[OrientedBox, ...] = BOXES
+    regions: tuple[Region, ...] = BOXES
     mode: Mode = "classic"
 
     def bake(self, view: View | None = None) -> Gaussians:
