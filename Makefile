@@ -61,7 +61,7 @@ lint: setup-dev
 	$(BIN)/ruff format --check .
 
 types: setup-dev
-	$(BIN)/pyright
+	$(BIN)/pyrefly check
 
 setup: $(VENV)/.installed
 setup-dev: $(VENV)/.installed-dev
