@@ -28,7 +28,7 @@ LONGEST = 4096
 """Bytes of an input at the most: samples are of some hundreds."""
 DONE, COVERED = re.compile(r"Done (\d+) runs"), re.compile(r" cov: (\d+)")
 READERS = (
-    "gaussians ply", "points ply", "packed", "packed 1", "packed 3", "packed 3 fast", "spz 3", "spz 4", "glb", "npz", "model.json", "record", "suite",
+    "gaussians ply", "points ply", "packed", "packed 1", "packed 3", "packed 3 fast", "spz 3", "spz 4", "sog", "glb", "npz", "model.json", "record", "suite",
     "scene.toml", "protocol", "registry", "transforms.json", "views.json", "llff", "photo tourism", "colmap cameras.txt",
     "colmap images.txt", "colmap points3D.txt", "kitti tracklets", "kitti labels", "cameras", "baseline",
 )  # fmt: skip

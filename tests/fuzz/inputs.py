@@ -30,7 +30,7 @@ SHARES = {
     "model.json": 0.1, "tar": 0.15, "suite": 0.15, "exif": 0.2, "cameras": 0.1, "zip": 0.3,
     "model.safetensors": 0.2, "colmap rigs.txt": 0.1, "colmap frames.txt": 0.1, "record": 0.3,
     "colmap cameras.txt": 0.3, "colmap images.txt": 0.3, "colmap points3D.txt": 0.3,
-    "gaussians ply": 0.5, "packed": 0.5, "packed 3": 0.5, "packed 3 fast": 0.5, "protocol": 0.5, "registry": 0.3, "points ply": 1.5,
+    "sog": 0.2, "gaussians ply": 0.5, "packed": 0.5, "packed 3": 0.5, "packed 3 fast": 0.5, "protocol": 0.5, "registry": 0.3, "points ply": 1.5,
     "npz": 1.5, "views.json": 1.5, "kitti labels": 1.5, "kitti tracklets": 1.5, "photo tourism": 1.5,
 }  # fmt: skip
 """Inputs of a target against others', by what one costs; the rest have 1."""

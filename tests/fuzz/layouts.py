@@ -5,15 +5,18 @@ Without this nearly every change ends at the first checksum, and what lies behin
 
 import gzip
 import json
+import random
 import struct
+import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 
 import zstandard
+from PIL import Image
 
 from fuzz.layout import Layout, Part
-from fuzz.mutations import changed_bytes, changed_json, changed_text
+from fuzz.mutations import Change, changed_bytes, changed_json, changed_text
 from splatproof.methods.storage.packed.coded_chunk import PARTS as CODED_PARTS
 from splatproof.methods.storage.packed.records import CODED as CODED_VERSION
 from splatproof.methods.storage.packed.records import LENGTH, START, RecordWriter, split_streams
@@ -200,6 +203,53 @@ def _join_container(contents: list[bytes]) -> bytes:
     payload = zstandard.ZstdCompressor(level=1).compress(contents[1])
     fields = (container.MAGIC, version, degree, packing, count, len(payload))
     return container.HEADER.pack(*fields, container._checksum(fields, payload)) + payload
+
+
+def _split_sog(data: bytes) -> list[Part]:
+    with zipfile.ZipFile(BytesIO(data)) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    parts: list[Part] = []
+    for name, content in contents.items():
+        if name in AS_PIXELS:
+            with Image.open(BytesIO(content)) as image:
+                content = struct.pack("<H", image.width) + image.convert("RGBA").tobytes()
+        head = struct.pack("<B", len(name)) + name.encode()
+        parts.append((changed_json if name == "meta.json" else changed_bytes, head + content))
+    return [(_behind(change), content) for change, content in parts]
+
+
+def _behind(change: Change) -> Change:
+    """The same for what follows the name of a file."""
+
+    def changed(draw: random.Random, data: bytes, others: Sequence[bytes]) -> bytes:
+        at = data[0] + 1
+        return data[:at] + change(draw, data[at:], others)
+
+    return changed
+
+
+def _join_sog(contents: list[bytes]) -> bytes:
+    file = BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for part in contents:
+            name, content = part[1 : part[0] + 1].decode(), part[part[0] + 1 :]
+            if name in AS_PIXELS and len(content) >= 2:
+                width = content[0] | (content[1] & 63) << 8
+                size = max(width, 1), min(max((len(content) - 2) // 4 // max(width, 1), 1), 16_383)
+                pixels = content[2:].ljust(4 * size[0] * size[1], b"\0")[: 4 * size[0] * size[1]]
+                image = BytesIO()
+                Image.frombytes("RGBA", size, pixels).save(
+                    image, "WEBP", lossless=True, exact=True, quality=0, method=0
+                )
+                content = image.getvalue()
+            archive.writestr(zipfile.ZipInfo(name), content)
+    return file.getvalue()
+
+
+AS_PIXELS = ("means_u.webp", "quats.webp", "sh0.webp", "shN_labels.webp")
+"""Images whose pixels are changed; of the others it is the file."""
+SOG = Layout(_split_sog, _join_sog)
+"""Files of a zip with right checksums, some of its images decoded."""
 
 
 CONTAINER = Layout(_split_container, _join_container)

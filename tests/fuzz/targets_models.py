@@ -25,6 +25,7 @@ from splatproof.methods.storage.packed.coded_writer import CodeSettings, write_c
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import FileSettings, write_packed
 from splatproof.methods.storage.ply import read_mode, read_ply, write_ply
+from splatproof.methods.storage.sog import read_sog, write_sog
 from splatproof.methods.storage.spz import read_spz, write_spz
 from splatproof.reference.compression import container, packing
 from splatproof.reference.types.gaussians import Gaussians
@@ -76,6 +77,15 @@ def spz(version: int) -> Callable[[Path], Target]:
         return Target(path=folder / "model.spz", samples=samples, layout=layout, read=read_spz)
 
     return build
+
+
+def sog(folder: Path) -> Target:
+    """.sog: with a palette of harmonics, and without."""
+    samples = _written(
+        folder, ".sog", lambda p: write_sog(p, random_gaussians(12, degree=1), palette=4),
+        lambda p: write_sog(p, random_gaussians(4, degree=0), "antialiased"),
+    )  # fmt: skip
+    return Target(path=folder / "model.sog", samples=samples, layout=layouts.SOG, read=read_sog)
 
 
 def glb(folder: Path) -> Target:
@@ -183,6 +193,6 @@ def cameras(folder: Path) -> Target:
 
 
 MODELS: dict[str, Callable[[Path], Target]] = {
-    "gaussians ply": gaussians_ply, "spz 3": spz(3), "spz 4": spz(4), "glb": glb, "packed": packed,
+    "gaussians ply": gaussians_ply, "spz 3": spz(3), "spz 4": spz(4), "sog": sog, "glb": glb, "packed": packed,
     "packed 1": packed_1, "packed 3": packed_3("small"), "packed 3 fast": packed_3("fast"), "model.json": description, "model.safetensors": tensors, "cameras": cameras,
 }  # fmt: skip
