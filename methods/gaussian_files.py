@@ -8,10 +8,11 @@ from splatproof.methods.storage.gltf import read_gltf
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts
 from splatproof.methods.storage.ply import read_mode, read_ply
+from splatproof.methods.storage.sog import read_sog
 from splatproof.methods.storage.spz import read_spz
 from splatproof.reference.types.gaussians import Gaussians
 
-FOREIGN = (".ply", ".spz", ".glb")
+FOREIGN = (".ply", ".spz", ".sog", ".glb")
 """Suffixes of files that do not say where their model comes from."""
 
 
@@ -25,7 +26,7 @@ def is_file(path: Path) -> bool:
 
 
 def read_gaussians(path: str | Path) -> tuple[Gaussians, PackedFacts]:
-    """The Gaussians of a .ply, .spz, .glb or packed file and what it says of them.
+    """The Gaussians of a .ply, .spz, .sog, .glb or packed file and what it says of them.
 
     Args:
         path: A file; one with none of the suffixes of FOREIGN is a packed file.
@@ -45,6 +46,9 @@ def read_gaussians(path: str | Path) -> tuple[Gaussians, PackedFacts]:
             return model, replace(facts, shift=shift, mode=mode)
         case ".spz":
             return read_spz(path), facts
+        case ".sog":
+            model, mode = read_sog(path)
+            return model, replace(facts, mode=mode)
         case _:
             model, facts = read_packed(path)
             check_gaussians(model, path)

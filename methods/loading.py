@@ -44,7 +44,7 @@ def load_reconstruction(folder: str | Path, *, backend: str = "cpu") -> Reconstr
     """The model that `save_model` wrote into a folder, or a packed one.
 
     Args:
-        folder: Folder with model.json and model.safetensors, or a .ply, .spz, .glb or packed file.
+        folder: Folder with model.json and model.safetensors, or a .ply, .spz, .sog, .glb or packed file.
         backend: Name of the rasterizer to draw it with.
 
     Raises: DataError, in one line, if a file is missing, damaged, foreign or of a newer version;

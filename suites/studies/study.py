@@ -89,7 +89,7 @@ STUDIES = {
         rows=blind.rows, options=frozenset({"runs"}), pictures=blind.draw,
     ),
     "size": Study(
-        description="bytes of trained models against what they cost: our files, .spz, images, palettes, .ply",
+        description="bytes of trained models against what they cost: our files, .spz, .sog, images, .ply",
         columns=("scene", "format", "bytes_each", "psnr_change", "seen_change", "psnr_to_model",
                  "write_millions_s", "read_millions_s", *PARTS, "note"),
         rows=size.rows, pictures=size_plot.draw, page=size_page.page, logged=True,

@@ -18,11 +18,11 @@ from splatproof.methods.models.explicit import ExplicitModel
 from splatproof.methods.storage.spz import read_spz
 from splatproof.reference.types.scene import camera_view
 
-KINDS = {"ply": ".ply", "spz": ".spz", "gltf": ".glb", "packed": ".spgs"}
+KINDS = {"ply": ".ply", "spz": ".spz", "sog": ".sog", "gltf": ".glb", "packed": ".spgs"}
 # what a PNG can differ by, of 255, and the mean over it: .ply and .glb hold float32; .spz 8 bits of
-# colour and opacity, 5 and 4 of the harmonics; a packed file steps of 0.025 of a scale, 10 % of a
+# colour and opacity, 5 and 4 of the harmonics; .sog 32 entries for the harmonics of 40; a packed file steps of 0.025 of a scale, 10 % of a
 # radius, 0.05 in colour and in what depends on the view, as its defaults are
-WORST = {"ply": (0, 0.0), "gltf": (1, 0.01), "spz": (24, 2.5), "packed": (8, 1.0)}
+WORST = {"ply": (0, 0.0), "gltf": (1, 0.01), "spz": (24, 2.5), "sog": (32, 2.5), "packed": (8, 1.0)}
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +68,9 @@ def test_every_kind_is_exported_again_and_keeps_the_mode(kind, tmp_path, capsys)
     said = capsys.readouterr().err
     assert main(["export", str(first), "--ply", str(again), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 40
-    # .spz has no place for it
+    # .spz has no place for it; viewers of .sog heed it
     mode = "classic" if kind == "spz" else "antialiased"
-    assert ("antialiased" in said) == (kind != "packed")
+    assert ("antialiased" in said) == (kind not in ("packed", "sog"))
     loaded = load_reconstruction(again)
     assert isinstance(loaded, ExplicitModel)
     assert loaded.mode == mode
@@ -103,6 +103,28 @@ def test_what_an_spz_clips_is_counted_in_a_line(tmp_path, capsys):
         assert len(lines) == clips
     assert lines[0].startswith(path)
     assert "clipped: log scales of 2, colours of 1, harmonics of 1;" in lines[0]
+
+
+@pytest.mark.parametrize(
+    ("logits", "said"),
+    [((), ""), ((-9.0, -9.0, 9.0), "of 40 opacities a .sog stores 2 as 0 and 1 as 1, its nearest of 256; a .ply")],
+)  # fmt: skip
+def test_opacities_that_a_sog_stores_as_0_and_1_are_counted_in_a_line(
+    tmp_path, capsys, logits, said
+):
+    model = random_gaussians(40)
+    model.opacity_logits.clamp_(-3, 3)
+    model.opacity_logits[: len(logits)] = torch.tensor(logits)
+    save_model(ExplicitModel(model=model), tmp_path / "model", Origin())
+    path = str(tmp_path / "m.sog")
+    assert main(["export", str(tmp_path / "model"), "--sog", path, "--json"]) == 0
+    out, err = capsys.readouterr()
+    line = json.loads(out)
+    assert (line["sog"], line["gaussians"], line["view"]) == (path, 40, None)
+    assert line["bytes"] == Path(path).stat().st_size
+    lines = [line for line in err.splitlines() if "opacities" in line]
+    assert len(lines) == bool(said)
+    assert all(line.startswith(f"{path}: {said}") for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -235,10 +257,16 @@ def test_files_that_cannot_be_used_are_named(written, tmp_path, capsys):
         ("gone.ply", "no such file"),
         ("gone.glb", "no such file"),
         ("gone.spz", "gone.spz"),
+        ("gone.sog", "no such file"),
     ):
         assert main(["export", str(tmp_path / name), "--ply", str(tmp_path / "x.ply")]) == 2
         assert said in capsys.readouterr().err
-    for option, name in (("--gltf", "m.gltf"), ("--spz", "m.splat"), ("--ply", "m")):
+    for option, name in (
+        ("--gltf", "m.gltf"),
+        ("--spz", "m.splat"),
+        ("--sog", "m.zip"),
+        ("--ply", "m"),
+    ):
         assert main(["export", str(written / "model"), option, str(tmp_path / name)]) == 2
         assert "expected a name that ends in" in capsys.readouterr().err
     bad = tmp_path / "bad.ply"

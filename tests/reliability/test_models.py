@@ -275,7 +275,7 @@ def test_an_unpacked_spz_that_is_too_short_for_its_gaussians(tmp_path):
             read_spz(path)
 
 
-@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.glb", "a.spgs", "folder"])
+@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "a.glb", "a.spgs", "folder"])
 def test_a_model_that_is_a_pipe_is_not_waited_for(tmp_path, name):
     path = tmp_path / name
     if name == "folder":

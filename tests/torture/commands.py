@@ -28,7 +28,7 @@ seeds = [0, 1]
 iterations = 150
 """
 CHECKPOINTS = ("--checkpoint-seconds", "0.3")
-EXPORTED = ("a.ply", "a.spgs", "a.glb", "a.spz")
+EXPORTED = ("a.ply", "a.spgs", "a.glb", "a.spz", "a.sog")
 UNSTABLE = re.compile(r"\b[0-9a-f]{32}\b|\d{4}-\d\d-\d\d[ T]\d\d:\d\d(:\d\d)?")
 """Names of a store's runs, which it draws, and hours."""
 PICTURES = ("renders", "truth", "errors")
@@ -160,7 +160,8 @@ COMMANDS: dict[str, Command] = {
         outcome=contents("yard"), whole=("yard",),
     ),
     "export": Command(
-        arguments=("export", "model", "--ply", "a.ply", "--packed", "a.spgs", "--gltf", "a.glb", "--spz", "a.spz"),
+        arguments=("export", "model", "--ply", "a.ply", "--packed", "a.spgs", "--gltf", "a.glb", "--spz", "a.spz",
+                   "--sog", "a.sog"),
         prepare=_model, outcome=contents(*EXPORTED), whole=EXPORTED,
     ),
     "report": Command(

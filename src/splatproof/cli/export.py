@@ -28,6 +28,7 @@ def export(
     *,
     ply: Path | None = None,
     spz: Path | None = None,
+    sog: Path | None = None,
     gltf: Path | None = None,
     packed: Path | None = None,
     quality: Literal["fine", "standard", "coarse"] | None = None,
@@ -38,7 +39,7 @@ def export(
     local: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     seen: Annotated[Seen, tyro.conf.arg(name="")] = UNSEEN,
 ) -> int:
-    """Write a trained model as a file that other tools open: .ply, .spz, .glb, or packed small.
+    """Write a trained model as a file that other tools open: .ply, .spz, .sog, .glb, or packed small.
 
     In a .ply, with the original 3DGS release's properties, positions return to the scene's original
     frame: where that is shifted (UTM, say), x, y and z are written in float64, which some viewers do
@@ -46,10 +47,11 @@ def export(
     render`, `bench score` and `bench export` take every kind wherever they take a model folder.
 
     A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
-    opacity, scale and colour, and 8 or fewer for what depends on the view: small, and not the same. A packed
-    file is the smallest: every number in steps that the image hardly sees, entropy-coded. `bench study
-    size` measures what each costs. Fewer Gaussians (--thin) and training through the file's own steps
-    (--tune) make it smaller still.
+    opacity, scale and colour, and 8 or fewer for what depends on the view: small, and not the same. A
+    .sog has 16 bits a coordinate, finest near the origin, and one entry of a palette for what depends on
+    the view: smaller, and further from the same. A packed file is the smallest: every number in steps
+    that the image hardly sees, entropy-coded. `bench study size` measures what each costs. Fewer
+    Gaussians (--thin) and training through the file's own steps (--tune) make it smaller still.
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
@@ -57,15 +59,17 @@ def export(
     does it hold what the model adds to a finished image, its sky and exposures: a line on stderr names
     them. Models of plain Gaussians look the same from everywhere and refuse these options.
 
-    With --json each written file is a line: ply, spz, gltf or packed (its path), gaussians, bytes,
+    With --json each written file is a line: ply, spz, sog, gltf or packed (its path), gaussians, bytes,
     view and time (null where the model is the same from everywhere), and frame of a .ply;
     bytes_by_part and open_share of a packed file.
 
     Args:
-        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .glb or
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .sog, .glb or
             packed file.
         ply: Path of the .ply file to write.
         spz: Path of the .spz file to write, the small format of web viewers.
+        sog: Path of the .sog file to write, version 2: the smaller format of web viewers, with the palette
+            of harmonics as large as its own encoder's.
         gltf: Path of the .glb file to write: binary glTF with the extension KHR_gaussian_splatting.
         packed: Path of the packed file to write.
         quality: With --packed: how fine its steps are. With --spz: coarse keeps 5 and 4 bits of what
@@ -97,18 +101,22 @@ def export(
     )
     from splatproof.methods.storage.packed.rows import MemoryRows
     from splatproof.methods.storage.packed.writer import FileSettings, PackedFacts, write_packed
+    from splatproof.methods.storage.sog import write_sog
     from splatproof.methods.storage.spz import ALL_BITS, USUAL_BITS, clipped, write_spz
 
-    if ply is None and spz is None and gltf is None and packed is None:
-        raise UsageError("nothing to write: expected --ply, --spz, --gltf or --packed with a FILE")
+    if all(path is None for path in (ply, spz, sog, gltf, packed)):
+        raise UsageError(
+            "nothing to write: expected --ply, --spz, --sog, --gltf or --packed with a FILE"
+        )
     for option, path, suffix in (
         ("ply", ply, ".ply"),
         ("spz", spz, ".spz"),
+        ("sog", sog, ".sog"),
         ("gltf", gltf, ".glb"),
     ):
         if path is not None and path.suffix.lower() != suffix:
             raise UsageError(f"--{option} {path}: expected a name that ends in {suffix}")
-    for path in (ply, spz, gltf, packed):
+    for path in (ply, spz, sog, gltf, packed):
         if path is not None:
             check_target(path)
             remove_stale(path)
@@ -167,6 +175,10 @@ def export(
                 f"{spz}: .spz has no room for all numbers of {len(gaussians)} Gaussians, and what is beyond its "
                 f"ranges was clipped: {counts}; a .ply or a packed file keeps them"
             )
+    if sog is not None:
+        write_sog(sog, gaussians, facts.mode)
+        _tell("sog", sog, gaussians, view)
+        _tell_opacities(sog, gaussians)
     if gltf is not None:
         write_gltf(gltf, gaussians, facts.shift, facts.mode)
         _tell("gltf", gltf, gaussians, view)
@@ -233,6 +245,18 @@ def _tell_steps(path: Path, gaussians: "Gaussians", quality: str) -> None:
             f"{path}: positions are stored in steps of {step:.3g}, {found.times:.3g} times as coarse as a packed file "
             f"asks for, because the farthest Gaussian lies {found.farthest:.6g} from the origin along an axis; remove what "
             "lies far out, or shift a model that lies out there as a whole, and export again"
+        )
+
+
+def _tell_opacities(path: Path, gaussians: "Gaussians") -> None:
+    """Say how many opacities a .sog stores as 0, where nothing is drawn, and as 1."""
+    from splatproof.methods.storage.sog import at_the_ends
+
+    if lost := at_the_ends(gaussians):
+        counts = " and ".join(f"{count} as {end}" for end, count in lost.items())
+        output.log(
+            f"{path}: of {len(gaussians)} opacities a .sog stores {counts}, its nearest of 256; "
+            "a .ply or a packed file keeps them"
         )
 
 

@@ -40,7 +40,7 @@ def scene_of(given: Path, origin: "Origin", scene: str | None) -> str:
 def placed(model: "Reconstruction", scene: "Scene") -> "Reconstruction":
     """The model in a scene's frame, where it is from a file that says another shift than the scene.
 
-    A model without a shift is in the scene's frame already: an .spz, or a .ply that was written with
+    A model without a shift is in the scene's frame already: an .spz or a .sog, or a .ply that was written with
     --local.
 
     Args:

@@ -36,12 +36,12 @@ def render(
     A model that `bench fit` or `bench run` saved knows its scene and protocol: without options its
     held-out views are rendered as they were scored, at the protocol's size and over its background,
     and the images are those in the case's renders/ byte for byte. A packed file knows them too. A
-    .ply, .spz or .glb needs --scene and --protocol, or --cameras. PNGs have 8 bits a channel, or 16 where the protocol scores
+    .ply, .spz, .sog or .glb needs --scene and --protocol, or --cameras. PNGs have 8 bits a channel, or 16 where the protocol scores
     renders that are not rounded. With --json one line tells out, images (how many),
     source (the scene or the file of cameras) and protocol.
 
     Args:
-        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .glb or
+        model: The folder that `bench fit` calls OUT, the model folder in it, or a .ply, .spz, .sog, .glb or
             packed file.
         out: Folder for the images.
         scene: Name of a registered scene, or a scene folder, whose views are rendered. None: the

@@ -52,7 +52,7 @@ def score(
     there are, and their sizes, is what the folders hold. Scores of parts (moving_psnr, seen_psnr) need
     the scene and are not given.
 
-    RENDERS may be a trained model instead: a folder that `bench fit` wrote, or a .ply, .spz, .glb or
+    RENDERS may be a trained model instead: a folder that `bench fit` wrote, or a .ply, .spz, .sog, .glb or
     packed file. Its pictures of a scene's held-out views are scored then, with their parts, where
     --scene and --protocol say which (a model of ours knows them); or, with --cameras and TRUTH, its
     pictures of the file's cameras against images of the same names.

@@ -16,6 +16,7 @@ from splatproof.methods.storage.gltf import read_gltf, write_gltf
 from splatproof.methods.storage.packed.reader import read_packed, unpack_packed
 from splatproof.methods.storage.packed.writer import write_packed
 from splatproof.methods.storage.ply import read_ply, write_ply
+from splatproof.methods.storage.sog import read_sog, write_sog
 from splatproof.methods.storage.spz import read_spz, write_spz
 from splatproof.reports.store import find_cases
 from splatproof.suites.records import read_record, write_record
@@ -26,6 +27,7 @@ from splatproof.suites.records import read_record, write_record
     [
         (write_ply, read_ply, ".ply"),
         (write_spz, read_spz, ".spz"),
+        (write_sog, read_sog, ".sog"),
         (write_gltf, read_gltf, ".glb"),
         (write_packed, read_packed, ".spgs"),
     ],
