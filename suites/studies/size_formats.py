@@ -12,6 +12,7 @@ from splatproof.methods.storage.packed.coded_writer import QUALITIES, CodeSettin
 from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import FileSettings, write_packed
 from splatproof.methods.storage.ply import read_ply, write_ply
+from splatproof.methods.storage.sog import read_sog, write_sog
 from splatproof.methods.storage.spz import (
     ALL_BITS,
     USUAL_BITS,
@@ -32,7 +33,8 @@ HARMONICS = (0.02, 0.03, 0.06, 0.1)
 FAST = (0.1,)
 BITS = (7, 5)
 """Bits of a coefficient of harmonics in images."""
-PALETTES = (1024,)
+PALETTES = {"sog 1024": 1024, "sog 4096": 4096, "sog": None}
+"""Entries of the palette of harmonics; None: as many as the format's own encoder takes."""
 SPZ: tuple[Version, ...] = (3, 4)
 
 
@@ -53,7 +55,6 @@ def formats() -> list[Format]:
     plain = FileSettings(gate=0.0, sort=False, planes=False, entropy="none")
     coded = FileSettings(gate=0.0, sort=False, planes=False)
     standard = CodeSettings()
-    images = partial(Format, read=read_images)
     return [
         Format(name="ply", curve="ply", write=_write_ply, read=lambda path: read_ply(path)[0]),
         Format(name="safetensors", curve="safetensors", write=_write_folder, read=_read_folder),
@@ -69,9 +70,10 @@ def formats() -> list[Format]:
         *(Format(name=f"spz {version}{word}", curve=f"spz {version}", write=partial(_write_spz, version, bits),
                  read=read_spz)
           for version in SPZ for word, bits in (("", USUAL_BITS), (", 8 bits", ALL_BITS))),
-        *(images(name=f"png {bits}", curve="png grid", write=partial(_write_images, bits, 0)) for bits in BITS),
-        *(images(name=f"palette {size}", curve="palette", write=partial(_write_images, 8, size))
-          for size in PALETTES),
+        *(Format(name=name, curve="sog", write=partial(_write_sog, entries), read=lambda path: read_sog(path)[0])
+          for name, entries in PALETTES.items()),
+        *(Format(name=f"png {bits}", curve="png grid", write=partial(_write_images, bits), read=read_images)
+          for bits in BITS),
     ]  # fmt: skip
 
 
@@ -144,6 +146,11 @@ def _write_spz(
     return {}
 
 
-def _write_images(bits: int, palette: int, path: Path, model: Gaussians) -> Mapping[str, int]:
-    write_images(path, model, bits=bits, palette=palette)
+def _write_sog(entries: int | None, path: Path, model: Gaussians) -> Mapping[str, int]:
+    write_sog(path, model, palette=entries)
+    return {}
+
+
+def _write_images(bits: int, path: Path, model: Gaussians) -> Mapping[str, int]:
+    write_images(path, model, bits=bits)
     return {}

@@ -18,7 +18,7 @@ MOST_LOST = 0.1
 SMALLEST = {
     "ours": ("ours, small",), "ours, pruned or merged": ("ours, small, pruned", "ours, small, merged"),
     "ours, trained through": ("ours, small, tuned",), "`.spz`": ("spz 3", "spz 4"),
-    "images": ("png grid", "palette"),
+    "`.sog`": ("sog",), "images": ("png grid",),
 }  # fmt: skip
 """Curves by the title of their column in the table of smallest files."""
 
@@ -45,8 +45,9 @@ def page(machine: Mapping[str, str], rows: Sequence[Row], pictures: Sequence[str
          "(`--thin`); `tuned` is merged by that share and trained through the steps of that quality "
          f"for {TuneSettings().iterations} steps (`--tune`), on the training views, so that its change "
          "there counts training as well; `gate` is version 2 of the file; `spz` keeps the 5 and 4 bits of "
-         "harmonics that the format's own encoder does, with `8 bits` all, as `bench export --spz`; `png` and `palette` "
-         "are images in the shape of gsplat's and SOG's, written here to compare."),
+         "harmonics that the format's own encoder does, with `8 bits` all, as `bench export --spz`; `sog` has the "
+         "palette of harmonics that its own encoder takes, as `bench export --sog`, or so many entries; `png` is "
+         "images in the shape of gsplat's, written here to compare."),
         "## Machine",
         table(("", ""), [(shown, machine[key]) for key, shown in MACHINE.items() if machine.get(key)]),
         *(f"![{Path(name).stem}]({name})" for name in pictures),

@@ -8,7 +8,7 @@ from splatproof.suites.gallery.drawing import COLOURS, panels, save
 
 Row = dict[str, Any]
 CURVES = ("ours, small", "ours, fast", "ours, small, pruned", "ours, small, merged", "ours, small, tuned",
-          "version 2", "spz 3", "spz 4", "png grid", "palette")  # fmt: skip
+          "version 2", "spz 3", "spz 4", "png grid", "sog")  # fmt: skip
 """Those that are drawn, in this order of colours; files of 79 bytes and more are left out."""
 MORE = ("#882255", "#ee8866")
 SPREAD = 0.1
