@@ -142,6 +142,9 @@ SIZE = {
     "packed_over_spz": Check(
         measure=functools.partial(smaller, "spz 4"), unit="times", seconds=(5.0, 2.0)
     ),
+    "packed_over_sog": Check(
+        measure=functools.partial(smaller, "sog"), unit="times", seconds=(12.0, 2.0)
+    ),
     "packed_loss": Check(measure=lost, unit="dB", seconds=(5.0, 2.0)),
     "packed_above_spz": Check(
         measure=functools.partial(loss_beside, "spz 4"), unit="dB", seconds=(5.0, 2.0)
