@@ -2,7 +2,6 @@
 
 import io
 import json
-import lzma
 import math
 import struct
 import zipfile
@@ -40,9 +39,8 @@ UNLIKELY = 2**24
 """Bytes up to which nobody asks how a bundle grew: an image of one colour takes next to no bytes, and a reader of
 so many takes a fraction of a second."""
 DAMAGED = (
-    zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, struct.error, cv2.error, MemoryError,
-    NotImplementedError,  # zipfile's word for a compression that it does not know
-    RuntimeError,  # and where a password is wanted; RecursionError of deep JSON
+    zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error, cv2.error, MemoryError,
+    RuntimeError,  # zipfile's words where a password or a newer zip is wanted; RecursionError of deep JSON
     ValueError, KeyError, IndexError, TypeError, OverflowError,  # what meta.json says, and headers that lie
 )  # fmt: skip
 """What the readers of zip, JSON and WebP say of bundles that are cut short or garbled."""
@@ -205,9 +203,7 @@ class Bundle:
         check_growth(self.path, info.file_size, self.size, small=UNLIKELY)
         check_room(self.path, info.file_size)
         with self.archive.open(info) as file:
-            return file.read(
-                info.file_size
-            )  # a number bounds what is unpacked; reading all would not
+            return file.read(info.file_size)  # a number bounds what is unpacked
 
 
 @contextmanager

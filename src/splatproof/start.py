@@ -15,7 +15,7 @@ def main() -> int:
     for number in HOW:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as a shell sets it in the background
             signal.signal(number, _end)
-    # Loading takes a while, in which ctrl-C may come. A seventh of it would go into looking for garbage among modules,
+    # Loading takes a while, in which ctrl-C may come. A fifth of it would go into looking for garbage among modules,
     # where there is none; splatproof.cli looks again from where a command begins.
     gc.disable()
     return importlib.import_module("splatproof.cli").main()

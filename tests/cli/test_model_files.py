@@ -127,6 +127,14 @@ def test_opacities_that_a_sog_stores_as_0_and_1_are_counted_in_a_line(
     assert all(line.startswith(f"{path}: {said}") for line in lines)
 
 
+def test_a_palette_that_takes_long_is_told_before_it(tmp_path, capsys, monkeypatch):
+    save_model(ExplicitModel(model=random_gaussians(40)), tmp_path / "model", Origin())
+    for most, lines in ((40, 0), (39, 1)):
+        monkeypatch.setattr("splatproof.cli.export.MANY", most)
+        assert main(["export", str(tmp_path / "model"), "--sog", str(tmp_path / "m.sog")]) == 0
+        assert capsys.readouterr().err.count("a palette for the harmonics of 40") == lines
+
+
 @pytest.mark.parametrize(
     ("far", "said"),
     [(10.0, ""), (1e6, "in steps of 0.125, "), (5e6, "positions up to 5e+06; .spz holds less")],

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from splatproof.reference.types.scene import View
 
 
+MANY = 50_000
+"""Gaussians from which on a .sog's palette takes a core more than some ten seconds."""
+
+
 def export(
     model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
     *,
@@ -49,9 +53,9 @@ def export(
     A .ply and a .glb hold every number as float32. An .spz has 24 bits a coordinate, 8 bits for
     opacity, scale and colour, and 8 or fewer for what depends on the view: small, and not the same. A
     .sog has 16 bits a coordinate, finest near the origin, and one entry of a palette for what depends on
-    the view: smaller, and further from the same. A packed file is the smallest: every number in steps
-    that the image hardly sees, entropy-coded. `bench study size` measures what each costs. Fewer
-    Gaussians (--thin) and training through the file's own steps (--tune) make it smaller still.
+    the view: about as large as an .spz. A packed file is the smallest: every number in steps that the
+    image hardly sees, entropy-coded. `bench study size` measures what each costs. Fewer Gaussians
+    (--thin) and training through the file's own steps (--tune) make it smaller still.
 
     A model that decodes its Gaussians for each view, or that moves, is written as it looks from one
     view at one time: --view names the view, --time may change its time, and --cameras, --scene and
@@ -68,7 +72,7 @@ def export(
             packed file.
         ply: Path of the .ply file to write.
         spz: Path of the .spz file to write, the small format of web viewers.
-        sog: Path of the .sog file to write, version 2: the smaller format of web viewers, with the palette
+        sog: Path of the .sog file to write, version 2: PlayCanvas' format of web viewers, with the palette
             of harmonics as large as its own encoder's.
         gltf: Path of the .glb file to write: binary glTF with the extension KHR_gaussian_splatting.
         packed: Path of the packed file to write.
@@ -176,6 +180,9 @@ def export(
                 f"ranges was clipped: {counts}; a .ply or a packed file keeps them"
             )
     if sog is not None:
+        if gaussians.degree and len(gaussians) > MANY:
+            output.log(f"{sog}: finding a palette for the harmonics of {len(gaussians)} Gaussians; it takes a core "
+                       "about a minute for 120,000")  # fmt: skip
         write_sog(sog, gaussians, facts.mode)
         _tell("sog", sog, gaussians, view)
         _tell_opacities(sog, gaussians)
