@@ -9,6 +9,7 @@ from splatproof.methods.storage.packed.reader import read_packed
 from splatproof.methods.storage.packed.writer import PackedFacts
 from splatproof.methods.storage.ply import read_mode, read_ply
 from splatproof.methods.storage.sog import read_sog
+from splatproof.methods.storage.spz import read_mode as read_spz_mode
 from splatproof.methods.storage.spz import read_spz
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -45,7 +46,7 @@ def read_gaussians(path: str | Path) -> tuple[Gaussians, PackedFacts]:
             model, shift, mode = read_gltf(path)
             return model, replace(facts, shift=shift, mode=mode)
         case ".spz":
-            return read_spz(path), facts
+            return read_spz(path), replace(facts, mode=read_spz_mode(path))
         case ".sog":
             model, mode = read_sog(path)
             return model, replace(facts, mode=mode)

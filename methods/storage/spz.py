@@ -1,5 +1,6 @@
 """Gaussians as .spz, the small format of the web viewers, through the public package gsply."""
 
+import gzip
 import struct
 import zlib
 from pathlib import Path
@@ -16,13 +17,18 @@ from splatproof.base.errors import DataError, MissingError
 from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.methods.storage.morton import morton_order
-from splatproof.methods.storage.spz_claims import check_claims
+from splatproof.methods.storage.spz_claims import GZIP, check_claims
+from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 
 Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
 GZIP_TIME = range(4, 8)
 """Bytes of gzip's header that say when it was written (RFC 1952, Section 2.3.1); 0: not said."""
+FLAGS = 14
+"""Byte of the header that says how the model is drawn, in every version; version 3 packs its header with the rest."""
+ANTIALIASED = 1
+"""Its bit that is set where a model was trained antialiased."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 ALL_BITS = (8, 8)
@@ -43,6 +49,7 @@ def write_spz(
     *,
     version: Version = 3,
     harmonics: tuple[int, int] = ALL_BITS,
+    mode: Mode = "classic",
 ) -> None:
     """Write positions in fixed point, 8-bit colour, opacity and scale, harmonics in 8 bits or what `harmonics` says.
 
@@ -55,6 +62,7 @@ def write_spz(
         gaussians: The model, in float32, in a frame whose origin is near it.
         version: Version of the format: 3 opens in every viewer, 4 is compressed with zstd.
         harmonics: Bits of each that are kept, 1 to 8, in degree 1 and above; the others are 0, and compress.
+        mode: How the model is rasterized; the file says where that is antialiased.
 
     Raises: MissingError without the package; DataError for no Gaussians, which no reader takes, and for positions
         beyond 2^22.
@@ -78,6 +86,8 @@ def write_spz(
     )  # fmt: skip
     with whole_file(path) as partial:
         gsply.write_spz(partial, data, version=version, fractional_bits=bits)
+        if mode == "antialiased":
+            _flag(partial)
         if version == 3:
             _forget_time(partial)
 
@@ -115,6 +125,14 @@ def clipped(gaussians: Gaussians) -> dict[str, int]:
         for name, (values, (low, high, step)) in parts.items()
     }
     return {name: count for name, count in found.items() if count}
+
+
+def _flag(path: Path) -> None:
+    """Set the bit of what was trained antialiased, which the package has no word for."""
+    packed = path.read_bytes()
+    whole = bytearray(gzip.decompress(packed) if packed.startswith(GZIP) else packed)
+    whole[FLAGS] |= ANTIALIASED
+    path.write_bytes(gzip.compress(whole) if packed.startswith(GZIP) else whole)
 
 
 def _forget_time(path: Path) -> None:
@@ -180,6 +198,21 @@ def read_spz(path: str | Path) -> Gaussians:
     )
     check_gaussians(model, path)
     return model
+
+
+def read_mode(path: str | Path) -> Mode:
+    """How the model of an .spz file is drawn.
+
+    Args:
+        path: A file that `read_spz` has read.
+    Returns: "antialiased" where the file says so, else "classic".
+
+    Source: the format's public description (Niantic Labs, spz).
+    """
+    with Path(path).open("rb") as file:
+        packed = file.read(len(GZIP)) == GZIP
+    with gzip.open(path) if packed else Path(path).open("rb") as file:
+        return "antialiased" if file.read(FLAGS + 1)[FLAGS] & ANTIALIASED else "classic"
 
 
 def _package() -> ModuleType:

@@ -68,12 +68,11 @@ def test_every_kind_is_exported_again_and_keeps_the_mode(kind, tmp_path, capsys)
     said = capsys.readouterr().err
     assert main(["export", str(first), "--ply", str(again), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["gaussians"] == 40
-    # .spz has no place for it; viewers of .sog heed it
-    mode = "classic" if kind == "spz" else "antialiased"
+    # viewers of .sog heed it
     assert ("antialiased" in said) == (kind not in ("packed", "sog"))
     loaded = load_reconstruction(again)
     assert isinstance(loaded, ExplicitModel)
-    assert loaded.mode == mode
+    assert loaded.mode == "antialiased"
 
 
 @pytest.mark.parametrize(("far", "said"), [(1.0, ""), (1e5, "1 of 400 Gaussians")])

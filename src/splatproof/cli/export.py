@@ -163,14 +163,14 @@ def export(
     facts = PackedFacts(**_known(loaded))
     if facts.mode == "antialiased" and (ply or spz or gltf):
         output.log(
-            "the model was trained antialiased; other viewers draw it as the original release does, "
-            "thinner or thicker far away"
-            + (" (and an .spz cannot say it even to us)" if spz else "")
+            "the model was trained antialiased, which the file says; viewers that do not ask draw it as the original "
+            "release does, thinner or thicker far away"
         )
     if ply is not None:
         _ply(gaussians, view, ply, None if local else facts.shift, facts.mode)
     if spz is not None:
-        write_spz(spz, gaussians, harmonics=USUAL_BITS if quality == "coarse" else ALL_BITS)
+        bits = USUAL_BITS if quality == "coarse" else ALL_BITS
+        write_spz(spz, gaussians, harmonics=bits, mode=facts.mode)
         _tell("spz", spz, gaussians, view)
         _tell_steps(spz, gaussians, quality or "standard")
         if lost := clipped(gaussians):

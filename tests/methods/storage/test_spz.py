@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from helpers.tiny_scene import random_gaussians
 from splatproof.base.errors import DataError, MissingError
+from splatproof.methods.gaussian_files import read_gaussians
 from splatproof.methods.storage import spz
 from splatproof.methods.storage.morton import morton_order
 from splatproof.reference.types.gaussians import Gaussians
@@ -147,3 +148,29 @@ def test_without_the_package_it_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(MissingError, match="pip install"):
         spz.write_spz(tmp_path / "m.spz", random_gaussians(3))
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_a_file_says_that_its_model_was_trained_antialiased(tmp_path, version):
+    model, files = random_gaussians(40, degree=2), {}
+    for mode in ("classic", "antialiased"):
+        files[mode] = tmp_path / f"{mode}.spz"
+        spz.write_spz(files[mode], model, version=version, mode=mode)
+        assert spz.read_mode(files[mode]) == mode
+        assert read_gaussians(files[mode])[1].mode == mode
+    plain, marked = (spz.read_spz(path) for path in files.values())
+    assert all(torch.equal(a, vars(marked)[name]) for name, a in vars(plain).items())
+    stored = [path.read_bytes() for path in files.values()]
+    if version == 4:  # one bit of one byte, and nothing else
+        odd = [i for i, (a, b) in enumerate(zip(*stored, strict=True)) if a != b]
+        assert odd == [spz.FLAGS]
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_the_same_model_gives_the_same_bytes_antialiased_too(tmp_path, version, monkeypatch):
+    model, written = random_gaussians(40), []
+    for moment in (1e9, 2e9):
+        monkeypatch.setattr(time, "time", lambda moment=moment: moment)
+        spz.write_spz(tmp_path / "m.spz", model, version=version, mode="antialiased")
+        written.append((tmp_path / "m.spz").read_bytes())
+    assert written[0] == written[1]
