@@ -16,7 +16,8 @@ UNSEEN = Comparison(
     earlier={"refine.clean.largest_scale": 50.0},  # rows in blocks are not refined here, and so not cleaned
     intro="""\
 The scene is `city` at its small size: photographed from a high flight that looks straight down. Protocol `unseen` trains on all of
-it and holds out low oblique views and facades that no photo shows; `default` holds out every 8th view from above. Real flights
+it and holds out low oblique views and facades that no photo shows; `default` holds out every 8th view from above. `city/medium`
+has five times the blocks, 143 photos and 48 views that no photo shows, all 320 pixels wide (protocol `city_unseen`). Real flights
 (`caliterra`, `seneca`, protocol `city_400`: every 8th photo held out) show what it costs or gains where photos look; nobody photographed them from beside.
 
 - `3dgs`: the release's method.
