@@ -17,7 +17,7 @@ from splatproof.base.errors import DataError, MissingError
 from splatproof.base.files import whole_file
 from splatproof.methods.models.explicit import check_gaussians
 from splatproof.methods.storage.morton import morton_order
-from splatproof.methods.storage.spz_claims import GZIP, check_claims
+from splatproof.methods.storage.spz_claims import FLAGS, GZIP, check_claims, read_flags
 from splatproof.reference.rasterizer.rasterize import Mode
 from splatproof.reference.types.gaussians import Gaussians
 
@@ -25,10 +25,8 @@ Version = Literal[3, 4]
 """3: gzip, which every viewer reads; 4: zstd."""
 GZIP_TIME = range(4, 8)
 """Bytes of gzip's header that say when it was written (RFC 1952, Section 2.3.1); 0: not said."""
-FLAGS = 14
-"""Byte of the header that says how the model is drawn, in every version; version 3 packs its header with the rest."""
 ANTIALIASED = 1
-"""Its bit that is set where a model was trained antialiased."""
+"""Bit of the header's flags that is set where a model was trained antialiased."""
 WHOLE_BITS = 24
 """Bits of a stored coordinate, fraction and sign included."""
 ALL_BITS = (8, 8)
@@ -209,10 +207,7 @@ def read_mode(path: str | Path) -> Mode:
 
     Source: the format's public description (Niantic Labs, spz).
     """
-    with Path(path).open("rb") as file:
-        packed = file.read(len(GZIP)) == GZIP
-    with gzip.open(path) if packed else Path(path).open("rb") as file:
-        return "antialiased" if file.read(FLAGS + 1)[FLAGS] & ANTIALIASED else "classic"
+    return "antialiased" if read_flags(Path(path)) & ANTIALIASED else "classic"
 
 
 def _package() -> ModuleType:

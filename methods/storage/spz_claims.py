@@ -1,5 +1,6 @@
 """What an .spz file says that it holds, checked before any of it is kept in memory."""
 
+import gzip
 import struct
 import zlib
 from pathlib import Path
@@ -18,6 +19,8 @@ unpacked begins."""
 PLAIN = struct.Struct("<IIIB2xBI12x")
 """The same of version 4, which is not packed there: the last of the facts is the number of streams;
 then the byte at which their table begins."""
+FLAGS = 14
+"""Byte of the header, in every version, whose bits say how the model is drawn."""
 ENTRY = struct.Struct("<QQ")
 """Bytes of a stream in the file, and unpacked."""
 FRAME_HEAD = 18
@@ -54,6 +57,23 @@ def check_claims(path: Path) -> None:
         check_growth(path, 4 * numbers, size)
         room = size + 2 * unpacked  # streams, and all of them one after another
     check_room(path, room + COPIES * 4 * numbers)
+
+
+def read_flags(path: Path) -> int:
+    """The byte of a file's header whose bits say how its model is drawn.
+
+    Args:
+        path: An .spz file that `check_claims` let pass.
+    Raises: DataError for a file that is missing.
+
+    Source: the format's public description (Niantic Labs, spz).
+    """
+    size_of(path)
+    with path.open("rb") as file:
+        packed = file.read(len(GZIP)) == GZIP
+        file.seek(0)
+        head = gzip.GzipFile(fileobj=file) if packed else file
+        return head.read(FLAGS + 1)[FLAGS]
 
 
 def _inflated(path: Path) -> tuple[int, int]:

@@ -22,7 +22,7 @@ ASKED_BEFORE = {
 """They ask size_of or what calls it, then read a part, or have a library read."""
 OURS = {
     "datasets/ingesting/ingest.py", "datasets/procedural/exporting.py", "datasets/procedural/plan.py",
-    "datasets/triangulation.py", "methods/training/snapshots.py", "reports/dashboard/assets.py",
+    "datasets/triangulation.py", "methods/storage/spz.py", "methods/training/snapshots.py", "reports/dashboard/assets.py",
     "reports/page.py", "src/splatproof/viewing/server.py", "suites/claim_checks/bits.py",
     "suites/claim_checks/trained.py", "suites/gallery/pictures.py", "suites/marks.py",
     "suites/studies/instructions/measure.py",
