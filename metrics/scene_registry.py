@@ -28,11 +28,29 @@ def _metric(
     )
 
 
-SEAM = "StitchGS, Sec. 5.1, over the partition's seam mask (metrics/seam_partition.py)"
+SEAM_MASKS = {
+    "": "StitchGS, Sec. 5.1, over the paper's seam mask: near what a merge kept beyond its own block (metrics/seam.py)",
+    "_partition": "StitchGS, Sec. 5.1, over the partition's seam mask (metrics/seam_partition.py)",
+}
+"""Ends of names, and over which pixels they are scored."""
 RELEASED = (
     "as StitchGS's release is understood (metrics/seam_released.py), over the rims of boxes widened by "
     "15 %, at the rendered depth"
 )
+
+
+def _seams(suffix: str, mask: str) -> tuple[SceneMetric, ...]:
+    literal = "channels summed, as the paper reads literally"
+    return (
+        _metric(f"seam_psnr{suffix}", f"{mask}; per-channel mean", True, "dB"),
+        _metric(f"seam_psnr_sum{suffix}", f"{mask}; {literal}", True, "dB"),
+        _metric(f"bpd_l1{suffix}", f"{mask}; per-channel mean", most=1.0),
+        _metric(f"bpd_l1_sum{suffix}", f"{mask}; {literal}", most=3.0),
+        _metric(f"nbgj{suffix}", mask),
+        _metric(f"seam_coverage{suffix}", mask, None, most=1.0),
+    )
+
+
 BLOCKS = ("load", "views", "points", "primitives", "seconds", "cpu", "memory")
 """What is compared over blocks: observations, training views, points, Gaussians, training seconds,
 processor seconds, peak memory."""
@@ -45,12 +63,7 @@ MARKS = (10, 30, 60)
 """Seconds of training whose scores tables show; suites may keep models at others too."""
 
 _ALL = (
-    _metric("seam_psnr", f"{SEAM}; per-channel mean", True, "dB"),
-    _metric("seam_psnr_sum", f"{SEAM}; channels summed, as the paper reads literally", True, "dB"),
-    _metric("bpd_l1", f"{SEAM}; per-channel mean", most=1.0),
-    _metric("bpd_l1_sum", f"{SEAM}; channels summed, as the paper reads literally", most=3.0),
-    _metric("nbgj", SEAM),
-    _metric("seam_coverage", SEAM, None, most=1.0),
+    *(metric for suffix, mask in SEAM_MASKS.items() for metric in _seams(suffix, mask)),
     _metric("seam_psnr_released", f"{RELEASED}; mean over views", True, "dB"),
     _metric("seam_l1_released", f"{RELEASED}; mean over views", most=1.0),
     _metric("seam_gradient_ratio_released", f"{RELEASED}; on the seam over off it"),

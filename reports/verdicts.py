@@ -240,7 +240,7 @@ def still_changing(
         runs: All cases of the suite, those of half and twice the steps among them.
         decided: The whole interval lies on one side of a bar, so that a row which leads further away from it is no matter.
     """
-    decibels = claim.metric.endswith("psnr")
+    decibels = "psnr" in claim.metric.split("_")
     late = []
     for row in dict.fromkeys(run.row for run in chosen):
         own = [run for run in chosen if run.row == row]

@@ -189,7 +189,9 @@ def beside(scene: str, one: Path, blocks: Path) -> Picture:
 
 def most_seam(folder: Path) -> str:
     """The view of a row that shows most seam pixels."""
-    return max(read_record(folder).images, key=lambda image: image.metrics["seam_coverage"]).name
+    return max(
+        read_record(folder).images, key=lambda image: image.metrics["seam_coverage_partition"]
+    ).name
 
 
 def seam_pictures(scene: str, name: str, rows: dict[str, Path]) -> list[Picture]:

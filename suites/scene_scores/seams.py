@@ -1,6 +1,6 @@
-"""Seams of a model that was made of blocks, scored view by view on the partition's own mask."""
+"""Seams of a model that was made of blocks, scored view by view: on the paper's mask, the partition's and the release's."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from splatproof.datasets.photos import write_png
 from splatproof.methods.contracts.backends import get_backend
 from splatproof.methods.kernels import blocks as kernels
 from splatproof.metrics.scoring import round_to_8_bit
-from splatproof.metrics.seam import SeamView, seam_scores, seam_sums
+from splatproof.metrics.seam import SeamSums, SeamView, seam_scores, seam_sums
 from splatproof.metrics.seam_partition import partition_seam_mask
 from splatproof.metrics.seam_released import seam_scores_released
 from splatproof.metrics.seam_render import render_seam_view
@@ -30,6 +30,8 @@ from splatproof.reference.types.scene import Scene, View
 from splatproof.suites.scene_scores.released_seams import boxes_of, released_scores
 from splatproof.suites.scene_scores.surface import surface_depth
 
+PARTITION = "_partition"
+"""End of the names of what is scored on the partition's mask."""
 COLOURS = (
     (68, 119, 170), (238, 102, 119), (34, 136, 51), (204, 187, 68),
     (102, 204, 238), (170, 51, 119), (187, 187, 187), (90, 60, 30),
@@ -75,10 +77,12 @@ def score_seams(
 ) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
     """The seam metrics of every test view, and over all of them together.
 
-    The paper's four pool the seam pixels of all views, on the partition's own mask. Where the blocks
+    The paper's four pool the seam pixels of all views. They stand under the paper's names on its own
+    mask, which is empty where a merge kept nothing beyond its own block, and as `*_partition` on the
+    mask that asks the partition alone: the one over which all merges can be compared. Where the blocks
     are boxes, those of the paper's release stand beside them (suites/scene_scores/released_seams.py).
 
-    Writes seams/ (the render, seam pixels in red) and blocks/ (each pixel in the colours of the
+    Writes seams/ (the render, pixels on the partition's seams in red) and blocks/ (each pixel in the colours of the
     blocks that it is composited from, in their shares) as PNGs named after the views.
 
     Args:
@@ -89,28 +93,39 @@ def score_seams(
         folder: Folder of the case.
     Returns: View name to its metrics, and the scene's. nan where no seam pixel is.
     """
-    views, sums, released = {}, [], []
+    views, released = {}, []
+    sums: dict[str, list[SeamSums]] = {"": [], PARTITION: []}
     boxes = boxes_of(model.regions)
     with new_folder(folder / "seams") as masks, new_folder(folder / "blocks") as coloured:
         for index in sorted(scene.test, key=lambda i: scene.views[i].name):
             view = scene.views[index]
-            seen = seam_view(scene, index, model, protocol, backend)
-            sums.append(seam_sums(seen))
-            views[view.name] = dict(seam_scores([sums[-1]]).values)
+            kept, seen = seam_views(scene, index, model, protocol, backend)
+            for suffix, one in (("", kept), (PARTITION, seen)):
+                sums[suffix].append(seam_sums(one))
+            views[view.name] = _scores({suffix: found[-1:] for suffix, found in sums.items()})
             if boxes:
                 released.append(released_scores(view, seen, boxes, masked=protocol.masked))
                 views[view.name] |= released[-1].values
             name = picture_name(view.name)
             write_png(masks / name, mask_picture(seen.image, seen.seam))
             write_png(coloured / name, block_picture(seen.block_weights))
-    whole = dict(seam_scores(sums).values)
+    whole = _scores(sums)
     return views, whole | seam_scores_released(released).values if boxes else whole
 
 
-def seam_view(
+def _scores(sums: Mapping[str, Sequence[SeamSums]]) -> dict[str, float]:
+    """The paper's four over some views, each name followed by the suffix of its mask."""
+    return {
+        f"{name}{suffix}": value
+        for suffix, found in sums.items()
+        for name, value in seam_scores(found).values.items()
+    }
+
+
+def seam_views(
     scene: Scene, index: int, model: Blocked, protocol: Protocol, backend: str
-) -> SeamView:
-    """One test view with the partition's seam mask; masked pixels of the view are on no seam.
+) -> tuple[SeamView, SeamView]:
+    """One test view with the paper's seam mask and with the partition's; masked pixels are on no seam.
 
     Args:
         scene: The scene; its true depth or sparse points say where the surface is.
@@ -127,10 +142,14 @@ def seam_view(
         render_blocks=partial(kernels.render_blocks, mode=model.mode) if native else None,
         block_weights=partial(kernels.block_weights, mode=model.mode) if native else None,
     )  # fmt: skip
-    seam = partition_seam_mask(view.camera, surface_depth(scene, index), model.regions)
+    seen = replace(seen, image=round_to_8_bit(seen.image, protocol.rounding))
+    own = partition_seam_mask(view.camera, surface_depth(scene, index), model.regions)
+    masks = (seen.seam, own)
     if view.load_mask is not None and protocol.masked:
-        seam &= view.load_mask()
-    return replace(seen, seam=seam, image=round_to_8_bit(seen.image, protocol.rounding))
+        counted = view.load_mask()
+        masks = tuple(mask & counted for mask in masks)
+    kept, by_partition = (replace(seen, seam=mask) for mask in masks)
+    return kept, by_partition
 
 
 def mask_picture(

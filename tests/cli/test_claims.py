@@ -111,7 +111,7 @@ def city(row: str, seed: int):
     return replace(
         case_folders.result(scene="caliterra", method=method, seed=seed),
         suite="city", variant=variant, protocol="city_400",
-        metrics={"psnr": psnr, "seam_psnr": psnr}, settings={"iterations": 400, "blocks": 4},
+        metrics={"psnr": psnr, "seam_psnr_partition": psnr}, settings={"iterations": 400, "blocks": 4},
         curve=tuple((step, {"gaussians": float(step), "loss": 1.0}) for step in range(1, 30)),
     )  # fmt: skip
 

@@ -59,7 +59,7 @@ def test_a_row_of_a_result():
     result = Result(
         suite="city", scene="town", method="stitchgs", variant="hard", seed=2, protocol="p",
         protocol_rules={}, settings={"blocks": 4, "iterations": 7}, images=(),
-        metrics={"psnr": 20.123456789, "seam_psnr": float("nan")}, stages={"blocks": 3.0, "load": 9.0},
+        metrics={"psnr": 20.123456789, "seam_psnr_partition": float("nan")}, stages={"blocks": 3.0, "load": 9.0},
         cpu_seconds=1.0, peak_memory_mb=1.0, primitives=10, bytes_on_disk=2**20, render_ms=20.0,
         split_sha256="", model_sha256="", counters={"least_visits": 12, "render_pairs": 5},
     )  # fmt: skip
@@ -71,7 +71,7 @@ def test_a_row_of_a_result():
     assert (values["fps"], values["disk_mb"], values["training_seconds"]) == (50.0, 1.0, 3.0)
     assert values["ply_bytes"] == 40 * PLY_NUMBERS
     assert values["psnr"] == 20.1235
-    assert "seam_psnr" not in values
+    assert "seam_psnr_partition" not in values
     assert json.loads(json.dumps(found)) == found
 
 

@@ -428,6 +428,26 @@ def test_of_several_scenes_what_the_second_half_gave_is_their_mean():
         assert verdict(found=[*on("s", first), *on("t", second)]).verdict == "direction only"
 
 
+@pytest.mark.parametrize("metric", ["seam_psnr_partition", "seam_psnr_released", "psnr_60s"])
+def test_a_psnr_over_some_pixels_or_after_some_seconds_settles_as_any_psnr_does(metric):
+    claim = dataclasses.replace(CLAIM, metric=metric, printed=None)
+
+    def reason(gain: float) -> str:
+        found = [
+            dataclasses.replace(
+                one,
+                values={metric: one.values["psnr"]},
+                images={name: {metric: scores["psnr"]} for name, scores in one.images.items()},
+            )
+            for one in with_halves(gain, effect=0.1)
+        ]
+        return verdict(claim, found).reason
+
+    assert f"further steps would change {metric}" in reason(SETTLED + 0.1)
+    assert "further steps" not in reason(SETTLED - 0.1)  # more than a hundredth of 20 dB
+    assert "further steps" not in reason(-1.0)
+
+
 def test_sizes_have_to_have_settled_too():
     claim = dataclasses.replace(
         CLAIM, metric="disk_mb", better="lower", printed=-0.5, relative=True

@@ -7,7 +7,7 @@ from splatproof.suites.hard_cases import steps
 from splatproof.suites.studies import ladders, stability
 from splatproof.suites.suite_files import load_suite
 
-SEAMS = ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage")
+SEAMS = tuple(f"{name}_partition" for name in ("seam_psnr", "bpd_l1", "nbgj", "seam_coverage"))
 
 
 @pytest.mark.needs_scene("brighton_beach")

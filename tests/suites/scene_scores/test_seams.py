@@ -100,25 +100,29 @@ def scores(model: TwoBlocks, folder, protocol=PROTOCOL, of: Scene | None = None)
 
 def test_a_perfect_model_has_no_seam_but_a_seam_mask(tmp_path):
     views, whole = scores(wall(), tmp_path)
-    assert whole["seam_psnr"] == float("inf")
-    assert 0.02 < whole["seam_coverage"] < 0.5
+    assert whole["seam_psnr_partition"] == float("inf")
+    assert 0.02 < whole["seam_coverage_partition"] < 0.5
     assert views.keys() == {"2.png", "3.png"}
-    pooled = np.mean([views[name]["seam_coverage"] for name in views])
-    assert whole["seam_coverage"] == pytest.approx(pooled)  # views of one size
+    pooled = np.mean([views[name]["seam_coverage_partition"] for name in views])
+    assert whole["seam_coverage_partition"] == pytest.approx(pooled)  # views of one size
 
 
 def test_a_planted_step_lowers_seam_psnr_and_raises_bpd(tmp_path):
     faint, strong = (scores(wall(step=step), tmp_path)[1] for step in (0.02, 0.1))
     none = scores(wall(), tmp_path)[1]
-    assert none["seam_psnr"] > faint["seam_psnr"] > strong["seam_psnr"] + 10
-    assert none["bpd_l1"] < faint["bpd_l1"] < strong["bpd_l1"]
+    assert (
+        none["seam_psnr_partition"]
+        > faint["seam_psnr_partition"]
+        > strong["seam_psnr_partition"] + 10
+    )
+    assert none["bpd_l1_partition"] < faint["bpd_l1_partition"] < strong["bpd_l1_partition"]
     # off by 0.1 on one side of the border and by nothing on the other, blended by Gaussians as
     # wide as the mask: a quarter of the pixels at least and all of them at most
-    assert 20 < strong["seam_psnr"] < -10 * np.log10(0.25 * 0.01) + 1
+    assert 20 < strong["seam_psnr_partition"] < -10 * np.log10(0.25 * 0.01) + 1
 
 
 def test_a_planted_jump_in_depth_raises_the_gradient_jump(tmp_path):
-    level, sunk = (scores(wall(sink=sink), tmp_path)[1]["nbgj"] for sink in (0.0, 0.5))
+    level, sunk = (scores(wall(sink=sink), tmp_path)[1]["nbgj_partition"] for sink in (0.0, 0.5))
     assert sunk != pytest.approx(level, rel=0.05)
 
 
@@ -131,8 +135,27 @@ def test_the_mask_is_the_partitions_whatever_the_merge_kept(tmp_path):
         blocks=model.blocks[kept],
         distances=model.distances[kept],
     )
-    assert scores(part, tmp_path)[1]["seam_coverage"] == scores(model, tmp_path)[1]["seam_coverage"]
-    assert scores(part, tmp_path)[1]["seam_psnr"] < 30
+    assert (
+        scores(part, tmp_path)[1]["seam_coverage_partition"]
+        == scores(model, tmp_path)[1]["seam_coverage_partition"]
+    )
+    assert scores(part, tmp_path)[1]["seam_psnr_partition"] < 30
+
+
+def test_the_papers_own_mask_asks_what_the_merge_kept(tmp_path):
+    hard = wall(step=0.1)
+    cut = scores(hard, tmp_path)[1]
+    assert cut["seam_coverage"] == 0
+    assert np.isnan(cut["seam_psnr"])
+    rim = hard.model.means[:, 0].abs() < 0.3
+    both = replace(hard, distances=torch.where(rim, 1.05, hard.distances))
+    views, kept = scores(both, tmp_path)
+    assert 0.02 < kept["seam_coverage"] < 0.5
+    assert 20 < kept["seam_psnr"] < 40  # half of the pixels are off by 0.1
+    assert views["2.png"]["seam_coverage"] > 0
+    of_partition = {name for name in kept if name.endswith("_partition")}
+    assert {name.removesuffix("_partition") for name in of_partition} <= kept.keys()
+    assert {name: kept[name] for name in of_partition} == {name: cut[name] for name in of_partition}
 
 
 def test_pixels_off_the_mask_do_not_count(tmp_path):
@@ -140,16 +163,16 @@ def test_pixels_off_the_mask_do_not_count(tmp_path):
     far = model.model.means[:, 0].abs() > 0.8
     sh = model.model.sh + 0.5 * far[:, None, None]
     spoilt = replace(model, model=replace(model.model, sh=sh))
-    assert scores(spoilt, tmp_path)[1]["seam_psnr"] > 60
+    assert scores(spoilt, tmp_path)[1]["seam_psnr_partition"] > 60
     near = replace(model, model=replace(model.model, sh=model.model.sh + 0.5 * ~far[:, None, None]))
-    assert scores(near, tmp_path)[1]["seam_psnr"] < 20  # the control
+    assert scores(near, tmp_path)[1]["seam_psnr_partition"] < 20  # the control
 
 
 def test_one_region_is_undefined_not_perfect(tmp_path):
     views, whole = scores(replace(wall(), regions=BOXES[:1]), tmp_path)
-    assert whole["seam_coverage"] == 0
-    assert np.isnan(whole["seam_psnr"])
-    assert np.isnan(views["2.png"]["bpd_l1"])
+    assert whole["seam_coverage_partition"] == 0
+    assert np.isnan(whole["seam_psnr_partition"])
+    assert np.isnan(views["2.png"]["bpd_l1_partition"])
     assert np.isnan(whole["seam_psnr_released"])
 
 
@@ -161,11 +184,11 @@ def test_masked_pixels_are_on_no_seam(tmp_path):
     )
     masked = replace(masked, views=views)
     hidden = scores(wall(), tmp_path, of=masked)[1]
-    assert hidden["seam_coverage"] == 0
+    assert hidden["seam_coverage_partition"] == 0
     assert np.isnan(hidden["seam_l1_released"])
     open_rules = replace(PROTOCOL, masked=False)
     shown = scores(wall(), tmp_path, open_rules, of=masked)[1]
-    assert shown["seam_coverage"] > 0
+    assert shown["seam_coverage_partition"] > 0
     assert shown["seam_l1_released"] < 1e-6
 
 
@@ -210,7 +233,7 @@ def test_blocks_that_are_no_boxes_have_no_released_metrics(tmp_path):
     assert boxes_of(BOXED) == BOXES
     views, whole = scores(replace(wall(), regions=cells), tmp_path)
     assert not set(RELEASED) & (whole.keys() | views["2.png"].keys())
-    assert "seam_psnr" in whole
+    assert "seam_psnr_partition" in whole
 
 
 def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
@@ -231,13 +254,13 @@ def test_a_case_of_blocks_has_seams_and_balance_beside_its_scores(tmp_path):
     assert found["edge_cut"] == 2  # two rows of voxels that the wall between the blocks crosses
     unmeasured = replace(scene(), points=sparse_points(torch.zeros(0, 3).double()))
     assert "edge_cut" not in city_scores(unmeasured, model, PROTOCOL, plain, tmp_path)[1]
-    assert found["seam_psnr"] == scores(of, tmp_path)[1]["seam_psnr"]
+    assert found["seam_psnr_partition"] == scores(of, tmp_path)[1]["seam_psnr_partition"]
     assert found["seconds_max_over_mean"] == pytest.approx(2 / 1.5)
     assert found["packed_bytes"] == 5
     assert found.keys() <= SCENE_METRICS.keys()
     for before, after in zip(plain, images, strict=True):
         assert before.metrics.items() <= after.metrics.items()
-        assert after.metrics["seam_coverage"] > 0
+        assert after.metrics["seam_coverage_partition"] > 0
 
 
 def test_pictures(tmp_path):
