@@ -1,4 +1,4 @@
-"""Run by test_packing: 20 million primitives in 8 blocks, stitched, merged, packed, unpacked.
+"""Run by test_writer: 20 million primitives in 8 blocks, stitched, merged, packed as each kind of file, unpacked.
 
 Everything goes through the disk. Prints a line of JSON with counts, seconds and the peak memory.
 """
@@ -19,6 +19,7 @@ from splatproof.methods.city.stitch import stitch
 from splatproof.methods.contracts.reconstruction import ARRAYS, Origin, write_description
 from splatproof.methods.models.explicit import EXPLICIT, explicit_facts
 from splatproof.methods.storage.float_file import write_float_stream
+from splatproof.methods.storage.packed.coded_writer import write_coded
 from splatproof.methods.storage.packed.reader import unpack_packed
 from splatproof.methods.storage.packed.rows import FolderRows
 from splatproof.methods.storage.packed.writer import write_packed
@@ -63,16 +64,20 @@ def main(folder: Path) -> dict[str, float]:
     for block in blocks:
         assert isinstance(block.model, Path)
         shutil.rmtree(block.model)
-    report = write_packed(folder / "model.spgs", FolderRows(folder / "merged"))
-    seconds["pack"] = report.seconds
-    shutil.rmtree(folder / "merged")
-    start = time.perf_counter()
-    unpacked = unpack_packed(folder / "model.spgs", folder / "unpacked")
-    seconds["unpack"] = time.perf_counter() - start
+    files: dict[str, float] = {}
+    for name, write in (("version_2", write_packed), ("small", write_coded)):
+        report = write(folder / f"{name}.spgs", FolderRows(folder / "merged"))
+        start = time.perf_counter()
+        files |= {
+            f"{name}_pack": report.seconds,
+            f"{name}_unpacked": unpack_packed(folder / f"{name}.spgs", folder / "unpacked"),
+            f"{name}_unpack": time.perf_counter() - start,
+            f"{name}_bytes_each": report.bytes / report.primitives,
+        }
+        shutil.rmtree(folder / "unpacked")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     return {
-        "primitives": BLOCKS * EACH, "merged": sum(counts), "unpacked": unpacked,
-        "bytes_each": report.bytes / report.primitives, "peak_gib": peak, **seconds,
+        "primitives": BLOCKS * EACH, "merged": sum(counts), "peak_gib": peak, **seconds, **files,
     }  # fmt: skip
 
 

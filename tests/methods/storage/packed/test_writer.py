@@ -358,7 +358,8 @@ def test_twenty_million_primitives_merge_and_pack_under_8_gib(tmp_path):
     )
     facts = json.loads(done.stdout.splitlines()[-1])
     assert facts["primitives"] == 20_000_000
-    assert facts["merged"] == facts["unpacked"]
+    assert facts["merged"] == facts["version_2_unpacked"] == facts["small_unpacked"]
+    assert facts["small_bytes_each"] < facts["version_2_bytes_each"]
     assert facts["peak_gib"] < 8
 
 
