@@ -7,6 +7,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
+from splatproof.datasets.procedural.embree_device import narrow_device
 from splatproof.datasets.procedural.world import World
 
 START = 1e-3
@@ -36,7 +37,7 @@ class Caster:
         area = (self.plane**2).sum(axis=1, keepdims=True).clip(1e-24)
         self.dual = (np.cross(edge2, self.plane) / area, np.cross(self.plane, edge1) / area)
         self.face_normals = self.plane / np.sqrt(area)
-        self._scene = EmbreeScene()
+        self._scene = EmbreeScene(device=narrow_device())
         TriangleMesh(self._scene, world.vertices.astype(np.float32), world.faces.astype(np.int32))
 
     def first(
