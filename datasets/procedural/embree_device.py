@@ -1,8 +1,8 @@
 """Embree with the kernels of one instruction set, so that a world's photos are the same on every machine."""
 
 import ctypes
+import inspect
 
-from embreex import rtcore
 from embreex.rtcore import EmbreeDevice
 
 WIDEST = b"max_isa=avx2"
@@ -26,7 +26,7 @@ def narrow_device() -> EmbreeDevice:
     made = EmbreeDevice()
     if EmbreeDevice.__basicsize__ != ctypes.sizeof(HeldDevice):
         return made
-    library = ctypes.CDLL(rtcore.__file__)  # and what it depends on: Embree itself
+    library = ctypes.CDLL(inspect.getfile(EmbreeDevice))  # and what it depends on: Embree itself
     library.rtcNewDevice.restype = ctypes.c_void_p
     library.rtcReleaseDevice.argtypes = [ctypes.c_void_p]
     chosen = library.rtcNewDevice(WIDEST)

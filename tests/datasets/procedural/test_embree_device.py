@@ -1,10 +1,10 @@
 """Embree takes no wider kernels than those that nearly every processor has."""
 
 import ctypes
+import inspect
 
 import numpy as np
 import pytest
-from embreex import rtcore
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore import EmbreeDevice
 from embreex.rtcore_scene import EmbreeScene
@@ -18,7 +18,7 @@ NATIVE = {4: 32, 8: 33, 16: 34}
 
 def rays_in_a_register(device: EmbreeDevice) -> set[int]:
     """Widths that the device's kernels have: 8 asks for AVX, 16 for AVX-512."""
-    library = ctypes.CDLL(rtcore.__file__)
+    library = ctypes.CDLL(inspect.getfile(EmbreeDevice))
     library.rtcGetDeviceProperty.argtypes = [ctypes.c_void_p, ctypes.c_int]
     library.rtcGetDeviceProperty.restype = ctypes.c_ssize_t
     pointer = embree_device.HeldDevice.from_address(id(device)).device
