@@ -2,6 +2,7 @@
 
 import ctypes
 import inspect
+import platform
 
 from embreex.rtcore import EmbreeDevice
 
@@ -21,10 +22,11 @@ def narrow_device() -> EmbreeDevice:
     """A device of WIDEST, to build scenes with; with a narrower instruction set where the processor has no AVX2.
 
     The package makes devices without any configuration, so the one that it made is exchanged. Where its objects hold
-    something else besides, they are left as they are.
+    something else besides, and on processors that are not x86, it is left as it is.
     """
     made = EmbreeDevice()
-    if EmbreeDevice.__basicsize__ != ctypes.sizeof(HeldDevice):
+    x86 = platform.machine().lower() in ("x86_64", "amd64")
+    if not x86 or EmbreeDevice.__basicsize__ != ctypes.sizeof(HeldDevice):
         return made
     library = ctypes.CDLL(inspect.getfile(EmbreeDevice))  # and what it depends on: Embree itself
     library.rtcNewDevice.restype = ctypes.c_void_p

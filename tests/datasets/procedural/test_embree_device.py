@@ -2,6 +2,7 @@
 
 import ctypes
 import inspect
+import platform
 
 import numpy as np
 import pytest
@@ -23,6 +24,13 @@ def rays_in_a_register(device: EmbreeDevice) -> set[int]:
     library.rtcGetDeviceProperty.restype = ctypes.c_ssize_t
     pointer = embree_device.HeldDevice.from_address(id(device)).device
     return {width for width, name in NATIVE.items() if library.rtcGetDeviceProperty(pointer, name)}
+
+
+@pytest.fixture(autouse=True)
+def on_x86():
+    """What is asked of Embree has names on such processors alone."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        pytest.skip("Embree's instruction sets are x86's here")
 
 
 def test_a_device_has_what_the_processor_has_but_avx512():
@@ -49,6 +57,13 @@ def test_objects_of_another_shape_are_left_as_they_are(monkeypatch):
         __slots__ = ("more",)
 
     monkeypatch.setattr(embree_device, "EmbreeDevice", Larger)
+    monkeypatch.setattr(embree_device, "WIDEST", b"max_isa=sse2")
+    assert rays_in_a_register(narrow_device()) == rays_in_a_register(EmbreeDevice())
+
+
+def test_on_other_processors_it_is_left_as_it_is(monkeypatch):
+    monkeypatch.setattr(platform, "machine", lambda: "aarch64")
+    monkeypatch.setattr(embree_device, "WIDEST", b"max_isa=sse2")
     assert rays_in_a_register(narrow_device()) == rays_in_a_register(EmbreeDevice())
 
 
